@@ -1,13 +1,13 @@
-"""labpipe: from the raw exports of a wire-harness test lab to trustworthy numbers and figures.
+"""labpipe: numbers, intervals and figures from the raw exports of a wire-harness test lab.
 
 In Python and in notebooks:
 
 - ``labpipe.open(path)`` opens a processed test;
 - ``labpipe.process(source)`` processes a test in memory;
-- ``labpipe.table(folder)`` and ``labpipe.groups(folder)`` put many processed tests together;
-- ``labpipe.inspect(file)`` says what an export holds.
+- ``labpipe.table(folder)`` and ``labpipe.groups(folder)`` collect many processed tests;
+- ``labpipe.inspect(file)`` describes an export.
 
-Importing labpipe imports nothing else; these names do so when they are first used.
+Importing labpipe imports nothing else: each of these names is imported at its first use.
 """
 
 import sys as _sys
@@ -15,27 +15,27 @@ from importlib import import_module as _import_module
 from types import ModuleType as _ModuleType
 
 __version__ = "0.2.0"
-_DOOR = ("Export", "Test", "groups", "inspect", "open", "process", "table")
+_API_NAMES = ("Export", "Test", "groups", "inspect", "open", "process", "table")
 
 
 def __getattr__(name: str) -> object:
     """Import a name of ``labpipe.api`` when it is first used (PEP 562)."""
     if name == "process":  # the package of that name, which can be called
         return _import_module("labpipe.process")
-    if name in _DOOR:
-        found = getattr(_import_module("labpipe.api"), name)
-        globals()[name] = found
-        return found
+    if name in _API_NAMES:
+        attribute = getattr(_import_module("labpipe.api"), name)
+        globals()[name] = attribute
+        return attribute
     message = f"module 'labpipe' has no attribute {name!r}"
     raise AttributeError(message)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_DOOR})
+    return sorted({*globals(), *_API_NAMES})
 
 
 class _CallablePackage(_ModuleType):
-    """A package that is a function of the same name, too: `labpipe.process`."""
+    """A package that can also be called as a function: `labpipe.process`."""
 
     def __call__(self, *args: object, **keywords: object) -> object:
         return getattr(_import_module("labpipe.api"), self.__name__.rpartition(".")[2])(

@@ -1,4 +1,4 @@
-"""The errors of labpipe about input that cannot be used."""
+"""Errors about unusable input, their codes, and the grammar of their messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal, Self, TypeAlias
 from labpipe.messages import find_template, format_error_parts
 
 KeyPath: TypeAlias = tuple[str | int, ...]
-"""Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
+"""Path from the top of a YAML file to one value: keys, and item numbers counted from 0."""
 
 At: TypeAlias = Literal["key", "value"]
 
@@ -22,7 +22,7 @@ class LabpipeError(Exception):
     Parameters
     ----------
     message : for people
-    code : one of `CODES`, where the class does not say it well enough
+    code : one of `CODES`; empty for the code of the class
     """
 
     code = "cannot_process"
@@ -47,19 +47,19 @@ class LabpipeError(Exception):
 
 
 class UsageError(LabpipeError):
-    """A command was called with something it cannot use."""
+    """A command was called with an unusable argument."""
 
     code = "bad_usage"
 
 
 class ReadError(LabpipeError):
-    """An export cannot be read in its stated format."""
+    """An export cannot be read in the format that the protocol states."""
 
     code = "unreadable_export"
 
 
 class ProtocolError(LabpipeError):
-    """A protocol or a test sheet is wrong; all its faults are in one message."""
+    """A protocol or a test sheet is wrong; one message lists all its faults."""
 
     code = "bad_sheet"
 
@@ -69,32 +69,32 @@ class ProcessingError(LabpipeError):
 
 
 class StoreError(LabpipeError):
-    """A result file cannot be written, or is not one that this version understands."""
+    """A result file cannot be written, or this version cannot read it."""
 
     code = "cannot_store"
 
 
 CODES = MappingProxyType(
     {
-        "bad_usage": "a command was called with something that it cannot use",
-        "bad_sheet": "test.yaml or the protocol is wrong, or is not there",
-        "missing_export": "an export that test.yaml names is not there",
-        "missing_channel": "an export has no such channel, or several that could be meant",
+        "bad_usage": "a command was called with an unusable argument",
+        "bad_sheet": "test.yaml or the protocol is wrong or missing",
+        "missing_export": "an export that test.yaml names is missing",
+        "missing_channel": "an export has no such channel, or several that match",
         "unreadable_export": "an export is damaged, or has another format than stated",
         "cannot_process": "the recordings do not hold what the protocol asks for",
         "bad_result": "an earlier result.h5 that is to be processed again cannot be used",
-        "disk_full": "there is no room for the results, or a quota is used up",
+        "disk_full": "the disk or the quota is full",
         "cannot_store": "the results cannot be written for another reason, such as permissions",
         "in_use": "another labpipe process writes the same results; no failure of the test",
         "system_refused": "the operating system refuses a file",
-        "out_of_memory": "the test does not go into the memory",
-        "process_died": "the process of the test ended: a crash, a kill, the memory used up",
+        "out_of_memory": "the test needs more memory than is free",
+        "process_died": "the process of the test crashed, was killed, or ran out of memory",
         "time_limit": "the test took longer than the limit",
         "fault_of_labpipe": "labpipe itself has a fault: report it with the exports",
-        "no_cluster": "there is no cluster, or its scheduler is gone; no failure of the test",
-        "worker_died": "more workers of a cluster were lost with the test than `allowed-failures`",
-        "worker_without_data": "no worker of the cluster sees the files that are seen here",
-        "newer_result": "the results are of a newer labpipe; they are left alone until cleared",
+        "no_cluster": "the cluster or its scheduler cannot be reached; no failure of the test",
+        "worker_died": "the test ran on more lost workers of a cluster than `allowed-failures`",
+        "worker_without_data": "no worker of the cluster can read the files of the test",
+        "newer_result": "a newer labpipe wrote the results; they are kept until they are cleared",
         "unknown": "failure.json cannot be read",
     }
 )
@@ -103,15 +103,15 @@ CODES = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that is wrong in a YAML file, and where.
+    """A fault in a YAML file, and its place.
 
     Parameters
     ----------
-    path : way to the value
-    expected, found : as in every message of labpipe
-    remedy : what to do about it; may be empty
+    path : of the value
+    expected, found : see `format_error`
+    remedy : how to correct it; may be empty
     at : whether the key itself is at fault, or its value
-    missing : the key that is not there, where that is the fault
+    missing : the missing key, if that is the fault
     """
 
     path: KeyPath
@@ -148,8 +148,8 @@ def format_error(file: object, place: str, *, expected: str, found: str, remedy:
 
     Parameters
     ----------
-    file : path or name of the file, shown as given
-    place : line, cell, byte, channel or YAML key; empty when the whole file is meant
+    file : path or name of the file
+    place : line, cell, byte, channel or YAML key; empty for the whole file
     expected, found : expected and actual content; no full stop at the end
     remedy : what the person at the bench can do, a whole sentence
 
@@ -163,12 +163,16 @@ def format_error(file: object, place: str, *, expected: str, found: str, remedy:
     ...           remedy="Export the take again.")
     'take.csv, line 7: expected a header row, found nothing. Export the take again.'
     """
-    where = f"{file}, {place}" if place else f"{file}"
-    return f"{where}: expected {expected}, found {found}. {remedy}"
+    location = f"{file}, {place}" if place else f"{file}"
+    return f"{location}: expected {expected}, found {found}. {remedy}"
 
 
-_NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
-"""Messages of libraries and threads that run out of memory."""
+_MEMORY_ERROR_PHRASES = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "can't start new thread",
+)
+"""Parts of the messages of libraries and threads that run out of memory."""
 
 
 def find_error_code(error: Exception) -> str:
@@ -180,14 +184,14 @@ def find_error_code(error: Exception) -> str:
 
     Returns
     -------
-    One of `CODES`; ``fault_of_labpipe`` for what neither the input nor the system explains.
+    One of `CODES`; ``fault_of_labpipe`` if neither the input nor the system explains the error.
     """
     if isinstance(error, LabpipeError):
         return error.code
     message = str(error).casefold()
-    refused = isinstance(error, ImportError | RuntimeError | OSError)
+    may_lack_memory = isinstance(error, ImportError | RuntimeError | OSError)
     if isinstance(error, MemoryError) or (
-        refused and any(phrase in message for phrase in _NO_MEMORY)
+        may_lack_memory and any(phrase in message for phrase in _MEMORY_ERROR_PHRASES)
     ):
         return "out_of_memory"
     is_of_system = isinstance(error, OSError | UnicodeEncodeError)
@@ -228,17 +232,17 @@ def describe_system_error(error: Exception) -> str:
 
 
 def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
-    """Sort known words so that those most like `word` come first.
+    """Sort words by their likeness to a misspelt one.
 
     Parameters
     ----------
-    word : what was written
-    choices : what would have been valid
+    word : as written
+    choices : valid words
     limit : maximum number of words
 
     Returns
     -------
-    At most `limit` of the known words, nearest first.
+    At most `limit` of the choices, the most similar first.
 
     Examples
     --------
@@ -259,8 +263,8 @@ def format_overrides(key: str, value: str, **more: str) -> str:
     Parameters
     ----------
     key : dotted, of the protocol
-    value : of the key; ``...`` if only the user knows it
-    more : other keys and values
+    value : of the key; ``...`` for the user to fill in
+    more : further keys and values
 
     Examples
     --------

@@ -1,16 +1,16 @@
 """Templates of the sentences that people read: one ``messages.toml`` in each room.
 
-A template is a table under its name. What it holds says what it is for:
+A template is a named table. Its entries depend on its use:
 
 - an error: ``expected``, ``found``, ``remedy``, and ``code`` if its class does not state it;
-- a quality note: ``severity``, ``says``, and for the reference page ``meaning`` and ``doubts``;
+- a quality note: ``severity``, ``says``, and ``meaning`` and ``doubts`` for the reference page;
 - a reason or any other sentence: ``says``.
 
-The code of a note or reason is the name of its template; a second sentence of one code states it
-as ``code``.
+The code of a note or reason is the name of its template. A template with another sentence for the
+same code states it as ``code``.
 
-Sentences have fields as `str.format` knows them. A test compares them with the facts that the code
-passes, so that the wording changes without the code.
+Sentences have fields for `str.format`. A test compares the fields with the facts that the code
+passes, so that a sentence can be reworded without a change of the code.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def read_templates(room: str) -> dict[str, Template]:
 def list_rooms() -> list[str]:
     """Return the rooms that have a ``messages.toml``."""
     package = Path(str(files("labpipe")))
-    found = sorted(package.rglob("messages.toml"))
-    return [".".join(path.relative_to(package).parts[:-1]) for path in found]
+    paths = sorted(package.rglob("messages.toml"))
+    return [".".join(path.relative_to(package).parts[:-1]) for path in paths]
 
 
 def find_template(name: str) -> Template:
@@ -76,7 +76,7 @@ def format_sentence(name: str, /, **facts: object) -> str:
 
 
 def format_error_parts(name: str, /, **facts: object) -> dict[str, str]:
-    """Fill in what an error expected, what it found, and what to do.
+    """Fill in the three parts of an error: expected, found, and remedy.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
-"""Quantities with units at the edges, coherent SI inside.
+"""Conversion of quantities that people and files write into numbers in coherent SI units.
 
-Inside labpipe every number is in s, m, N, Pa, rad, V, kg or products of them. This module is the
-only way between that and what people and files write.
+Inside labpipe every number is in s, m, N, Pa, rad, V, kg or products of them.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ if TYPE_CHECKING:
 GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (CGPM 1901)."""
 
-# A registry of our own: the units of a test lab and nothing else. It loads in a millisecond,
-# where pint's full list takes several hundred, and it cannot mistake "ft" for femtotonne.
+# Only the units of a test lab: this list loads in a millisecond, pint's full one in several
+# hundred, and "ft" cannot be mistaken for femtotonne.
 _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
@@ -53,16 +52,16 @@ frame = [] = frame
 
 
 class DimensionError(ValueError):
-    """A unit is one, of another dimension."""
+    """A known unit has another dimension than expected."""
 
 
 class NotFiniteError(ValueError):
-    """A number is too large to be one."""
+    """A number is too large for a float."""
 
 
-# What nearly every file, protocol and figure asks for: known without loading pint, which costs more
-# than reading the file. A test holds this table against pint.
-_PLAIN = {
+# The most frequent conversions, without loading pint, which takes longer than reading a file. A
+# test compares this table with pint.
+_COMMON_FACTORS = {
     ("mm", "m"): 1e-3,
     ("cm", "m"): 1e-2,
     ("um", "m"): 1e-6,
@@ -100,23 +99,23 @@ _PLAIN = {
     ("N/V", "N/V"): 1.0,
     ("N/V", "N/(V)"): 1.0,
 }
-# Coherent units; but for those above, no two of them convert.
-_SI = {
+_SI_UNITS = {
     *("1", "m", "s", "kg", "K", "rad", "V", "m^2", "1/m", "m/s", "1/s", "Hz", "kg/m"),
     *("N", "J", "Pa", "N/m", "m/N", "N*m", "N*m^2"),
 }
+"""Coherent units. Except for the pairs in `_COMMON_FACTORS`, no two of them convert."""
 
-_COHERENT = {
+_SI_EQUIVALENTS = {
     unit: (factor, coherent)
-    for (unit, coherent), factor in _PLAIN.items()
-    if coherent in _SI and unit not in _SI
+    for (unit, coherent), factor in _COMMON_FACTORS.items()
+    if coherent in _SI_UNITS and unit not in _SI_UNITS
 }
-"""What the plain units are in coherent ones, so that it is known what they are not."""
+"""Factor and coherent unit of each common unit: any other dimension is refused without pint."""
 
-_TOWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
-"""A power of a power, or to the hundredth or more: no unit is written so."""
-_NO_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
-"""How no unit begins, one that is too long, and a comma, which pint would pass over."""
+_STACKED_POWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
+"""A power of a power, or an exponent of three digits: neither occurs in a unit."""
+_NOT_A_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
+"""An invalid first character, more than 100 characters, or a comma, which pint ignores."""
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
 
 
@@ -132,7 +131,7 @@ def _registry() -> pint.UnitRegistry[float]:
 
 
 @cache
-def si_factor(unit: str, si_unit: str) -> float:
+def find_si_factor(unit: str, si_unit: str) -> float:
     """Return the factor that turns a number in `unit` into a number in `si_unit`.
 
     Parameters
@@ -151,45 +150,45 @@ def si_factor(unit: str, si_unit: str) -> float:
 
     Examples
     --------
-    >>> si_factor("mm", "m")
+    >>> find_si_factor("mm", "m")
     0.001
     """
-    if unit == si_unit and unit in _SI:
+    if unit == si_unit and unit in _SI_UNITS:
         return 1.0
-    if (unit, si_unit) in _PLAIN:
-        return _PLAIN[unit, si_unit]
-    if si_unit in _SI and (unit in _SI or unit in _COHERENT):
-        quick, coherent = _COHERENT.get(unit, (1.0, unit))
-        if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _PLAIN):
-            return quick * si_factor(coherent, si_unit)
-        raise DimensionError(_other_dimension(unit, si_unit))
-    if _NO_UNIT.match(unit) or _TOWER.search(unit):  # 9**9**9 has 369 693 100 digits
+    if (unit, si_unit) in _COMMON_FACTORS:
+        return _COMMON_FACTORS[unit, si_unit]
+    if si_unit in _SI_UNITS and (unit in _SI_UNITS or unit in _SI_EQUIVALENTS):
+        factor, coherent = _SI_EQUIVALENTS.get(unit, (1.0, unit))
+        if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _COMMON_FACTORS):
+            return factor * find_si_factor(coherent, si_unit)
+        raise DimensionError(_describe_other_dimension(unit, si_unit))
+    if _NOT_A_UNIT.match(unit) or _STACKED_POWER.search(unit):  # 9**9**9 has 369 693 100 digits
         message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message)
     import pint
 
     registry = _registry()
     try:
-        factor = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
-        return float(factor.to(registry.parse_units(_spelt(si_unit))).magnitude)
+        quantity = registry.Quantity(1.0, registry.parse_units(_to_pint_syntax(unit)))
+        return float(quantity.to(registry.parse_units(_to_pint_syntax(si_unit))).magnitude)
     except pint.DimensionalityError as error:
-        raise DimensionError(_other_dimension(unit, si_unit)) from error
+        raise DimensionError(_describe_other_dimension(unit, si_unit)) from error
     except Exception as error:  # pint's parser raises a dozen kinds of error for bad text
         message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message) from error
 
 
-def _other_dimension(unit: str, si_unit: str) -> str:
+def _describe_other_dimension(unit: str, si_unit: str) -> str:
     return f"expected a unit of the dimension of {si_unit}, found {unit!r}"
 
 
-def _spelt(unit: str) -> str:
+def _to_pint_syntax(unit: str) -> str:
     plain = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
     return "" if plain in {"", "1"} else plain.replace("·", "*").replace("^", "**")
 
 
-def whole_number(text: str) -> int | None:
-    """Read a count such as a header states.
+def parse_count(text: str) -> int | None:
+    """Parse a count, such as a header states.
 
     Parameters
     ----------
@@ -197,11 +196,11 @@ def whole_number(text: str) -> int | None:
 
     Returns
     -------
-    The count; None if the text holds anything else, or more digits than any count has.
+    The count; None for any other text, or for more than 18 digits.
 
     Examples
     --------
-    >>> whole_number("2701"), whole_number("2701.0"), whole_number(5000 * "9")
+    >>> parse_count("2701"), parse_count("2701.0"), parse_count(5000 * "9")
     (2701, None, None)
     """
     max_digits = 18
@@ -209,12 +208,12 @@ def whole_number(text: str) -> int | None:
 
 
 def parse_quantity(text: object, si_unit: str) -> float:
-    """Read a quantity written with its unit, such as ``53 mm``, into SI.
+    """Parse a quantity with its unit, such as ``53 mm``, and convert it to SI.
 
     Parameters
     ----------
-    text : number, blank, unit; a bare number is accepted only for a pure number (`si_unit` ``1``)
-    si_unit : the coherent SI unit of the answer
+    text : number and unit; the unit may be missing only for a pure number (`si_unit` ``1``)
+    si_unit : the coherent SI unit of the result
 
     Returns
     -------
@@ -223,8 +222,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
     Raises
     ------
     ValueError
-        If the unit is missing, unknown, or of the wrong dimension, or the number is no number or
-        not finite.
+        If the unit is missing or unknown, or the text is no quantity; a `DimensionError` for a
+        wrong dimension, a `NotFiniteError` for a number that is too large.
 
     Examples
     --------
@@ -242,7 +241,7 @@ def parse_quantity(text: object, si_unit: str) -> float:
         message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
         raise ValueError(message)
     # 12 digits: 53 mm is 0.053 m, not 0.053000000000000005
-    value = float(f"{float(number) * si_factor(unit or '1', si_unit):.12g}")
+    value = float(f"{float(number) * find_si_factor(unit or '1', si_unit):.12g}")
     if not isfinite(value):
         message = f"expected a number that is finite, found {text!r}"
         raise NotFiniteError(message)

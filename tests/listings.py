@@ -30,7 +30,7 @@ from labpipe.cli import main as labpipe
 from labpipe.cli.demo import CAMPAIGNS, PLAN
 from labpipe.records.curve import Interval
 from labpipe.report.wording import make_number_writer
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -295,7 +295,7 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
 
     def fresh(example: re.Match[str]) -> str:
         words, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
-        factor = si_factor(unit, SI[unit]) if unit in SI else 1.0
+        factor = find_si_factor(unit, SI[unit]) if unit in SI else 1.0
         number = factor * float(example[1])
         own = [
             entry

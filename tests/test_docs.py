@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
-from labpipe.cli import main, parser_of_commands
+from labpipe.cli import build_parser, main
 from labpipe.errors import CODES
 from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import kinds_of_notes
+from labpipe.protocol.reference import list_note_kinds
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step
@@ -132,7 +132,7 @@ def test_what_is_to_be_typed_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     lines = [words for text in texts_to_type(capsys) for words in typed_lines(text)]
     assert len(lines) > 60
     for words in lines:
-        parser_of_commands().parse_args(words)
+        build_parser().parse_args(words)
 
 
 NAMED_FILES = r"(?<![\w/.-])(?:examples|protocols|labpipe|tests|docs|benchmarks)/[\w/.-]+\.\w+"
@@ -291,14 +291,6 @@ def severity_of(node: ast.expr) -> str | None:
     return ast.unparse(node).partition(".")[2].lower() if is_one else None
 
 
-SEVERITIES = {
-    "info_note": "info",
-    "warning": "warning",
-    "doubtful": "warning",
-    "not_available": "error",
-    "blocking": "error",
-}
-"""Of the findings of a test, by the function that makes them."""
 CHOSEN = ("string_at_rest", "time_variable")
 """Notes whose severity depends on the recording."""
 
@@ -313,8 +305,6 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "info_note" | "warning" | "doubtful" | "not_available" | "blocking":
-            yield text_of(given[0]), SEVERITIES[name]
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":
@@ -323,7 +313,7 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
 
 @pytest.mark.slow
 def test_every_quality_note_has_a_record_and_no_other() -> None:
-    records = {(kind.code, str(one)) for kind in kinds_of_notes() for one in kind.severities}
+    records = {(kind.code, str(one)) for kind in list_note_kinds() for one in kind.severities}
     in_code = {pair for node in trees() for pair in noted(node)}
     in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
     in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}

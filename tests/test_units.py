@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe import units
-from labpipe.units import parse_quantity, si_factor
+from labpipe.units import find_si_factor, parse_quantity
 from tests.approved import Approve
 
 
@@ -67,18 +67,18 @@ def test_quick_ways_agree_with_the_registry() -> None:
     registry = units._registry()
 
     def factor(unit: str, si_unit: str) -> float:
-        parsed = [registry.parse_units(units._spelt(each)) for each in (unit, si_unit)]
+        parsed = [registry.parse_units(units._to_pint_syntax(each)) for each in (unit, si_unit)]
         return float(registry.Quantity(1.0, parsed[0]).to(parsed[1]).magnitude)
 
-    for (unit, si_unit), quick in units._PLAIN.items():
+    for (unit, si_unit), quick in units._COMMON_FACTORS.items():
         assert factor(unit, si_unit) == pytest.approx(quick, rel=1e-12), (unit, si_unit)
-    for unit in (*units._SI, *units._COHERENT):
-        for other in units._SI:
-            same = registry.parse_units(units._spelt(unit)).is_compatible_with(
-                registry.parse_units(units._spelt(other))
+    for unit in (*units._SI_UNITS, *units._SI_EQUIVALENTS):
+        for other in units._SI_UNITS:
+            same = registry.parse_units(units._to_pint_syntax(unit)).is_compatible_with(
+                registry.parse_units(units._to_pint_syntax(other))
             )
             if same:
-                assert si_factor(unit, other) == pytest.approx(factor(unit, other), rel=1e-12)
+                assert find_si_factor(unit, other) == pytest.approx(factor(unit, other), rel=1e-12)
             else:
                 with pytest.raises(ValueError, match="expected a unit of the dimension of"):
-                    si_factor(unit, other)
+                    find_si_factor(unit, other)

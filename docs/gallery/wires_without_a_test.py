@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from labpipe.mechanics.studies.bundle_bounds import model_bundle
 from labpipe.mechanics.studies.wire_models import make_tables
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.protocol.load import shipped_folder
+from labpipe.protocol.load import find_shipped_folder
 
-sheet = shipped_folder("examples") / "wires.xlsx"
+sheet = find_shipped_folder("examples") / "wires.xlsx"
 specs = [each for each in read_wire_sheet(sheet) if each.name in ("A1", "A2", "B2")]
 made, refused = make_tables(specs, sheet)
 for wire in made:

@@ -1,7 +1,6 @@
 """The API for Python and notebooks: open, process, table, groups, inspect.
 
-Everything is in SI units, as stored, unless it comes through `Test.display`. Errors are
-`LabpipeError` with a message of one sentence.
+Numbers are in SI units, except those of `Test.display`. Errors are raised as `LabpipeError`.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from labpipe.api.many_tests import PathLike, groups, path_of, table
+from labpipe.api.many_tests import PathLike, groups, parse_path, table
 from labpipe.api.one_test import Export, Test, inspect
 from labpipe.errors import UsageError
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
@@ -41,7 +40,7 @@ def open(path: PathLike) -> Test:
     --------
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
-    file = _only_one(path_of(path), find_results, "labpipe.table(path) reads many tests.")
+    file = _find_single(parse_path(path), find_results, "labpipe.table(path) reads many tests.")
     return Test(read_outcome(file), read_full=lambda: read_result(file), folder=file.parent)
 
 
@@ -69,13 +68,13 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     """
     from labpipe.process.run import read_source, reduce_test  # imports all of processing
 
-    file = _only_one(path_of(source), _sources, "Name the folder of one test.")
+    file = _find_single(parse_path(source), _find_sources, "Name the folder of one test.")
     result = reduce_test(*read_source(file, follow_links=follow_links))
     return Test(result)
 
 
-def _sources(targets: Sequence[Path]) -> list[Path]:
-    """Find tests to process; a folder with a result and no sheet is processed from the result."""
+def _find_sources(targets: Sequence[Path]) -> list[Path]:
+    """Find tests to process; in a folder with a result but no sheet, the result."""
     (target,) = targets
     is_result = target.is_dir() and (target / RESULT_FILE).is_file()
     if is_result and not (target / SHEET_NAME).is_file():
@@ -83,7 +82,7 @@ def _sources(targets: Sequence[Path]) -> list[Path]:
     return find_tests([target])
 
 
-def _only_one(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
+def _find_single(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
     files = find([path])
     if len(files) > 1:
         raise UsageError.about("api.many_tests", path, found=len(files), remedy=remedy)

@@ -1,4 +1,4 @@
-"""Records as pandas tables and xarray Datasets, as the contract of the API states.
+"""Make pandas tables and xarray Datasets of results, curves, shapes and recordings.
 
 Units are in ``frame.attrs["units"]`` by column, in a column ``unit``, or in ``attrs["units"]`` of
 a variable.
@@ -26,7 +26,7 @@ from labpipe.store.layout import (
     list_datasets,
     make_link_name,
 )
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +43,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units of numbers in tables.
+    """Units of the numbers in tables.
 
     Parameters
     ----------
@@ -52,41 +52,41 @@ class Units:
 
     display: Mapping[str, str] | None = None
 
-    def of_result(self, name: str, unit: str) -> Scale:
-        """Return factor and unit of a result, or of a change of it."""
+    def scale_result(self, name: str, unit: str) -> Scale:
+        """Return factor and unit for a result, or for a change of it."""
         return (
             Scale(1.0, unit)
             if self.display is None
             else find_display_unit(name, unit, self.display)
         )
 
-    def of(self, quantity: str, unit: str) -> Scale:
-        """Return factor and unit of a quantity such as ``force``."""
+    def scale_quantity(self, quantity: str, unit: str) -> Scale:
+        """Return factor and unit for a quantity such as ``force``."""
         target = unit if self.display is None else self.display.get(quantity, unit)
-        return Scale(1.0 / si_factor(target, unit), target)
+        return Scale(1.0 / find_si_factor(target, unit), target)
 
 
-def _table(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
-    """Make a table of rows, of which None in a number is NaN.
+def _make_frame(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
+    """Make a table of rows; None in a column of numbers becomes NaN.
 
     Parameters
     ----------
-    columns : type of each
+    columns : type by name
     rows : values in the order of the columns
     """
     return pd.DataFrame(list(rows), columns=list(columns)).astype(dict(columns))
 
 
-_RESULTS = {
+_RESULT_TYPES = {
     "name": "str",
     **dict.fromkeys(("value", "estimate", "lower", "upper"), "float64"),
     **dict.fromkeys(("unit", "status", "code", "reason"), "str"),
 }
-_BUDGET = {"cause": "str", "change": "float64", "share": "float64", "is_common": "bool"}
-_NOTES = dict.fromkeys(("code", "severity", "where", "message"), "str")
+_BUDGET_TYPES = {"cause": "str", "change": "float64", "share": "float64", "is_common": "bool"}
+_NOTE_TYPES = dict.fromkeys(("code", "severity", "where", "message"), "str")
 
 
-def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
+def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     """Make a table of results.
 
     Parameters
@@ -100,8 +100,8 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     ``unit``, ``status``, ``code``, ``reason`` (text, the last two empty where there is none).
     """
 
-    def row(result: Result) -> list[object]:
-        factor, unit = units.of_result(result.name, result.unit)
+    def make_row(result: Result) -> list[object]:
+        factor, unit = units.scale_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
         numbers = (result.value, result.best_estimate, *ends)
         scaled = [np.nan if number is None else number * factor for number in numbers]
@@ -114,10 +114,10 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
             result.reason_text,
         ]
 
-    return _table(_RESULTS, map(row, results)).set_index("name")
+    return _make_frame(_RESULT_TYPES, map(make_row, results)).set_index("name")
 
 
-def budget_frame(result: Result, units: Units) -> pd.DataFrame:
+def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
     """Make a table of the contributions to the interval of a result.
 
     Parameters
@@ -130,17 +130,17 @@ def budget_frame(result: Result, units: Units) -> pd.DataFrame:
     By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
     ``share`` of the variance, ``is_common`` to all tests of a rig. Empty if not known.
     """
-    factor, unit = units.of_result(result.name, result.unit)
+    factor, unit = units.scale_result(result.name, result.unit)
     rows = [
         (part.cause, factor * part.change, share, part.is_common)
         for part, share in zip(result.budget, result.shares, strict=True)
     ]
-    frame = _table(_BUDGET, rows).set_index("cause")
+    frame = _make_frame(_BUDGET_TYPES, rows).set_index("cause")
     frame.attrs["units"] = {"change": unit, "share": "1"}
     return frame
 
 
-def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
+def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     """Make a table of a curve.
 
     Parameters
@@ -150,13 +150,13 @@ def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
 
     Returns
     -------
-    ``time``, ``displacement``, ``force`` (float64), ``branch`` (from 0 in order of travel, -1
-    outside every branch), ``cycle`` (from 1, 0 outside), int64.
+    ``time``, ``displacement``, ``force`` (float64); ``branch`` (from 0 in order of travel, -1
+    outside every branch) and ``cycle`` (from 1, 0 outside), int64.
     """
     scales = {
         "time": Scale(1.0, curve.time_unit),
-        "displacement": units.of("displacement", "m"),
-        "force": units.of("force", "N"),
+        "displacement": units.scale_quantity("displacement", "m"),
+        "force": units.scale_quantity("force", "N"),
     }
     columns = {name: scale.factor * getattr(curve, name) for name, scale in scales.items()}
     frame = pd.DataFrame(columns | {"branch": curve.branch, "cycle": curve.cycle})
@@ -164,7 +164,7 @@ def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     return frame
 
 
-def shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
+def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
     """Make a table of positions along the specimen.
 
     Parameters
@@ -177,31 +177,34 @@ def shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
     By ``time`` (s): a column (point, axis) for x, y and z of the clamped end, each marker and the
     pull point, in the frame of the specimen; NaN where a marker was not seen.
     """
-    factor, unit = units.of("displacement", "m")
-    return _positions(shape.time, shape.names, factor * shape.positions, "point", unit)
+    factor, unit = units.scale_quantity("displacement", "m")
+    return _make_position_frame(shape.time, shape.names, factor * shape.positions, "point", unit)
 
 
-def _positions(
-    time: np.ndarray, names: tuple[str, ...], positions: np.ndarray, of: str, unit: str
+def _make_position_frame(
+    time: np.ndarray, names: tuple[str, ...], positions: np.ndarray, kind: str, unit: str
 ) -> pd.DataFrame:
-    columns = pd.MultiIndex.from_product([names, _AXES], names=[of, "axis"])
+    columns = pd.MultiIndex.from_product([names, _AXES], names=[kind, "axis"])
     index = pd.Index(time, name="time")
     frame = pd.DataFrame(positions.reshape(len(time), -1), index=index, columns=columns)
     frame.attrs["units"] = {"time": "s", "position": unit}
     return frame
 
 
-def quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
+def make_quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
     """Make a table of quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
-    return _table(_NOTES, ([getattr(note, name) for name in _NOTES] for note in notes))
+    return _make_frame(
+        _NOTE_TYPES, ([getattr(note, name) for name in _NOTE_TYPES] for note in notes)
+    )
 
 
 class Recordings(Mapping[str, pd.DataFrame]):
     """Recordings of a test as tables by name.
 
-    A name is a role, such as ``force``: its channels by time. An export with several clocks
-    has a table for each, ``<role>/<clock>``. Markers are a table of (marker, axis), and each
-    rigid body has one, ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw and error.
+    The name is the role of the export, such as ``force``: the table has its channels by time. An
+    export with several clocks has a table for each, ``<role>/<clock>``. Markers are a table with
+    columns (marker, axis), named ``<role>/markers`` if the export has clocks, too. Each rigid body
+    has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw, and error.
 
     Parameters
     ----------
@@ -210,9 +213,9 @@ class Recordings(Mapping[str, pd.DataFrame]):
 
     def __init__(self, recordings: Mapping[str, Recording]) -> None:
         self._tables = {
-            name: make
+            name: make_table
             for role, recording in recordings.items()
-            for name, make in _tables(role, recording)
+            for name, make_table in _list_tables(role, recording)
         }
 
     def __getitem__(self, name: str) -> pd.DataFrame:
@@ -239,24 +242,31 @@ class Recordings(Mapping[str, pd.DataFrame]):
         return list(self._tables)
 
 
-def _tables(role: str, recording: Recording) -> Iterator[tuple[str, Callable[[], pd.DataFrame]]]:
-    """Yield names of a recording's tables with functions that make them."""
+def _list_tables(
+    role: str, recording: Recording
+) -> Iterator[tuple[str, Callable[[], pd.DataFrame]]]:
+    """Yield the names of the tables of a recording, and functions that make them."""
     tracks = recording.markers
-    is_alone = len(recording.clocks) == 1 and tracks is None
+    is_single = len(recording.clocks) == 1 and tracks is None
     for clock in recording.clocks:
-        name = role if is_alone else f"{role}/{clock.name}"
-        yield name, partial(_channels, recording, clock.name)
+        name = role if is_single else f"{role}/{clock.name}"
+        yield name, partial(_make_channel_frame, recording, clock.name)
     if tracks is not None:
-        yield role if not recording.clocks else f"{role}/markers", partial(_markers, tracks)
+        yield (
+            role if not recording.clocks else f"{role}/markers",
+            partial(_make_marker_frame, tracks),
+        )
         for body in tracks.bodies:
-            yield f"{role}/{body.name}", partial(_body, tracks, body)
+            yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 
 
-def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
+def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
     clock = recording.clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
-    named = {one.name if counts[one.name] == 1 else one.path: one for one in channels}
+    named = {
+        channel.name if counts[channel.name] == 1 else channel.path: channel for channel in channels
+    }
     columns = {name: channel.values for name, channel in named.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
     units = {name: channel.unit or UNSTATED_UNIT for name, channel in named.items()}
@@ -264,11 +274,11 @@ def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
     return frame
 
 
-def _markers(tracks: MarkerTracks) -> pd.DataFrame:
-    return _positions(tracks.time, tracks.names, tracks.positions, "marker", "m")
+def _make_marker_frame(tracks: MarkerTracks) -> pd.DataFrame:
+    return _make_position_frame(tracks.time, tracks.names, tracks.positions, "marker", "m")
 
 
-def _body(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
+def _make_body_frame(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
     values = np.column_stack([body.position, body.rotation, body.error])
     names = [*_AXES, "qx", "qy", "qz", "qw", "error"]
     frame = pd.DataFrame(values, index=pd.Index(tracks.time, name="time"), columns=names)
@@ -281,12 +291,12 @@ def _body(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
 PARTS: Final = ("curve", "aligned", "shape", "bending", "law")
 
 
-def dataset_of(result: TestResult, part: str) -> Dataset | None:
+def make_dataset(result: TestResult, part: str) -> Dataset | None:
     """Make a Dataset of a part of a test.
 
     Parameters
     ----------
-    result : with everything
+    result : complete, with shapes and recordings
     part : one of `PARTS`, or the role of a recording
 
     Returns
@@ -299,30 +309,32 @@ def dataset_of(result: TestResult, part: str) -> Dataset | None:
         If xarray is not installed.
     """
     if part in result.recordings:
-        return _of_recording(result.recordings[part])
+        return _make_recording_dataset(result.recordings[part])
     if part == "aligned":
-        return None if result.aligned is None else _of_aligned(result.aligned)
-    record = _record(result, part)
-    return None if record is None else _of_record(record)
+        return None if result.aligned is None else _make_aligned_dataset(result.aligned)
+    record = _find_record(result, part)
+    return None if record is None else _make_record_dataset(record)
 
 
-def _record(result: TestResult, part: str) -> object:
-    """Return a part, None if missing."""
+def _find_record(result: TestResult, part: str) -> object:
+    """Find the record of a part of a test; None if missing."""
     if part in ("curve", "shape"):
         return getattr(result, part)
     bending = result.bending
     return None if bending is None else bending.cloud if part == "bending" else bending.law
 
 
-def _of_record(record: object) -> Dataset:
+def _make_record_dataset(record: object) -> Dataset:
     fields = {
         name: replace(field, unit=getattr(record, field.stated_in, field.unit))
         for name, field in list_datasets(type(record)).items()
     }
-    return _dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
+    return _assemble_dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
 
 
-def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]) -> Dataset:
+def _assemble_dataset(
+    arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]
+) -> Dataset:
     """Make a Dataset whose dimensions have the names of the scales in a result file."""
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
@@ -338,30 +350,30 @@ def _dataset(arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]
                 coordinates[dimension] = list(AXIS_LABELS[axis])
             if dimension.endswith("_2"):
                 coordinates[dimension] = arrays[scales[axis]]
-    dataset: Dataset = _xarray().Dataset(variables, coords=coordinates)
+    dataset: Dataset = _import_xarray().Dataset(variables, coords=coordinates)
     return dataset
 
 
-def _of_aligned(aligned: Aligned) -> Dataset:
+def _make_aligned_dataset(aligned: Aligned) -> Dataset:
     series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
-    fields = {name: DatasetSpec(("sample",), one.unit) for name, one in series.items()}
-    return _dataset({name: one.values for name, one in series.items()}, fields)
+    fields = {name: DatasetSpec(("sample",), channel.unit) for name, channel in series.items()}
+    return _assemble_dataset({name: channel.values for name, channel in series.items()}, fields)
 
 
-def _of_recording(recording: Recording) -> Dataset:
+def _make_recording_dataset(recording: Recording) -> Dataset:
     """Make a Dataset: channels by the time of their clock, markers by the time of frames."""
     variables: dict[str, Any] = {}
-    of_clock = {
+    dimensions = {
         clock.name: "time" if len(recording.clocks) == 1 else f"time_{clock.name}"
         for clock in recording.clocks
     }
     for clock in recording.clocks:
-        dimension = of_clock[clock.name]
+        dimension = dimensions[clock.name]
         variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
         name = make_link_name(channel.name, variables)
-        about = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
-        variables[name] = ([of_clock[channel.clock]], channel.values, about)
+        attributes = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
+        variables[name] = ([dimensions[channel.clock]], channel.values, attributes)
     tracks = recording.markers
     if tracks is not None:
         frame = "time_markers" if recording.clocks else "time"
@@ -369,11 +381,11 @@ def _of_recording(recording: Recording) -> Dataset:
         variables["marker"] = (["marker"], list(tracks.names))
         variables["xyz"] = (["xyz"], list(AXIS_LABELS["xyz"]))
         variables["positions"] = ([frame, "marker", "xyz"], tracks.positions, {"units": "m"})
-    dataset: Dataset = _xarray().Dataset(variables)
+    dataset: Dataset = _import_xarray().Dataset(variables)
     return dataset
 
 
-def _xarray() -> Any:
+def _import_xarray() -> Any:
     try:
         import xarray
     except ImportError as error:

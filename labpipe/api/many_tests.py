@@ -30,8 +30,8 @@ PathLike: TypeAlias = str | os.PathLike[str]
 Paths: TypeAlias = PathLike | Iterable[PathLike]
 
 
-def path_of(location: PathLike) -> Path:
-    """Convert to a path, and check that the system accepts it; it need not exist.
+def parse_path(location: PathLike) -> Path:
+    """Convert to a path that the system accepts; it need not exist.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def path_of(location: PathLike) -> Path:
     Raises
     ------
     UsageError
-        If the path is impossible: too long, with a zero byte, in a folder without access.
+        If the system refuses the path: too long, with a zero byte, in a folder without access.
     """
     path = Path(location)
     try:
@@ -54,12 +54,12 @@ def path_of(location: PathLike) -> Path:
     return path
 
 
-def paths_of(locations: Paths) -> list[Path]:
+def parse_paths(locations: Paths) -> list[Path]:
     """Convert one path, or several.
 
     Parameters
     ----------
-    locations : as `path_of`, or a list of them
+    locations : as `parse_path`, or a list of them
 
     Raises
     ------
@@ -69,17 +69,17 @@ def paths_of(locations: Paths) -> list[Path]:
     several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
     if not several:
         raise UsageError.about("api.no_folders", "folder")
-    return [path_of(location) for location in several]
+    return [parse_path(location) for location in several]
 
 
-def fields_of(by: str | Sequence[str]) -> tuple[str, ...]:
+def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
     """Convert the name of one field, or of several, to a tuple."""
     return (by,) if isinstance(by, str) else tuple(by)
 
 
 _NUMBERS = ("value", "estimate", "lower", "upper")
 _TEXTS = ("unit", "status", "code", "reason")
-_OF_TEST = ("protocol", "date", "operator", "folder")
+_TEST_COLUMNS = ("protocol", "date", "operator", "folder")
 
 
 class LeftOutWarning(UserWarning):
@@ -119,14 +119,14 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     --------
     >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
     """
-    by = fields_of(by)
-    rows, left_out = _read(_summaries(paths_of(folder)))
-    fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _OF_TEST)
-    _check(by, [name for name in fields if name != "test"])
-    order = dict.fromkeys(("test", *by, *fields, *_OF_TEST))
-    of_tests = {name: [test.get(name) for test, _ in rows] for name in order}
+    by = parse_fields(by)
+    rows, left_out = _read_summaries(_find_summaries(parse_paths(folder)))
+    fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _TEST_COLUMNS)
+    _require_fields(by, [name for name in fields if name != "test"])
+    order = dict.fromkeys(("test", *by, *fields, *_TEST_COLUMNS))
+    columns = {name: [test.get(name) for test, _ in rows] for name in order}
     counts = [len(results) for _, results in rows]
-    frame = pd.DataFrame({name: _column(name, values) for name, values in of_tests.items()})
+    frame = pd.DataFrame({name: _make_column(name, values) for name, values in columns.items()})
     frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
     entries = [result for _, results in rows for result in results]
     for name in ("result", *_NUMBERS, *_TEXTS):
@@ -138,7 +138,7 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     return frame
 
 
-def _summaries(places: Sequence[Path]) -> list[Path]:
+def _find_summaries(places: Sequence[Path]) -> list[Path]:
     """Find the summaries of processed tests: those beside a result file."""
     summaries: dict[Path, None] = {}
     for place in places:
@@ -154,12 +154,12 @@ def _summaries(places: Sequence[Path]) -> list[Path]:
 _Row: TypeAlias = tuple[dict[str, Any], list[dict[str, Any]]]
 
 
-def _read(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
+def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
     rows: list[_Row] = []
     left_out: dict[str, str] = {}
     for file in files:
         try:
-            rows.append(_row(file))
+            rows.append(_read_row(file))
         except LabpipeError as error:
             left_out[str(file.parent)] = str(error)
     if not rows:
@@ -169,7 +169,7 @@ def _read(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
     return rows, left_out
 
 
-def _row(file: Path) -> _Row:
+def _read_row(file: Path) -> _Row:
     """Read the fields of a test, and its results, from a summary."""
     if is_cut_off(file.parent):
         raise StoreError.about("api.cut_off", file, folder=file.parent)
@@ -178,38 +178,38 @@ def _row(file: Path) -> _Row:
         day = content.get("date")
         test = {
             "test": str(content["test"]),
-            **_fields(content["specimen"]),
+            **_list_fields(content["specimen"]),
             "protocol": str(content["protocol"]),
             "date": date.fromisoformat(day) if day else None,
             "operator": str(content.get("operator") or ""),
             "folder": str(file.parent),
         }
-        return test, [_result(entry) for entry in content["results"]]
+        return test, [_parse_result(entry) for entry in content["results"]]
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise StoreError.about("api.damaged_summary", file, found=error) from error
 
 
-def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields of a sheet by name; of a bundle without the list of wires."""
+def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
+    """List the fields of a test sheet by name; of a bundle, all but the list of wires."""
     plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
     parts = dict(specimen.get("bundle", {}))
     bundle = {name: value for name, value in parts.items() if not isinstance(value, list)}
-    taken = {*plain, *bundle, "test", "result", *_OF_TEST, *_NUMBERS, *_TEXTS}
+    taken = {*plain, *bundle, "test", "result", *_TEST_COLUMNS, *_NUMBERS, *_TEXTS}
     labels = {
-        f"label_{name}" if name in taken else str(name): str(word)
+        f"label_{name}" if name in taken else str(name): str(text)
         for key in ("labels", "observed")
-        for name, word in dict(specimen.get(key, {})).items()
+        for name, text in dict(specimen.get(key, {})).items()
     }
     return plain | bundle | labels
 
 
-def _result(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an entry of a summary as the cells of a row."""
+def _parse_result(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert a result of a summary to the cells of a row."""
     numbers = {name: np.nan if entry[name] is None else float(entry[name]) for name in _NUMBERS}
     return {"result": str(entry["name"])} | numbers | {name: str(entry[name]) for name in _TEXTS}
 
 
-def _column(name: str, values: Sequence[Any]) -> pd.Series:
+def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
     if name == "date":
         return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
     present = [value for value in values if value is not None]
@@ -217,7 +217,8 @@ def _column(name: str, values: Sequence[Any]) -> pd.Series:
     return pd.Series(values, dtype="float64" if is_number else "str")
 
 
-def _check(by: Sequence[str], fields: list[str]) -> None:
+def _require_fields(by: Sequence[str], fields: list[str]) -> None:
+    """Refuse to group by a field that no test sheet has."""
     for name in by:
         if name not in fields:
             valid = ", ".join(sort_by_likeness(name, fields))
@@ -239,9 +240,9 @@ def groups(
     -------
     A row per group and result: ``group``, ``protocol``, ``result``, ``mean``, ``estimate`` (the
     mean less what noise adds to it), ``lower``, ``upper`` (95 % interval of the estimate),
-    ``deviation`` (standard deviation of what was averaged; all in SI, float64), ``n`` (values
-    averaged: samples, or means of spools), ``tests`` (with the result), ``unit``, ``how``
-    (what was averaged, and why), ``reason`` (why there is no interval; empty otherwise).
+    ``deviation`` (standard deviation of the averaged values; all in SI, float64), ``n`` (number of
+    averaged values: samples, or means of spools), ``tests`` (number with the result), ``unit``,
+    ``how`` (which values are averaged, and why), ``reason`` (why there is no interval; else empty).
     ``attrs["left_out"]`` has the reason for each test that is left out, by file.
 
     Raises
@@ -250,19 +251,19 @@ def groups(
         If there is no processed test, none can be read, two have the same name, or no test sheet
         has a field of `by`.
     """
-    # takes half a second, and only this function needs it
+    # imported here since it takes half a second
     from labpipe.campaign.reporting import ReportOptions, make_campaign
 
     campaign = make_campaign(
-        find_results(paths_of(folder)), "", say, ReportOptions(by=fields_of(by))
+        find_results(parse_paths(folder)), "", say, ReportOptions(by=parse_fields(by))
     )
-    rows = [_group_row(group, number) for group in campaign.groups for number in group.numbers]
-    frame = pd.DataFrame(rows, columns=list(_GROUP_KINDS)).astype(_GROUP_KINDS)
+    rows = [_make_group_row(group, number) for group in campaign.groups for number in group.numbers]
+    frame = pd.DataFrame(rows, columns=list(_GROUP_TYPES)).astype(_GROUP_TYPES)
     frame.attrs["left_out"] = dict(campaign.left_out)
     return frame
 
 
-_GROUP_KINDS = {
+_GROUP_TYPES = {
     **dict.fromkeys(("group", "protocol", "result"), "str"),
     **dict.fromkeys(("mean", "estimate", "lower", "upper", "deviation"), "float64"),
     **dict.fromkeys(("n", "tests"), "int64"),
@@ -270,7 +271,7 @@ _GROUP_KINDS = {
 }
 
 
-def _group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
+def _make_group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
     row: dict[str, Any] = {
         "group": group.name,
         "protocol": group.protocol,

@@ -1,4 +1,4 @@
-"""A processed test and an export, for Python and notebooks."""
+"""A processed test, and an export before processing, for Python and notebooks."""
 
 from __future__ import annotations
 
@@ -16,26 +16,18 @@ from labpipe.api.data_frames import (
     PARTS,
     Recordings,
     Units,
-    budget_frame,
-    curve_frame,
-    dataset_of,
-    quality_frame,
-    results_frame,
-    shape_frame,
+    make_budget_frame,
+    make_curve_frame,
+    make_dataset,
+    make_quality_frame,
+    make_results_frame,
+    make_shape_frame,
 )
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.report.wording import (
-    find_display_unit,
-    is_main,
-    replace_unprintable,
-    typeset_unit,
-    write_count,
-    write_label,
-    write_number,
-)
+from labpipe.report.wording import replace_unprintable
 from labpipe.store.summaries import build_summary
 
 if TYPE_CHECKING:
@@ -56,10 +48,10 @@ class Test:
 
     Parameters
     ----------
-    outcome : the processed test; shapes and recordings may be missing if `whole` has them
-    whole : reads the complete test on first use
+    outcome : the processed test; without shapes and recordings if `read_full` reads them
+    read_full : reads the complete test on first use; None if `outcome` is complete
     folder : of its files; None if there are none
-    units : of the numbers
+    units : of the numbers; None for SI
     """
 
     __test__ = False  # pytest must not collect it
@@ -133,7 +125,7 @@ class Test:
         By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
         where not available), ``unit``, ``status``, ``code``, ``reason``.
         """
-        return results_frame(self._outcome.results, self._units)
+        return make_results_frame(self._outcome.results, self._units)
 
     def budget(self, name: str) -> pd.DataFrame:
         """Return the contributions to the interval of a result.
@@ -152,7 +144,7 @@ class Test:
         UsageError
             If the test has no such result.
         """
-        return budget_frame(self._result(name), self._units)
+        return make_budget_frame(self._result(name), self._units)
 
     def _result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
@@ -162,7 +154,7 @@ class Test:
 
     @property
     def curve(self) -> pd.DataFrame:
-        """Return the force against displacement, after all steps and corrections.
+        """Return force against displacement after all steps and corrections.
 
         ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
         and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
@@ -174,7 +166,7 @@ class Test:
         """
         if self._outcome.curve is None:
             raise self._missing("curve")
-        return curve_frame(self._outcome.curve, self._units)
+        return make_curve_frame(self._outcome.curve, self._units)
 
     @property
     def shape(self) -> pd.DataFrame:
@@ -190,17 +182,20 @@ class Test:
         shape = self._full.shape
         if shape is None:
             raise self._missing("shape")
-        return shape_frame(shape, self._units)
+        return make_shape_frame(shape, self._units)
 
     @property
     def raw(self) -> Recordings:
-        """Return the recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        """Return the recordings as tables by role, such as ``test.raw["force"]``.
+
+        Numbers are in SI units where the export states a unit, without calibration.
+        """
         return Recordings(self._full.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
         """Return the quality notes: ``code``, ``severity``, ``where``, ``message``."""
-        return quality_frame(self._outcome.quality)
+        return make_quality_frame(self._outcome.quality)
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -212,12 +207,11 @@ class Test:
 
         Parameters
         ----------
-        name : such as ``force-displacement``; `figures` lists those of the protocol, but any may be
-            drawn
+        name : such as ``force-displacement``; also one that the protocol does not list
 
         Returns
         -------
-        A matplotlib figure, which a notebook shows. It states if its data is missing.
+        A matplotlib figure, which a notebook shows. A figure without data says so.
 
         Raises
         ------
@@ -247,7 +241,7 @@ class Test:
         parts = [*PARTS, *self._full.recordings]
         if part not in parts:
             raise self._unknown("part", part, parts)
-        dataset = dataset_of(self._full, part)
+        dataset = make_dataset(self._full, part)
         if dataset is None:
             raise self._missing(part)
         return dataset
@@ -258,90 +252,33 @@ class Test:
     @property
     def _status_counts(self) -> str:
         counts = Counter(result.status for result in self._outcome.results)
-        return (
-            ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-            or "nothing"
-        )
+        return ", ".join(f"{counts[s]} {s}" for s in Status if counts[s]) or "nothing"
 
     def _repr_html_(self) -> str:
-        return page_of(self._outcome)
+        """Return HTML for a notebook: the first results in display units."""
+        max_rows = 10
+        heading = f"{self.name} ({self.protocol}): {self._status_counts}"
+        columns = ["value", "lower", "upper", "unit", "status", "reason"]
+        table = self.display.results[columns].head(max_rows)
+        html = table.to_html(float_format="{:.4g}".format, na_rep="")
+        return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
-    def _unknown(self, what: str, name: str, names: list[str]) -> UsageError:
+    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
         if not names:
-            return UsageError.about("api.none_of_these", self.name, what=what)
+            return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(sort_by_likeness(name, names, limit=7))
-        return UsageError.about("api.unknown", self.name, what=what, names=examples, found=name)
+        return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
-    def _missing(self, what: str) -> ProcessingError:
+    def _missing(self, part: str) -> ProcessingError:
         notes = self._outcome.quality
         why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
-        remedy = f"Why: {why.rstrip('.')}." if why else _NOT_ASKED_FOR
-        return ProcessingError.about("api.missing_part", self.name, what=what, remedy=remedy)
-
-
-_NOT_ASKED_FOR = "Its protocol does not ask for one, or see `quality`."
-_CELL = "text-align:left;padding:1px 12px 1px 0"
-
-
-def page_of(result: TestResult) -> str:
-    """Return the HTML of a test for a notebook.
-
-    Parameters
-    ----------
-    result : the processed test
-
-    Returns
-    -------
-    A heading, the first results in display units with intervals, and counts of problems.
-    """
-    # Results that are shown; the rest are counted.
-    max_rows = 10
-    main = [result for result in result.results if is_main(result.name)] or list(result.results)
-    rows = [_row(shown, result) for shown in main[:max_rows]]
-    more = len(result.results) - len(rows)
-    lines = [
-        f"<strong>{_safe(result.test)}</strong> {_safe(_what(result))}",
-        f'<table style="border-collapse:collapse">{"".join(rows)}</table>' if rows else "",
-        f"<small>{_safe(_rest(result, more))}</small>",
-    ]
-    return f"<div>{''.join(f'<div>{line}</div>' for line in lines if line)}</div>"
-
-
-def _safe(text: str) -> str:
-    return escape(replace_unprintable(text))
-
-
-def _what(result: TestResult) -> str:
-    specimen = result.specimen
-    parts = [result.protocol, f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"]
-    parts += [str(result.date)] if result.date else []
-    return " · ".join([*parts, *filter(None, [result.operator])])
-
-
-def _row(result: Result, test: TestResult) -> str:
-    factor, unit = find_display_unit(result.name, result.unit, test.display)
-    value = float("nan") if result.value is None else result.value
-    written = write_number(value, result.interval, factor, estimate=result.distinct_estimate)
-    number = f"{written.value} {typeset_unit(unit)}" if result.value is not None else written.value
-    state = "" if result.status is Status.OK else f"{result.status}: {result.reason_text}"
-    cells = [write_label(result.name), number, written.interval, state]
-    inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
-    return f"<tr>{inner}</tr>"
-
-
-def _rest(result: TestResult, more: int) -> str:
-    severities = Counter(note.severity for note in result.quality)
-    parts = [f"95 % intervals; {more} more in .results" if more > 0 else "95 % intervals"]
-    parts += [
-        write_count(severities[severity], severity.value)
-        for severity in (Severity.ERROR, Severity.WARNING)
-        if severities[severity]
-    ]
-    return ", ".join(parts) + (" in .quality" if len(parts) > 1 else "")
+        if not why:
+            return ProcessingError.about("api.not_in_protocol", self.name, part=part)
+        return ProcessingError.about("api.missing_part", self.name, part=part, why=why.rstrip("."))
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read facts about an export: program, channels, rates, gaps, oddities.
+    """Read an export and describe it: program, channels, rates, gaps, oddities.
 
     Parameters
     ----------
@@ -364,7 +301,7 @@ def inspect(file: str | os.PathLike[str]) -> Export:
 
 
 class Export:
-    """An export as its reader understands it.
+    """An export: its channels, notes and data, without protocol and test sheet.
 
     Parameters
     ----------
@@ -376,7 +313,7 @@ class Export:
 
     @property
     def file(self) -> Path:
-        """Return the export."""
+        """Return the path of the export."""
         return self._inspection.file
 
     @cached_property
@@ -388,8 +325,9 @@ class Export:
     def channels(self) -> pd.DataFrame:
         """Return the channels of all clocks.
 
-        ``clock``, ``name``, ``path``, ``unit`` (SI if the export states one, else none),
-        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (samples).
+        ``clock``, ``name``, ``path``, ``unit`` (SI; missing if the export states none),
+        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (number of
+        samples).
         """
         rows = [
             {"clock": stream["clock"], **channel}
@@ -399,17 +337,17 @@ class Export:
         texts = ("clock", "name", "path", "unit", "unit_in_file")
         numbers = ("first", "last", "min", "max")
         frame = pd.DataFrame(rows, columns=[*texts, *numbers, "missing"])
-        kinds = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
-        return frame.astype(kinds | {"missing": "int64"})
+        types = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
+        return frame.astype(types | {"missing": "int64"})
 
     @property
     def notes(self) -> pd.DataFrame:
         """Return the notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
-        return quality_frame(self._inspection.recording.notes)
+        return make_quality_frame(self._inspection.recording.notes)
 
     @property
     def data(self) -> Recordings:
-        """Return the recording as tables by file name without its ending, like `Test.raw`."""
+        """Return the recording as tables, like `Test.raw`; the role is the name of the file."""
         return Recordings({self.file.stem: self._inspection.recording})
 
     def __repr__(self) -> str:

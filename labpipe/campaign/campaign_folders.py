@@ -1,4 +1,4 @@
-"""Folders of a campaign and their content."""
+"""Folders of a campaign: find them, list tests and files in them, without opening any file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, st
 from labpipe.store.summaries import FAILURE_FILE
 
 RAW, PROCESSED = "raw", "processed"
-_OUTCOME = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)
+_OUTCOME_FILES = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,24 +47,22 @@ def find_campaign(folder: Path) -> CampaignFolders:
     UsageError
         If it is missing, below neither, or the folder of a single test.
     """
-    expected = "the folder of a campaign"
     if not folder.is_dir():
-        raise _no_campaign(
-            folder, expected, "a file" if folder.exists() else "nothing of that name"
-        )
+        found = "a file" if folder.exists() else "nothing of that name"
+        raise UsageError.about("campaign.no_campaign", folder, found=found)
     start = folder.resolve()
-    for above in (start, *start.parents):
-        if above.name in {RAW, PROCESSED}:
-            name = start.relative_to(above)
-            raw, processed = (_as_typed(above.parent / top / name) for top in (RAW, PROCESSED))
-            if (raw / SHEET_NAME).is_file():
-                raise _no_campaign(folder, expected, "the folder of a single test")
-            return CampaignFolders(name.as_posix(), raw, processed)
-    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", "a folder below neither")
+    tops = [above for above in (start, *start.parents) if above.name in {RAW, PROCESSED}]
+    if not tops:
+        raise UsageError.about("campaign.outside_campaigns", folder)
+    name = start.relative_to(tops[0])
+    raw, processed = (_relative_to_cwd(tops[0].parent / top / name) for top in (RAW, PROCESSED))
+    if (raw / SHEET_NAME).is_file():
+        raise UsageError.about("campaign.no_campaign", folder, found="the folder of a single test")
+    return CampaignFolders(name.as_posix(), raw, processed)
 
 
-def name_of_campaign(folder: Path) -> str:
-    """Return the name of the campaign whose results are in a folder.
+def find_campaign_name(folder: Path) -> str:
+    """Find the name of the campaign to which a folder belongs.
 
     Parameters
     ----------
@@ -79,41 +77,37 @@ def name_of_campaign(folder: Path) -> str:
     return ""
 
 
-def _as_typed(path: Path) -> Path:
-    """Return a path relative to the working folder if it is below it, for messages in files."""
+def _relative_to_cwd(path: Path) -> Path:
+    """Return a path relative to the working folder if it is below it."""
     current = Path.cwd().resolve()
     return path.relative_to(current) if path.is_relative_to(current) else path
 
 
-def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
-    return UsageError.about("campaign.no_campaign", folder, expected=expected, found=found)
-
-
 @dataclass(slots=True)
-class RawFolder:
+class RawContent:
     """Content of the folder of exports.
 
     Parameters
     ----------
-    sheets : test sheet by test, named by its folder below the campaign
-    files : all files except hidden ones, below the campaign, with slashes
-    refused : messages on what cannot be read
+    sheets : path of the test sheet by test; a test is named by its folder below the campaign
+    files : paths of all files except hidden ones, relative to the campaign, with slashes
+    problems : messages on files and folders that cannot be used
     """
 
     sheets: dict[str, Path] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
 
-def list_raw(campaign: CampaignFolders) -> RawFolder:
+def list_raw(campaign: CampaignFolders) -> RawContent:
     """List tests and files of a campaign, without opening any.
 
     Parameters
     ----------
     campaign : if its folder of exports is missing, the lists are empty
     """
-    listing = RawFolder()
-    for label, place, files, _ in _walk(campaign.raw, listing.refused):
+    listing = RawContent()
+    for label, place, files, _ in _walk(campaign.raw, listing.problems):
         listing.files += [f"{label}/{name}" if label else name for name in files]
         if SHEET_NAME not in files:
             continue
@@ -121,32 +115,33 @@ def list_raw(campaign: CampaignFolders) -> RawFolder:
         if sheet.is_file():
             listing.sheets[label] = sheet
         else:
-            listing.refused.append(str(StoreError.about("campaign.odd_sheet", sheet)))
+            listing.problems.append(str(StoreError.about("campaign.odd_sheet", sheet)))
     return listing
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeFiles:
-    """Files of the outcome of a test.
+    """Files that processing a test wrote: results, summary, failure.
 
     Parameters
     ----------
     folder : of the results
-    marks : size, time and inode of each file as text; equal for unchanged files
+    signature : name, size, time of change and inode of each file as text; equal for unchanged
+        files, empty without any file
     """
 
     folder: Path
-    marks: str
+    signature: str
 
     @property
     def has_results(self) -> bool:
         """Return whether there are complete results."""
-        return f"{SUMMARY_FILE}:" in self.marks and f"{RESULT_FILE}:" in self.marks
+        return f"{SUMMARY_FILE}:" in self.signature and f"{RESULT_FILE}:" in self.signature
 
     @property
     def has_failure(self) -> bool:
         """Return whether the last attempt failed."""
-        return f"{FAILURE_FILE}:" in self.marks
+        return f"{FAILURE_FILE}:" in self.signature
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
@@ -165,14 +160,14 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
         if hidden & {*STAGES}:
             outcome = find_outcome(campaign, label)
         else:
-            outcome = OutcomeFiles(Path(place), _marks(place, files))
-        if outcome.marks:
+            outcome = OutcomeFiles(Path(place), _sign_files(place, files))
+        if outcome.signature:
             outcomes[label] = outcome
     return outcomes
 
 
 def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
-    """Find the outcome of one test.
+    """Find the outcome of one test; first complete a replacement that a killed process began.
 
     Parameters
     ----------
@@ -180,44 +175,47 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     test : its folder below the campaign
     """
     folder = campaign.processed / test
-    if is_cut_off(folder):  # by a killed process, or another process works there
+    if is_cut_off(folder):  # unless another process is still at work there
         with suppress(StoreError), locked(folder), storing(folder):
             finish_cut_off(folder)
-    files = [name for name in _OUTCOME if (folder / name).is_file()]
-    return OutcomeFiles(folder, _marks(str(folder), files))
+    files = [name for name in _OUTCOME_FILES if (folder / name).is_file()]
+    return OutcomeFiles(folder, _sign_files(str(folder), files))
 
 
-def _marks(place: str, files: list[str]) -> str:
-    marks = []
-    for name in _OUTCOME:
+def _sign_files(place: str, files: list[str]) -> str:
+    parts = []
+    for name in _OUTCOME_FILES:
         if name not in files:
             continue
         with suppress(OSError):
-            about = os.stat(f"{place}/{name}")  # noqa: PTH116  Path is slow for ten thousand files
-            marks.append(f"{name}:{about.st_size}:{about.st_mtime_ns}:{about.st_ino}")
-    return " ".join(marks)
+            status = os.stat(f"{place}/{name}")  # noqa: PTH116  Path is slow for ten thousand files
+            parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
+    return " ".join(parts)
 
 
 def _walk(
-    top: Path, refused: list[str], *, skipped: str = ""
+    top: Path, problems: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Yield folders below a folder, without hidden ones and links: files and hidden names."""
+    """Walk through folders, except hidden ones, links, and those of a name to be skipped.
+
+    Yields label and path of each folder, and the names of its files and of its hidden entries.
+    """
     pending = [("", str(top))]
     while pending:
         label, place = pending.pop()
         try:
             with os.scandir(place) as entries:
                 every = list(entries)
-            seen = [entry for entry in every if not entry.name.startswith(".")]
-            refused += [_name_error(entry.path) for entry in seen if not _is_text(entry.name)]
-            seen = [entry for entry in seen if _is_text(entry.name)]
-            folders = {entry.name for entry in seen if entry.is_dir(follow_symlinks=False)}
+            visible = [entry for entry in every if not entry.name.startswith(".")]
+            problems += [_name_error(entry.path) for entry in visible if not _is_text(entry.name)]
+            visible = [entry for entry in visible if _is_text(entry.name)]
+            folders = {entry.name for entry in visible if entry.is_dir(follow_symlinks=False)}
         except FileNotFoundError:
             continue
         except OSError as error:
-            refused.append(describe_system_error(error))
+            problems.append(describe_system_error(error))
             continue
-        files = [entry.name for entry in seen if entry.name not in folders]
+        files = [entry.name for entry in visible if entry.name not in folders]
         yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}
         pending += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
@@ -227,8 +225,8 @@ def _walk(
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a name is valid text: on Linux it may be any bytes."""
-    return name.isascii() or not any("\ud800" <= sign <= "\udfff" for sign in name)
+    """Return whether a file name is valid text; on Linux it may be any bytes."""
+    return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)
 
 
 def _name_error(path: str) -> str:

@@ -1,7 +1,8 @@
-"""The catalog of a campaign: an SQLite file that can be rebuilt from the files of its tests.
+"""The catalog of a campaign: an SQLite file with states and results, for fast status and queries.
 
-Tables ``tests``, ``results`` and ``inputs`` copy the content of files. ``seen`` (file stamps) and
-``running`` (claims of processes) exist only here.
+It can be rebuilt: tables ``tests``, ``results`` and ``inputs`` copy the content of the files of
+tests. Only two tables have no other source: ``seen`` (state of these files at the last update) and
+``running`` (claims of processes that work on tests).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, fields
 from functools import cache
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, Final
 
 import psutil
@@ -23,19 +24,20 @@ from labpipe.campaign.catalog_rows import (
     RESULT_COLUMNS,
     TEST_COLUMNS,
     Entry,
+    FileState,
     Inputs,
     ResultRow,
-    Seen,
     TestRow,
 )
 from labpipe.errors import StoreError, UsageError
+from labpipe.messages import format_sentence
 from labpipe.store.replace import storing
 
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 2
 """Version of the tables, in ``user_version`` of the file; a newer one is refused."""
 PROGRAM: Final = 0x4C425043
-"""``application_id`` of the file: *LBPC*."""
+"""``application_id`` of the file: the letters LBPC."""
 TABLES: Final = ("tests", "results", "inputs", "seen", "running")
 
 
@@ -62,20 +64,19 @@ create table running (
 );
 """
 MAX_CLAIM_AGE = 24 * 3600.0
-"""s after which a claim of another host is taken for dead; no test takes as long."""
+"""Age of a claim of another host, s, above which it is ignored; no test takes as long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A process that works on a test.
+    """The claim of a process on a test, which other processes then leave alone.
 
     Parameters
     ----------
-    host : name of its machine and container
+    host : name of its machine, and of its container if it has one
     pid : process id
-    process : start of the process, s since 1970, which distinguishes it from later ones with the
-        same id
-    since : time, s since 1970
+    process : start of the process, s since 1970; a later process may have the same id
+    since : time of the claim, s since 1970
     """
 
     host: str
@@ -95,7 +96,7 @@ def new_claim() -> Claim:
 
 
 def is_alive(claim: Claim) -> bool:
-    """Return whether a claim is valid.
+    """Return whether the process of a claim still works.
 
     Parameters
     ----------
@@ -103,7 +104,8 @@ def is_alive(claim: Claim) -> bool:
 
     Returns
     -------
-    For a process of this host, whether it is alive; for another host, whether the claim is recent.
+    For a process of this host, whether it is alive; for one of another host, whether its claim is
+    younger than `MAX_CLAIM_AGE`.
     """
     if claim.host != _host():
         return abs(time.time() - claim.since) < MAX_CLAIM_AGE
@@ -115,17 +117,17 @@ def is_alive(claim: Claim) -> bool:
         return not is_dead and abs(process.create_time() - float(claim.process)) < max_clock_step
     except psutil.AccessDenied:
         return True
-    except (psutil.NoSuchProcess, ValueError):  # or a claim of an earlier labpipe
+    except (psutil.NoSuchProcess, ValueError):  # ValueError: a claim of an earlier labpipe
         return False
 
 
 @cache
 def _host() -> str:
     """Return the name of the machine with its namespace of process ids."""
-    space = ""
+    namespace = ""
     with suppress(OSError):
-        space = str(Path("/proc/self/ns/pid").readlink())
-    return f"{socket.gethostname()} {space}".strip()
+        namespace = str(Path("/proc/self/ns/pid").readlink())
+    return f"{socket.gethostname()} {namespace}".strip()
 
 
 class Catalog:
@@ -133,9 +135,9 @@ class Catalog:
 
     Parameters
     ----------
-    connection : to a file with the tables
+    connection : to the file, or to memory
     path : of the file, for messages
-    in_memory : whether it is a private copy in memory
+    in_memory : whether it is a private copy in memory, which is lost at the end
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, in_memory: bool) -> None:
@@ -156,32 +158,32 @@ class Catalog:
         with sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
-    def rows(self, folder: str | None = None) -> dict[str, TestRow]:
-        """Return rows of ``tests`` by folder.
+    def read_rows(self, folder: str | None = None) -> dict[str, TestRow]:
+        """Read rows of ``tests`` by folder.
 
         Parameters
         ----------
         folder : of one test; None for all tests
         """
-        rows = self._of_test("tests", TEST_COLUMNS, folder)
+        rows = self._select("tests", TEST_COLUMNS, folder)
         return {row[0]: TestRow(*row) for row in rows}
 
-    def seen(self, folder: str | None = None) -> dict[str, Seen]:
-        """Return the recorded state of files by folder.
+    def read_file_states(self, folder: str | None = None) -> dict[str, FileState]:
+        """Read the recorded states of the files of tests by folder.
 
         Parameters
         ----------
         folder : of one test; None for all tests
         """
-        rows = self._of_test("seen", ("folder", "content", "marks"), folder)
-        return {folder: Seen(content, marks) for folder, content, marks in rows}
+        rows = self._select("seen", ("folder", "content", "marks"), folder)
+        return {folder: FileState(*state) for folder, *state in rows}
 
-    def _of_test(self, table: str, columns: Sequence[str], folder: str | None) -> list[Any]:
+    def _select(self, table: str, columns: Sequence[str], folder: str | None) -> list[Any]:
         sql = f"select {', '.join(columns)} from {table}"
         return self._all(sql) if folder is None else self._all(f"{sql} where folder = ?", folder)
 
-    def results_of(self, folder: str) -> tuple[ResultRow, ...]:
-        """Return the results of a test, in order.
+    def read_results(self, folder: str) -> tuple[ResultRow, ...]:
+        """Read the results of a test, in order.
 
         Parameters
         ----------
@@ -199,8 +201,8 @@ class Catalog:
         )
         return bool(self._all(sql))
 
-    def inputs_of(self, folder: str) -> Inputs:
-        """Return role, file and SHA-256 of the exports of a test, in order.
+    def read_inputs(self, folder: str) -> Inputs:
+        """Read role, file and SHA-256 of the exports of a test, in order.
 
         Parameters
         ----------
@@ -209,17 +211,17 @@ class Catalog:
         sql = "select role, file, sha256 from inputs where folder = ? order by place"
         return tuple(self._all(sql, folder))
 
-    def put(self, entries: Iterable[Entry], before: Mapping[str, Seen] | None = None) -> None:
+    def put(self, entries: Iterable[Entry], before: Mapping[str, FileState] | None = None) -> None:
         """Write entries of tests.
 
         Parameters
         ----------
         entries : of the tests
-        before : recorded states when the entries were begun; a test whose recorded state has
-            changed since was written by another process and is skipped. None to write all
+        before : recorded states when the update began; a test with another recorded state by now
+            was written by another process and is skipped. None to write all
         """
         with self._writing() as connection:
-            stored = self.seen() if before is not None else {}
+            stored = self.read_file_states() if before is not None else {}
             for entry in entries:
                 folder = entry.row.folder
                 if before is None or stored.get(folder) == before.get(folder):
@@ -237,8 +239,8 @@ class Catalog:
                 for table in ("tests", "results", "inputs", "seen"):
                     connection.execute(f"delete from {table} where folder = ?", (folder,))
 
-    def claims(self) -> dict[str, Claim]:
-        """Return claims of live processes by folder of the test."""
+    def read_claims(self) -> dict[str, Claim]:
+        """Read claims of live processes by folder of the test."""
         rows = self._all("select folder, host, pid, process, since from running")
         claims = {folder: Claim(*rest) for folder, *rest in rows}
         return {folder: claim for folder, claim in claims.items() if is_alive(claim)}
@@ -255,7 +257,7 @@ class Catalog:
         False if another live process has claimed it.
         """
         with self._writing() as connection:
-            if folder in self.claims():
+            if folder in self.read_claims():
                 return False
             values = (folder, *astuple(new_claim()))
             connection.execute("insert or replace into running values (?, ?, ?, ?, ?)", values)
@@ -275,7 +277,7 @@ class Catalog:
     def release_dead(self) -> None:
         """Delete the claims of processes that have ended."""
         claimed = {folder for (folder,) in self._all("select folder from running")}
-        if dead := claimed - self.claims().keys():
+        if dead := claimed - self.read_claims().keys():
             self.release(*dead)
 
     @contextmanager
@@ -297,51 +299,45 @@ def sqlite_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        message = str(error)
-        is_busy = "lock" in message or "busy" in message
-        is_refused = any(word in message for word in ("readonly", "unable to open", "full"))
+        code = _error_code(error)
         raise StoreError.about(
-            "campaign.catalog_in_use" if is_busy
-            else "campaign.catalog_refused" if is_refused else "campaign.bad_catalog",
-            path, found=message,
+            "campaign.catalog_in_use" if code in _BUSY
+            else "campaign.catalog_refused" if code in _REFUSED else "campaign.bad_catalog",
+            path, found=error,
         ) from error  # fmt: skip
+
+
+_BUSY: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
+_REFUSED: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
+
+
+def _error_code(error: sqlite3.Error) -> int:
+    """Return the primary result code of an SQLite error; 0 if it has none."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
 def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     folder = entry.row.folder
-    seen = (folder, entry.seen.content, entry.seen.marks)
-    connection.execute("insert or replace into seen values (?, ?, ?)", seen)
-    if entry.only_seen:
+    state = (folder, *astuple(entry.file_state))
+    connection.execute("insert or replace into seen values (?, ?, ?)", state)
+    if entry.is_row_unchanged:
         return
     for table in ("tests", "results", "inputs"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
-    holes = ", ".join("?" * len(TEST_COLUMNS))
-    connection.execute(f"insert into tests values ({holes})", astuple(entry.row))
-    holes = ", ".join("?" * (len(RESULT_COLUMNS) + 2))
+    placeholders = ", ".join("?" * len(TEST_COLUMNS))
+    connection.execute(f"insert into tests values ({placeholders})", astuple(entry.row))
+    placeholders = ", ".join("?" * (len(RESULT_COLUMNS) + 2))
     results = [(folder, place, *astuple(result)) for place, result in enumerate(entry.results)]
-    connection.executemany(f"insert into results values ({holes})", results)
+    connection.executemany(f"insert into results values ({placeholders})", results)
     inputs = [(folder, place, *export) for place, export in enumerate(entry.inputs)]
     connection.executemany("insert into inputs values (?, ?, ?, ?, ?)", inputs)
 
 
-def file_uri(path: PurePath) -> str:
-    """Return the URI of a file for SQLite, for any characters in its name.
-
-    Parameters
-    ----------
-    path : absolute; may be on a Windows network drive, whose server SQLite takes as a folder
-    """
-    uri = path.as_uri()
-    return uri if uri.startswith("file:///") else uri.replace("file://", "file:////", 1)
-
-
-def _connect(path: Path | None, mode: str = "") -> sqlite3.Connection:
+def _connect(path: Path | None) -> sqlite3.Connection:
     """Connect to a file, or to memory, in autocommit mode with explicit transactions."""
-    # s to wait for another process that writes
-    lock_timeout = 60.0
-    uri = ":memory:" if path is None else f"{file_uri(path.absolute())}?mode={mode}"
+    lock_timeout = 60.0  # s to wait for another process that writes
     connection = sqlite3.connect(
-        uri, uri=True, timeout=lock_timeout, isolation_level=None, check_same_thread=False
+        path or ":memory:", timeout=lock_timeout, isolation_level=None, check_same_thread=False
     )
     connection.execute("pragma synchronous = normal")  # a catalog can be rebuilt
     return connection
@@ -359,13 +355,8 @@ def can_write(path: Path) -> bool:
     )
 
 
-_DAMAGED: Final = "it was damaged ({})"
-_NOT_DAMAGED: Final = ("lock", "readonly", "unable to open", "busy")
-"""Words in SQLite errors that do not mean a damaged file."""
-
-
 class NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
-    """There is no usable catalog, for the reason in its text."""
+    """There is no usable catalog; the message says why."""
 
 
 def open_catalog(folder: Path) -> Catalog:
@@ -384,13 +375,11 @@ def open_catalog(folder: Path) -> Catalog:
     """
     path = folder / CATALOG
     if not path.is_file():
-        raise NoCatalog("no file" if path.exists() else "there was none")
+        raise NoCatalog(format_sentence("campaign.missing_catalog"))
     is_writable = can_write(path)
     try:
         with ExitStack() as opened:
-            connection = opened.enter_context(
-                closing(_connect(path, "rw" if is_writable else "ro"))
-            )
+            connection = opened.enter_context(closing(_connect(path)))
             _check_tables(connection, path)
             if is_writable:
                 opened.pop_all()
@@ -399,10 +388,10 @@ def open_catalog(folder: Path) -> Catalog:
             connection.backup(memory)
             return Catalog(memory, path, in_memory=True)
     except sqlite3.DatabaseError as error:
-        if is_writable and any(word in str(error) for word in _NOT_DAMAGED):
+        if is_writable and _error_code(error) in _BUSY | _REFUSED:
             with sqlite_errors(path):
                 raise
-        raise NoCatalog(_DAMAGED.format(error)) from error
+        raise _damaged(error) from error
 
 
 def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
@@ -427,7 +416,7 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
             for ending in ("", "-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + ending).unlink(missing_ok=True)
     with sqlite_errors(path):
-        connection = _connect(path if is_writable else None, "rwc")
+        connection = _connect(path if is_writable else None)
         connection.executescript(
             f"begin immediate; {_TABLES} pragma application_id = {PROGRAM};"
             f" pragma user_version = {SCHEMA}; commit;"
@@ -446,7 +435,11 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
         raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)
     missing = {*TABLES} - tables
     if missing or version != SCHEMA:
-        raise NoCatalog(_DAMAGED.format(f"without {', '.join(sorted(missing)) or 'a version'}"))
+        raise _damaged("without " + (", ".join(sorted(missing)) or "a version"))
     (sound,) = connection.execute("pragma quick_check(1)").fetchone()
     if sound != "ok":
-        raise NoCatalog(_DAMAGED.format(sound))
+        raise _damaged(sound)
+
+
+def _damaged(why: object) -> NoCatalog:
+    return NoCatalog(format_sentence("campaign.damaged_catalog", why=why))

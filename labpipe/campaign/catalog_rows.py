@@ -1,4 +1,4 @@
-"""Rows of the catalog, and how those of a test are read from summary.json and failure.json."""
+"""Rows of the catalog, and their reading from ``summary.json`` and ``failure.json`` of a test."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
 )
 NEWER_RESULT: Final = "newer_result"
-"""Code of a test whose results are from a newer labpipe; they are not changed."""
+"""Code of a test whose results are from a newer labpipe and are not changed."""
 Inputs = tuple[tuple[str, str, str], ...]
 """Role, file and SHA-256 of the exports of a test."""
 
@@ -34,12 +34,12 @@ class TestRow:
     state : one of `STATES` except ``running``
     why : what changed for a stale test, the reason for a rejected one, the fault of summary.json
         for a pending one
-    code, reason : of a failure, or of the first doubtful result
+    code, reason : of a failure, or of the first result that is not ok
     protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
     specimen : from summary.json, as JSON
-    labpipe : version of the last attempt
+    labpipe : version that made the last attempt
     run : key of the results; empty without results
-    failed_run : key of the last attempt if it failed; may be empty even then
+    failed_run : key of the last attempt if it failed; empty if the failure has no key
     sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
     decided_by, decided : person and time of a rejection
     """
@@ -102,17 +102,18 @@ RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FileState:
     """State of the files of a test when its row was made.
 
     Parameters
     ----------
     content : inputs of the test, from `Content.as_text`; empty if not determined
-    marks : of the files of its outcome
+    outcome : `OutcomeFiles.signature`, followed by ``without test.yaml`` for a test
+        without a sheet
     """
 
     content: str = ""
-    marks: str = ""
+    outcome: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,21 +123,21 @@ class Entry:
     Parameters
     ----------
     row : of the table ``tests``
-    seen : state of its files
+    file_state : state of its files
     inputs : exports of the last attempt
     results : of the last successful attempt
-    only_seen : whether row, inputs and results in the catalog are still valid
+    is_row_unchanged : whether only `file_state` is written, since the rest is still valid
     """
 
     row: TestRow
-    seen: Seen = Seen()
+    file_state: FileState = FileState()
     inputs: Inputs = ()
     results: tuple[ResultRow, ...] = ()
-    only_seen: bool = False
+    is_row_unchanged: bool = False
 
 
 def encodable(value: object) -> str:
-    """Return text that any file and database accepts: lone surrogates are escaped.
+    """Convert to text that any file and database accepts; lone surrogates are escaped.
 
     Parameters
     ----------
@@ -165,34 +166,34 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
     Returns
     -------
-    Its entry, in state ``pending`` without any outcome, else ``ok``, ``doubtful`` or ``failed``. A
-    failure with the key of the results is ignored: it is left over from a process that was killed
-    before deleting it.
+    Its entry: ``ok``, ``doubtful`` or ``failed``; ``pending`` without an outcome, or with one that
+    cannot be read. A failure with the key of the results is ignored: a process that wrote these
+    results was killed before it deleted the failure.
     """
-    done = Entry(TestRow(folder))
+    entry = Entry(TestRow(folder))
     if files is None:
-        return done
+        return entry
     if files.has_results:
-        done = _read_summary(folder, files.folder / SUMMARY_FILE)
-    elif f"{SUMMARY_FILE}:" in files.marks:
-        done = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
+        entry = _read_summary(folder, files.folder / SUMMARY_FILE)
+    elif f"{SUMMARY_FILE}:" in files.signature:
+        entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
     failure = _read_object(files.folder / FAILURE_FILE) or {} if files.has_failure else {}
     run = encodable(failure.get("run") or "")
-    if not files.has_failure or (run and run == done.row.run):
-        return done
+    if not files.has_failure or (run and run == entry.row.run):
+        return entry
     row = replace(
-        done.row,
+        entry.row,
         failed_run=run,
         state=FAILED,
         code=encodable(failure.get("code") or "unknown"),
         reason=encodable(failure.get("reason") or ""),
-        labpipe=encodable(failure.get("labpipe") or done.row.labpipe),
+        labpipe=encodable(failure.get("labpipe") or entry.row.labpipe),
     )
     try:
-        inputs = _inputs(failure.get("inputs") or [])
-        return replace(done, row=replace(row, **_texts_made_of(failure)), inputs=inputs)
+        inputs = _parse_inputs(failure.get("inputs") or [])
+        return replace(entry, row=replace(row, **_parse_hashes(failure)), inputs=inputs)
     except (KeyError, TypeError, AttributeError):
-        return replace(done, row=row)
+        return replace(entry, row=row)
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
@@ -212,25 +213,26 @@ def _read_summary(folder: str, path: Path) -> Entry:
 
 
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
-    results = tuple(map(_result_row, content["results"]))
-    doubted = next((result for result in results if result.status != OK), None)
+    results = tuple(map(_parse_result, content["results"]))
+    doubtful = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
     texts = {key: content[key] for key in ("test", "protocol", "labpipe", "run")}
     texts |= {key: content.get(key) or "" for key in ("date", "operator")}
     texts |= {key: specimen[key] for key in ("type", "spool", "sample")}
     row = TestRow(
         folder,
-        state=PENDING if not content["run"] else OK if doubted is None else DOUBTFUL,
-        code="" if doubted is None else doubted.code,
-        reason="" if doubted is None else f"{doubted.name}: {doubted.reason}",
+        state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
+        code="" if doubtful is None else doubtful.code,
+        reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
         specimen=encodable(as_json(specimen)),
         **{key: encodable(text) for key, text in texts.items()},
-        **_texts_made_of(content),
+        **_parse_hashes(content),
     )
-    return Entry(row, inputs=_inputs(content["inputs"]), results=results)
+    return Entry(row, inputs=_parse_inputs(content["inputs"]), results=results)
 
 
-def _texts_made_of(content: Mapping[str, Any]) -> dict[str, str]:
+def _parse_hashes(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the SHA-256 of test sheet and resolved protocol."""
     made_of = content.get("made_of") or {}
     return {
         "sheet": encodable(made_of.get("sheet", "")),
@@ -238,14 +240,14 @@ def _texts_made_of(content: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
+def _parse_inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
     return tuple(
         (encodable(entry["role"]), encodable(entry["file"]), encodable(entry["sha256"]))
         for entry in entries
     )
 
 
-def _result_row(entry: Mapping[str, Any]) -> ResultRow:
+def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
     seal = encodable(entry.get("seal") or "")
     if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
@@ -263,7 +265,7 @@ def _result_row(entry: Mapping[str, Any]) -> ResultRow:
 
 
 def _read_object(path: Path) -> dict[str, Any] | None:
-    """Read the object of a JSON file; return None for anything else."""
+    """Read the object of a JSON file; return None if the file has none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

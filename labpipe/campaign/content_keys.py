@@ -1,8 +1,8 @@
-"""Keys of the inputs of tests, without reading unchanged files.
+"""Keys of the inputs of tests: results are outdated if the key of their test has changed.
 
-The key of a test is that of its results (`labpipe.process.run.key_of`): exports, test sheet,
-resolved protocol and processing version. A file with the size, times and inode of its last hash is
-not read again, unless it may have changed within the time resolution of the file system.
+The key depends on exports, test sheet, resolved protocol and processing version
+(`labpipe.process.run.key_of`). A file is read again only if its size, times or inode changed since
+its last hash, or if that hash was taken within the time resolution of the file system.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError
-from labpipe.process.reading import dialect_cards, named_exports
+from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, key_of
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
@@ -27,32 +27,34 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 
 _NOT_IN_PROTOCOL = {"test", "date", "operator", "files"}
-"""Keys of a test sheet without influence on processing; the roles of files have some."""
-_OF_SPECIMEN = {"spool", "sample", "labels"}
+"""Keys of a test sheet without influence on the resolved protocol, except the roles of files."""
+_SAMPLE_KEYS = {"spool", "sample", "labels"}
+"""Keys of a specimen without influence on the resolved protocol."""
 
 
 class Stamp(NamedTuple):
-    """A hash of a file, and the state of the file at that time.
+    """Hash of a file, with the state of the file when the hash was taken.
 
     Parameters
     ----------
     size : bytes
-    modified, changed : times, ns, of the content and of anything about the file
-    number : inode
-    taken : time of the hash, ns
+    modified : time of the last change of the content, ns since 1970
+    changed : time of the last change of content or attributes, ns since 1970
+    inode : number of the file in its file system
+    taken : time of the hash, ns since 1970
     sha256 : hexadecimal; empty for an unreadable file
     """
 
     size: int
     modified: int
     changed: int
-    number: int
+    inode: int
     taken: int
     sha256: str
 
     @property
-    def is_sure(self) -> bool:
-        """Return whether any later change of the file changes its state.
+    def is_reliable(self) -> bool:
+        """Return whether any later change of the file changes its size, times or inode.
 
         False for a hash taken too soon after the last change, or before it (clock set back).
         """
@@ -61,29 +63,29 @@ class Stamp(NamedTuple):
         return max(self.modified, self.changed) + time_resolution < self.taken
 
 
-def stamp_of(path: Path, last: Stamp | None = None) -> Stamp:
+def take_stamp(path: Path, last: Stamp | None = None) -> Stamp:
     """Take the stamp of a file, without hashing an unchanged file again.
 
     Parameters
     ----------
     path : the file
-    last : its last stamp
+    last : its last stamp; None without one
 
     Returns
     -------
-    The stamp; without a hash for a missing or unreadable file, or anything but a plain file.
+    The stamp; `_NO_FILE` for a missing or unreadable file, a folder, a pipe or a device.
     """
     taken = time.time_ns()
     try:
-        about = path.stat()
-        looks = (about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino)
-        if last is not None and looks == last[:4] and last.is_sure:
+        status = path.stat()
+        state = (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+        if last is not None and state == last[:4] and last.is_reliable:
             return last
-        if not stat.S_ISREG(about.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             return _NO_FILE
         with path.open("rb") as file:
-            return Stamp(*looks, taken, hashlib.file_digest(file, "sha256").hexdigest())
-    except (OSError, ValueError):  # or an impossible name
+            return Stamp(*state, taken, hashlib.file_digest(file, "sha256").hexdigest())
+    except (OSError, ValueError):  # ValueError: an impossible name
         return _NO_FILE
 
 
@@ -97,11 +99,11 @@ class Content:
     Parameters
     ----------
     key : of all inputs; the `run` of results made from them
-    inputs : role, file and SHA-256 of each export, and of the lab's dialect cards
+    inputs : role, file and SHA-256 of each export and of each dialect card of the lab
     sheet, protocol : SHA-256 of the texts of test sheet and resolved protocol; empty if faulty
     stamps : of the test sheet and the exports, by file
-    rests_on : hashes of everything else in the key, compared before the stamps
-    about : from the test sheet: test, protocol, type, spool, sample, date, operator
+    dependencies : name of the protocol; hashes of its file, of the lab's cards and of the code
+    facts : from the test sheet: test, protocol, type, spool, sample, date, operator
     """
 
     key: str
@@ -109,41 +111,45 @@ class Content:
     sheet: str = ""
     protocol: str = ""
     stamps: Mapping[str, Stamp] = field(default_factory=dict)
-    rests_on: tuple[str, ...] = ()
-    about: Mapping[str, str] = field(default_factory=dict)
+    dependencies: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
 
     def as_text(self) -> str:
-        """Return a text for `parse_content`."""
+        """Return JSON for `parse_content`."""
         return json.dumps(vars(self))
 
 
 def parse_content(text: str) -> Content | None:
-    """Parse the text of a content; return None for any other text.
+    """Parse the text of `Content.as_text`.
 
     Parameters
     ----------
-    text : of `Content.as_text`
+    text : any
+
+    Returns
+    -------
+    The content; None for any other text, such as that of an earlier labpipe.
     """
     try:
         fields = json.loads(text)
         fields["inputs"] = tuple(map(tuple, fields["inputs"]))
         fields["stamps"] = {name: Stamp(*values) for name, values in fields["stamps"].items()}
-        fields["rests_on"] = tuple(fields["rests_on"])
+        fields["dependencies"] = tuple(fields["dependencies"])
         return Content(**fields)
     except (ValueError, TypeError, AttributeError, KeyError):
         return None
 
 
 class ContentKeys:
-    """Determines the inputs of tests; caches protocols during one command."""
+    """Determines the inputs of tests; reads each protocol once during a command."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, str], Path | Fault] = {}
-        self._hashes: dict[Path, str] = {}
+        self._protocol_files: dict[tuple[str, str], Path | Fault] = {}
+        self._protocol_hashes: dict[Path, str] = {}
         self._resolved: dict[str, tuple[str, Protocol]] = {}
-        self._cards: str | None = None
+        self._cards_hash: str | None = None
 
-    def content_of(self, sheet_path: Path, last: Content | None = None) -> Content:
+    def determine_content(self, sheet_path: Path, last: Content | None = None) -> Content:
         """Determine the inputs of a test.
 
         Parameters
@@ -153,92 +159,99 @@ class ContentKeys:
 
         Returns
         -------
-        The content. A faulty test has a key, too, from its readable files.
+        The content. If sheet or protocol are faulty, the key is made from the readable files.
         """
         folder = sheet_path.parent
         if last is None:
             return self._read_content(sheet_path, {})
-        stamps = {name: stamp_of(folder / name, old) for name, old in last.stamps.items()}
+        stamps = {name: take_stamp(folder / name, old) for name, old in last.stamps.items()}
         is_same = all(stamps[name].sha256 == old.sha256 for name, old in last.stamps.items())
-        if is_same and last.rests_on and last.rests_on == self._dependencies(folder, last.rests_on):
-            if all(stamps[name] == old for name, old in last.stamps.items()):
-                return last
-            return replace(last, stamps=stamps)
+        known = last.dependencies
+        if is_same and known and known == self._hash_dependencies(folder, known[0]):
+            return last if stamps == last.stamps else replace(last, stamps=stamps)
         return self._read_content(sheet_path, stamps)
 
     def _read_content(self, sheet_path: Path, stamps_before: Mapping[str, Stamp]) -> Content:
         folder = sheet_path.parent
         before = stamps_before.get
-        stamps = {SHEET_NAME: stamp_of(sheet_path, before(SHEET_NAME))}
+        stamps = {SHEET_NAME: take_stamp(sheet_path, before(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
             text = sheet_path.read_text(encoding="utf-8")
         except (LabpipeError, OSError, ValueError):
-            return self._unfit_content(folder, stamps, "")
+            return self._faulty_content(folder, stamps, "")
         for names in sheet.files.values():
-            stamps |= {name: stamp_of(folder / name, before(name)) for name in names}
+            stamps |= {name: take_stamp(folder / name, before(name)) for name in names}
         try:
             resolved, protocol = self._resolve(sheet, sheet_path, text)
-            cards = dialect_cards(protocol)
+            cards = fingerprint_dialect_cards(protocol)
         except LabpipeError:
-            return replace(self._unfit_content(folder, stamps, sheet.protocol), about=_about(sheet))
-        exports = named_exports(sheet, protocol)
+            return replace(
+                self._faulty_content(folder, stamps, sheet.protocol), facts=_sheet_facts(sheet)
+            )
+        exports = list_named_exports(sheet, protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
         inputs += [(card.role, card.file, card.sha256) for card in cards]
         key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved)
-        rests_on = self._dependencies(folder, (sheet.protocol,))
-        made_of = _sha256(text), _sha256(resolved)
-        return Content(key, tuple(inputs), *made_of, stamps, rests_on, _about(sheet))
+        return Content(
+            key,
+            tuple(inputs),
+            sheet=_sha256(text),
+            protocol=_sha256(resolved),
+            stamps=stamps,
+            dependencies=self._hash_dependencies(folder, sheet.protocol),
+            facts=_sheet_facts(sheet),
+        )
 
-    def _unfit_content(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
-        """Return the content of a test that cannot be processed."""
-        rests_on = self._dependencies(folder, (protocol,))
+    def _faulty_content(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
+        """Return the content of a test whose sheet or protocol is faulty."""
+        dependencies = self._hash_dependencies(folder, protocol)
         files = [[name, stamp.sha256] for name, stamp in stamps.items()]
-        parts = ["unfit", files, *rests_on[1:]]
-        return Content(_sha256(json.dumps(parts)), stamps=stamps, rests_on=rests_on)
+        parts = ["unfit", files, *dependencies[1:]]
+        return Content(_sha256(json.dumps(parts)), stamps=stamps, dependencies=dependencies)
 
-    def _dependencies(self, folder: Path, wanted: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the protocol name, and hashes of its text, the lab's cards and the code."""
-        name = wanted[0]
-        return name, self._protocol_text(name, folder), self._all_cards(), _code()
+    def _hash_dependencies(self, folder: Path, protocol: str) -> tuple[str, ...]:
+        """Return the name of a protocol, and hashes of its file, the lab's cards and the code."""
+        return protocol, self._hash_protocol(protocol, folder), self._hash_cards(), _hash_code()
 
-    def _protocol_text(self, name: str, folder: Path) -> str:
-        """Return the hash of the protocol text; empty without a protocol."""
-        is_path = any(sign in name for sign in "/\\.")
+    def _hash_protocol(self, name: str, folder: Path) -> str:
+        """Return the hash of the file of a protocol; empty if there is none."""
+        is_path = any(character in name for character in "/\\.")
         wanted = (name, str(folder) if is_path else "")
-        if wanted not in self._found:
-            self._found[wanted] = find_protocol(name, beside=folder)
-        file = self._found[wanted]
+        if wanted not in self._protocol_files:
+            self._protocol_files[wanted] = find_protocol(name, beside=folder)
+        file = self._protocol_files[wanted]
         if isinstance(file, Fault):
             return ""
-        if file not in self._hashes:
-            self._hashes[file] = stamp_of(file).sha256
-        return self._hashes[file]
+        if file not in self._protocol_hashes:
+            self._protocol_hashes[file] = take_stamp(file).sha256
+        return self._protocol_hashes[file]
 
-    def _all_cards(self) -> str:
-        if self._cards is None:
+    def _hash_cards(self) -> str:
+        """Return the hash of the dialect cards of the lab; empty without any."""
+        if self._cards_hash is None:
             from labpipe.readers.load_frame.cards import lab_card_files
 
-            cards = [[file.name, stamp_of(file).sha256] for file in lab_card_files()]
-            self._cards = _sha256(json.dumps(cards)) if cards else ""
-        return self._cards
+            cards = [[file.name, take_stamp(file).sha256] for file in lab_card_files()]
+            self._cards_hash = _sha256(json.dumps(cards)) if cards else ""
+        return self._cards_hash
 
     def _resolve(self, sheet: TestSheet, sheet_path: Path, text: str) -> tuple[str, Protocol]:
-        """Resolve the protocol of a test, once for all tests with the same overrides."""
+        """Resolve the protocol of a test, once for all tests with the same overrides and sizes."""
         sheet_data: Any = parse_yaml(text, str(sheet_path)).data
         keys = {key: sheet_data[key] for key in sheet_data.keys() - _NOT_IN_PROTOCOL}
         specimen = keys.get("specimen") or {}
-        keys["specimen"] = {key: specimen[key] for key in specimen.keys() - _OF_SPECIMEN}
-        written = self._protocol_text(sheet.protocol, sheet_path.parent)
-        cache_key = json.dumps([written, sorted(sheet.files), keys], sort_keys=True)
+        keys["specimen"] = {key: specimen[key] for key in specimen.keys() - _SAMPLE_KEYS}
+        protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
+        cache_key = json.dumps([protocol_hash, sorted(sheet.files), keys], sort_keys=True)
         if cache_key not in self._resolved:
             protocol = resolve(sheet, sheet_path, follow_links=True)
             self._resolved[cache_key] = dump_protocol(protocol), protocol
         return self._resolved[cache_key]
 
 
-def _about(sheet: TestSheet) -> dict[str, str]:
-    """Return the test facts of a test sheet."""
+def _sheet_facts(sheet: TestSheet) -> dict[str, str]:
+    """Return the facts of a test sheet that the catalog lists."""
     specimen = sheet.specimen.record
     return {
         "test": sheet.test,
@@ -252,7 +265,7 @@ def _about(sheet: TestSheet) -> dict[str, str]:
 
 
 @cache
-def _code() -> str:
+def _hash_code() -> str:
     """Return the hash of the code that resolves protocols, and of the processing version."""
     package = Path(labpipe.__file__).parent
     files = sorted([*package.glob("protocol/*.py"), *package.glob("records/*.py")])
@@ -269,7 +282,7 @@ def describe_changes(
 
     Parameters
     ----------
-    inputs : role, file and SHA-256 of its earlier inputs
+    inputs : role, file and SHA-256 of its earlier inputs; empty if not known
     sheet, protocol : SHA-256 of the earlier texts; empty if not known
     now : its present content
 

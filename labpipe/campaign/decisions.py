@@ -1,33 +1,31 @@
-"""Decisions of people on tests: accepted or rejected, why, by whom; bound to a result key.
+"""Decisions of people: accept or reject a test, with reason, person and the key of its results.
 
-They are stored beside the results, and imported from files that a report page saved.
+A campaign stores them in ``decisions.json`` beside its results. Decisions that a report page saved
+can be imported.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
-from functools import cached_property
-from math import inf
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.catalog_rows import ResultRow, encodable
+from labpipe.campaign.catalog_rows import encodable
 from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
 
-DECISIONS: Final = "decisions.json"
-SCHEMA: Final = 1
+DECISIONS_FILE: Final = "decisions.json"
 ACCEPT, REJECT = "accept", "reject"
-NO_SUCH_TEST: Final = "there is no such test"
-NEEDS_NEW_DECISION: Final = (
-    "needs a new decision: exports, sheet, protocol or labpipe changed since"
-)
-OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
+_SCHEMA: Final = 1
+_MAX_FILE_BYTES: Final = 50_000_000
+"""Size of the largest file of decisions that is read or written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +38,7 @@ class Decision:
     run : key of the results; the decision applies to this key only
     decision : ``accept`` or ``reject``
     because, by : reason and person
-    when : time of the decision, ISO 8601, as it is written
-    note : reason why it was carried over from another key
+    when : time of the decision, ISO 8601
     """
 
     test: str
@@ -50,10 +47,14 @@ class Decision:
     because: str
     by: str
     when: str = ""
-    note: str = ""
 
+    def as_json(self) -> dict[str, str]:
+        """Return the entry of the decision in ``decisions.json``."""
+        return asdict(self)
 
-_FIELDS = fields(Decision)
+    def describe(self) -> str:
+        """Describe a decision by its reason, person and time."""
+        return f"{self.because} ({', '.join(filter(None, (self.by, self.when)))})"
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class DecisionFile:
 
     Parameters
     ----------
-    decisions : the readable ones, in order
-    faults : what is wrong with the file or with single decisions, as messages
-    is_readable : False if the file cannot be read; `decisions` is then empty
+    decisions : the valid ones, in order
+    faults : messages on faults of the file or of single decisions
+    is_readable : whether the file can be read; if not, `decisions` is empty
     document : parsed JSON of the file
     """
 
@@ -74,11 +75,11 @@ class DecisionFile:
     document: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def by_test(self) -> Mapping[str, tuple[Decision, ...]]:
+    def by_test(self) -> Mapping[str, Sequence[Decision]]:
         """Return the decisions on each test, in order."""
-        decisions: dict[str, tuple[Decision, ...]] = {}
+        decisions: dict[str, list[Decision]] = {}
         for decision in self.decisions:
-            decisions[decision.test] = (*decisions.get(decision.test, ()), decision)
+            decisions.setdefault(decision.test, []).append(decision)
         return decisions
 
 
@@ -88,14 +89,13 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     Parameters
     ----------
     folder : of the results of the campaign
-    campaign : name of the expected campaign; decisions of another one are reported; empty if
-        unknown
+    campaign : see `parse_decisions`
 
     Returns
     -------
     The decisions; none without a file. Problems are in `faults`.
     """
-    path = folder / DECISIONS
+    path = folder / DECISIONS_FILE
     return read_decision_file(path, campaign) if path.exists() else DecisionFile()
 
 
@@ -105,21 +105,19 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
     Parameters
     ----------
     path : of the file
-    campaign : name of the expected campaign; decisions of another one are reported; empty if
-        unknown
+    campaign : see `parse_decisions`
 
     Returns
     -------
     The decisions. Problems, including a missing file, are in `faults`.
     """
-    max_file_bytes = 50_000_000
     try:
         size = path.stat().st_size
-        if size > max_file_bytes:
-            return _unreadable(path, "", f"{size} bytes")
+        if size > _MAX_FILE_BYTES:
+            return _unreadable_file(path, "", f"{size} bytes")
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
-        return _unreadable(path, "", error.strerror or str(error))
+        return _unreadable_file(path, "", error.strerror or str(error))
 
 
 def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionFile:
@@ -129,8 +127,8 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     ----------
     content : JSON in UTF-8
     path : of its file, for messages
-    campaign : name of the expected campaign; decisions of another one are reported; empty if
-        unknown
+    campaign : name of the expected campaign; a file of another one has a fault, but its decisions
+        are returned; empty if unknown
 
     Returns
     -------
@@ -139,98 +137,98 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     try:
         document = json.loads(content.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
-        return _unreadable(path, f"line {error.lineno}, column {error.colno}", error.msg)
+        return _unreadable_file(path, f"line {error.lineno}, column {error.colno}", error.msg)
     except (ValueError, RecursionError):
-        return _unreadable(path, "", "text that is not JSON")
+        return _unreadable_file(path, "", "text that is not JSON")
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
-        return _unreadable(path, "", "JSON without a list 'decisions'")
-    if (schema := document.get("schema")) != SCHEMA:
-        return _unreadable(path, "schema", f"{schema!r}; this labpipe reads {SCHEMA}")
+        return _unreadable_file(path, "", "JSON without a list 'decisions'")
+    if (schema := document.get("schema")) != _SCHEMA:
+        return _unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
     faults, decisions = [], []
     if campaign and (named := document.get("campaign", campaign)) != campaign:
         other = UsageError.about(
             "campaign.other_campaign", path, "campaign", own=campaign, found=named
         )
         faults.append(str(other))
+    keys = [decision_field.name for decision_field in fields(Decision)]
     for number, entry in enumerate(document["decisions"]):
-        if fault := _fault_of(entry):
-            expected, state = fault
-            faults.append(_fault(path, f"decisions.{number}", expected, state))
+        if fault := _find_entry_fault(entry):
+            faults.append(_format_fault(path, f"decisions.{number}", *fault))
         else:
-            texts = {field.name: encodable(entry.get(field.name) or "") for field in _FIELDS}
-            decisions.append(Decision(**texts))
+            decisions.append(Decision(**{key: encodable(entry.get(key) or "") for key in keys}))
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
-def _unreadable(path: Path, place: str, state: str) -> DecisionFile:
-    fault = _fault(path, place, "decisions in JSON", state)
+def _unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
+    fault = _format_fault(path, place, "decisions in JSON", found)
     return DecisionFile(faults=(fault,), is_readable=False)
 
 
-def _fault(path: Path, place: str, expected: str, state: str) -> str:
-    error = UsageError.about("campaign.bad_decisions", path, place, what=expected, found=state)
+def _format_fault(path: Path, place: str, expected: str, found: str) -> str:
+    error = UsageError.about("campaign.bad_decisions", path, place, expected=expected, found=found)
     return str(error)
 
 
-def _fault_of(entry: Any) -> tuple[str, str] | None:
-    """Return what is expected of the entry of a decision, and what it is, or None."""
+def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
+    """Return what is expected of an entry, and what it is; None for a valid one."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
     required_keys = ("test", "run", "decision", "because", "by")
     missing = [key for key in required_keys if not str(entry.get(key) or "").strip()]
     if missing:
-        state = f"missing or empty: {', '.join(missing)}"
-        return "test, run, decision, because and by", state
+        return "test, run, decision, because and by", f"missing or empty: {', '.join(missing)}"
     if entry["decision"] not in {ACCEPT, REJECT}:
         return f"{ACCEPT} or {REJECT}", repr(entry["decision"])[:60]
     return None
 
 
-def applicable_decision(decisions: Iterable[Decision], *, run: str) -> Decision | None:
-    """Return the decision that applies to a test: the last one on its key.
-
-    A test that was rejected on another key stays rejected until a person decides again.
+def applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision | None:
+    """Return the decision that applies to a test: the last one on the key of its results.
 
     Parameters
     ----------
     decisions : on the test, in order
     run : key of its results
+
+    Returns
+    -------
+    The decision; None without one. If the last decision rejected another key, the test stays
+    rejected until a person decides again, and the reason says so.
     """
-    newest_first = [*decisions][::-1]
-    current = next((decision for decision in newest_first if decision.run == run), None)
-    if current is None and newest_first and newest_first[0].decision == REJECT:
-        last = newest_first[0]
-        return replace(last, because=f"{last.because} ({NEEDS_NEW_DECISION})")
+    current = next((made for made in reversed(decisions) if made.run == run), None)
+    if current is None and decisions and decisions[-1].decision == REJECT:
+        because = f"{decisions[-1].because} ({format_sentence('campaign.needs_new_decision')})"
+        return replace(decisions[-1], because=because)
     return current
 
 
-def unapplied_decisions(
-    decisions: Sequence[Decision], runs: Mapping[str, str]
+def find_unapplied_decisions(
+    decisions: Iterable[Decision], runs: Mapping[str, str]
 ) -> Iterator[tuple[Decision, str]]:
     """Find decisions that are not applied.
 
     Parameters
     ----------
     decisions : in order
-    runs : current key of each test, by test
+    runs : key of the present results, by test
 
     Yields
     ------
-    Each test's last decision, and why it is not applied.
+    The last decision on each test without an applicable one, and why it is not applied.
     """
     last: dict[str, Decision] = {}
     for decision in decisions:
-        is_current = decision.test in last and last[decision.test].run == runs.get(decision.test)
-        if not is_current or decision.run == runs.get(decision.test):
+        run = runs.get(decision.test)
+        if decision.run == run or decision.test not in last or last[decision.test].run != run:
             last[decision.test] = decision
     for test, decision in last.items():
         if test not in runs:
-            yield decision, NO_SUCH_TEST
+            yield decision, format_sentence("campaign.no_such_test")
         elif runs[test] != decision.run:
-            yield decision, OTHER_KEY
+            yield decision, format_sentence("campaign.other_key")
 
 
-def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) -> None:
+def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) -> None:
     """Append decisions to those of a campaign.
 
     Parameters
@@ -242,13 +240,14 @@ def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) ->
     Raises
     ------
     UsageError
-        If the existing file cannot be read; it is not changed.
+        If the existing file cannot be read, or the new one would be too large to read. The file is
+        not changed then.
     StoreError
         If it cannot be written, or another process holds the lock.
 
     Notes
     -----
-    All other content of the file is kept, known to this labpipe or not.
+    All other content of the file is kept, also keys that this labpipe does not know.
     """
     # s to wait for another process that writes
     lock_timeout = 30.0
@@ -256,21 +255,17 @@ def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) ->
         stored = read_decisions(folder)
         if not stored.is_readable:
             raise UsageError("\n".join(stored.faults))
-        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
-        document["decisions"] = [*document["decisions"], *map(decision_entry, decisions)]
+        document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
+        document["decisions"] = [*document["decisions"], *(made.as_json() for made in decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
-        with replacing(folder / DECISIONS) as temporary:
-            temporary.write_bytes(text.encode("utf-8", "surrogatepass"))
-
-
-def decision_entry(decision: Decision) -> dict[str, str]:
-    """Make the entry of a decision in ``decisions.json``.
-
-    Parameters
-    ----------
-    decision : any
-    """
-    return {key: text for key, text in asdict(decision).items() if text or key != "note"}
+        content = text.encode("utf-8", "surrogatepass")
+        path = folder / DECISIONS_FILE
+        if len(content) > _MAX_FILE_BYTES:
+            raise UsageError.about(
+                "campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=len(content)
+            )
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
 
 
 def now() -> str:
@@ -278,59 +273,7 @@ def now() -> str:
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
-def largest_change(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
-    """Return the largest relative change between two sets of results of a test.
-
-    Parameters
-    ----------
-    before, after : earlier and later results
-
-    Returns
-    -------
-    The largest change of a value, divided by the width of its earlier interval; infinite if a
-    result was added or removed, has no value, or changed without an interval.
-    """
-    if [row.name for row in before] != [row.name for row in after]:
-        return inf
-    largest = 0.0
-    for then, now in zip(before, after, strict=True):
-        if then.value == now.value:
-            continue
-        if then.value is None or now.value is None or then.lower is None or then.upper is None:
-            return inf
-        width = then.upper - then.lower
-        largest = max(largest, abs(now.value - then.value) / width if width > 0.0 else inf)
-    return largest
-
-
-def carry_over(
-    decision: Decision, run: str, before: Sequence[ResultRow], after: Sequence[ResultRow]
-) -> Decision | None:
-    """Carry a decision over to results of a newer labpipe on the same inputs.
-
-    Parameters
-    ----------
-    decision : on the earlier results
-    run : key of the later results
-    before, after : earlier and later results
-
-    Returns
-    -------
-    The same decision on the new key, with a note; None if a value changed by more than a tenth of
-    its interval, which needs a new decision.
-    """
-    max_change = 0.1
-    change = largest_change(before, after)
-    if change > max_change:
-        return None
-    note = (
-        f"carried over from {decision.run}: only the processing version changed, and no number"
-        f" changed by more than {change:.2g} of its interval"
-    )
-    return replace(decision, run=run, note=note)
-
-
-def decision_folder(test: Path, shared: Path) -> Path:
+def find_decision_folder(test: Path, shared: Path) -> Path:
     """Find the folder with the decisions on a test.
 
     Parameters
@@ -343,11 +286,25 @@ def decision_folder(test: Path, shared: Path) -> Path:
     The nearest folder above the test with decisions, resolved.
     """
     parents = test.resolve().parents
-    return next((parent for parent in parents if (parent / DECISIONS).is_file()), shared.resolve())
+    return next(
+        (parent for parent in parents if (parent / DECISIONS_FILE).is_file()), shared.resolve()
+    )
 
 
-def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
-    """Find the decisions on tests by their result files.
+def find_label(file: Path, shared: Path) -> str:
+    """Find the label of a test in decisions: its folder below that of the decisions.
+
+    Parameters
+    ----------
+    file : its result.h5
+    shared : see `find_decision_folder`
+    """
+    test = file.resolve().parent
+    return test.relative_to(find_decision_folder(test, shared)).as_posix()
+
+
+def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
+    """Read the decisions on tests.
 
     Parameters
     ----------
@@ -363,35 +320,21 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
     StoreError
         If decisions cannot be read, because a rejected test might then be included.
     """
-    decisions: dict[Path, tuple[Decision, ...]] = {}
-    read: dict[Path, DecisionFile] = {}
+    decisions: dict[Path, Sequence[Decision]] = {}
+    read = cache(read_decisions)
     for file in files:
         test = file.resolve().parent
-        home = decision_folder(test, test.parent)
-        if not (home / DECISIONS).is_file():
+        home = find_decision_folder(test, test.parent)
+        if not (home / DECISIONS_FILE).is_file():
             continue
-        stored = read[home] = read.get(home) or read_decisions(home)
+        stored = read(home)
         if not stored.is_readable:
             raise StoreError("\n".join(stored.faults))
         decisions[file] = stored.by_test.get(test.relative_to(home).as_posix(), ())
     return decisions
 
 
-def label_of(file: Path, shared: Path) -> str:
-    """Return the label of a test in decisions: its folder below the campaign.
-
-    Parameters
-    ----------
-    file : a result.h5
-
-    shared : folder of the campaign, used if no folder above the test contains decisions
-    """
-    test = file.resolve().parent
-    home = decision_folder(test, shared)
-    return test.relative_to(home).as_posix()
-
-
-def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
+def exclude_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
     """Leave out the results of tests that were rejected.
 
     Parameters
@@ -400,7 +343,7 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
     Returns
     -------
-    kept : files of the other tests, in order
+    included : files of the other tests, in order
     rejected : reason, person and time by file
 
     Raises
@@ -409,24 +352,14 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
         If all were rejected, or decisions cannot be read.
     """
     rejected = {}
-    for file, decisions in decisions_on(files).items():
+    for file, decisions in read_decisions_on(files).items():
         decision = applicable_decision(decisions, run=read_run(file)) if decisions else None
         if decision is not None and decision.decision == REJECT:
-            rejected[file] = decision_sentence(decision)
-    kept = [file for file in files if file not in rejected]
-    if not kept:
+            rejected[file] = decision.describe()
+    included = [file for file in files if file not in rejected]
+    if not included:
         raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
-    return kept, rejected
-
-
-def decision_sentence(decision: Decision) -> str:
-    """Write reason, person and time of a decision.
-
-    Parameters
-    ----------
-    decision : any
-    """
-    return f"{decision.because} ({', '.join(filter(None, (decision.by, decision.when)))})"
+    return included, rejected
 
 
 @dataclass(slots=True)
@@ -467,12 +400,12 @@ def import_decision_file(
     """
     if not file.is_file():
         raise UsageError.about("campaign.no_saved_file", file)
-    if file.resolve() == (folder / DECISIONS).resolve():
+    if file.resolve() == (folder / DECISIONS_FILE).resolve():
         raise UsageError.about("campaign.own_decisions", file)
-    read = read_decision_file(file, campaign)
-    if not read.is_readable:
-        raise UsageError("\n".join(read.faults))
-    return import_decisions(folder, campaign, read.decisions), read.faults
+    saved = read_decision_file(file, campaign)
+    if not saved.is_readable:
+        raise UsageError("\n".join(saved.faults))
+    return import_decisions(folder, campaign, saved.decisions), saved.faults
 
 
 def import_decisions(
@@ -486,10 +419,6 @@ def import_decisions(
     campaign : its name
     decisions : in order
 
-    Returns
-    -------
-    The result.
-
     Raises
     ------
     LabpipeError
@@ -498,42 +427,58 @@ def import_decisions(
     Notes
     -----
     Labels are compared with those of existing tests; no path is made from them. Each decision is
-    stored where a report reads it: in the nearest ``decisions.json`` above its test.
+    stored where a report reads it: in the nearest ``decisions.json`` above its test. Each result
+    file and each file of decisions is read once, for any number of decisions.
     """
-    files: dict[str, list[Path]] = {}
-    for path in files_below(folder, RESULT_FILE):
-        for label in {label_of(path, folder), path.parent.relative_to(folder).as_posix()}:
-            files.setdefault(label, []).append(path)
+    files = files_below(folder, RESULT_FILE)
+    homes = {file: find_decision_folder(file.parent, folder) for file in files}
+    labels = {
+        file: file.resolve().parent.relative_to(home).as_posix() for file, home in homes.items()
+    }
+    files_by_label: dict[str, list[Path]] = {}
+    for file, label in labels.items():
+        for name in {label, file.parent.relative_to(folder).as_posix()}:
+            files_by_label.setdefault(name, []).append(file)
+    stored = {file: set(earlier) for file, earlier in read_decisions_on(files).items()}
+    read_key = cache(_read_key)
     imported = ImportedDecisions()
-    at_home: dict[Path, list[Decision]] = {}
+    added: dict[Path, list[Decision]] = {}
     for decision in dict.fromkeys(decisions):
-        file, why = _find_decided_result(decision, files.get(decision.test, ()))
-        if file is None:
+        decided, why = _find_result(decision, files_by_label.get(decision.test, ()), read_key)
+        if decided is None:
             imported.not_imported.append((decision, why))
             continue
-        labelled = replace(decision, test=label_of(file, folder))
-        if labelled in decisions_on([file]).get(file, ()):
+        labelled = replace(decision, test=labels[decided])
+        if labelled in stored.get(decided, ()):
             imported.n_known += 1
         else:
             imported.added.append(decision)
-            at_home.setdefault(decision_folder(file.parent, folder), []).append(labelled)
-    for home, new in at_home.items():
+            added.setdefault(homes[decided], []).append(labelled)
+    for home, new in added.items():
         add_decisions(home, campaign, new)
     return imported
 
 
-def _find_decided_result(decision: Decision, files: Iterable[Path]) -> tuple[Path | None, str]:
-    """Find the result of a decision, or return why there is none."""
+def _find_result(
+    decision: Decision, files: Iterable[Path], read_key: Callable[[Path], tuple[str, str]]
+) -> tuple[Path | None, str]:
+    """Find the result file with the key of a decision, or return why there is none."""
     try:
         datetime.fromisoformat(decision.when or now())
     except ValueError:
-        return None, f"its time {decision.when[:40]!r} is not in the form {now()}"
-    why = NO_SUCH_TEST
+        return None, format_sentence("campaign.bad_time", time=decision.when[:40], valid=now())
+    why = format_sentence("campaign.no_such_test")
     for file in files:
-        try:
-            if read_run(file) == decision.run:
-                return file, ""
-            why = OTHER_KEY
-        except LabpipeError as error:
-            why = str(error)
+        key, fault = read_key(file)
+        if key == decision.run:
+            return file, ""
+        why = fault or format_sentence("campaign.other_key")
     return None, why
+
+
+def _read_key(file: Path) -> tuple[str, str]:
+    """Read the key of a result; return an empty key and the message if it cannot be read."""
+    try:
+        return read_run(file), ""
+    except LabpipeError as error:
+        return "", str(error)

@@ -1,10 +1,10 @@
-"""Group samples, compare their processing settings, and compare groups in pairs."""
+"""Divide the samples of a report into groups, compare their settings, and compare the groups."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -30,13 +30,14 @@ _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """Sections of a protocol that control processing; the rest describes the sample and files."""
 
 _ABSENT = "none"
-
+"""Value of a setting that a protocol does not have."""
 Settings = Mapping[str, str]
-Unlike = Mapping[str, list[str]]
+"""Value by dotted key."""
+TestsByValue = Mapping[str, list[str]]
 """Tests by the value of a setting."""
 
 
-def settings_of(protocol: Protocol) -> Settings:
+def list_settings(protocol: Protocol) -> Settings:
     """List the processing settings of a protocol.
 
     Parameters
@@ -45,14 +46,15 @@ def settings_of(protocol: Protocol) -> Settings:
 
     Returns
     -------
-    Value by dotted key, such as ``results.stiffness_first.from``. Items of a list have their
-    name or kind as key; the list itself is included for their order.
+    Values by dotted keys such as ``results.stiffness_first.from``. Items of a list have their name
+    or kind as key. A list also has an entry of its own, which states the order of the items.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
-    return dict(_flat({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
+    return dict(_flatten({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
 
 
-def _flat(data: object, path: str) -> Iterator[tuple[str, str]]:
+def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
+    """Yield dotted keys and values of nested data below a path."""
     inner: dict[str, Any] = {}
     if isinstance(data, dict):
         inner = data
@@ -66,41 +68,43 @@ def _flat(data: object, path: str) -> Iterator[tuple[str, str]]:
     else:
         yield path, str(data)
     for key, value in inner.items():
-        yield from _flat(value, f"{path}.{key}" if path else key)
+        yield from _flatten(value, f"{path}.{key}" if path else key)
 
 
-def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -> list[QualityNote]:
-    """Warn if tests that are averaged were processed with different settings.
+def note_differing_settings(
+    settings: Mapping[str, Settings], noted: Sequence[str] = ()
+) -> list[QualityNote]:
+    """Warn if tests of a group were processed with different settings.
 
     Parameters
     ----------
     settings : by test
-    noted : results, or ``slips``, with a note on their difference already
+    noted : results, or ``slips``, whose settings have a note already
 
     Returns
     -------
-    One note ``protocols_differ`` per block of the protocol in which settings differ, at its key if
-    it is only one.
+    One note ``protocols_differ`` for each block of the protocol in which settings differ. It is
+    placed at the key of the setting, or at the block if several settings differ.
     """
-    done = tuple(part for name in noted for part in (f"results.{name}.", f"curve.{name}.decision"))
-    blocks: dict[str, dict[str, Unlike]] = {}
-    for key, tests in differing(settings).items():
-        if not key.startswith(done):
+    noted_keys = tuple(
+        key for name in noted for key in (f"results.{name}.", f"curve.{name}.decision")
+    )
+    blocks: dict[str, dict[str, TestsByValue]] = {}
+    for key, tests in find_differing_settings(settings).items():
+        if not key.startswith(noted_keys):
             blocks.setdefault(key.partition(".")[0], {})[key] = tests
     notes = []
     for block, differences in blocks.items():
         key, text = next((key, describe_values(tests)) for key, tests in differences.items())
         if len(differences) > 1:
             key, text = block, f"{len(differences)} settings, the first {key}: {text}"
-        those = dict.fromkeys(
-            test for tests in differences.values() for test in list_minority_tests(tests)
-        )
+        minority = [test for tests in differences.values() for test in list_minority_tests(tests)]
         note = QualityNote.of("campaign.settings_differ", key, text=text)
-        notes.append(replace(note, tests=tuple(those)))
+        notes.append(replace(note, tests=tuple(dict.fromkeys(minority))))
     return notes
 
 
-def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
+def find_differing_settings(settings: Mapping[str, Settings]) -> dict[str, TestsByValue]:
     """Find the settings that differ among tests.
 
     Parameters
@@ -109,40 +113,23 @@ def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
 
     Returns
     -------
-    Tests by value, by key. If a test lacks an item of a list, the list is returned instead of all
+    Tests by value, by key. If a test lacks an item of a list, the list is returned instead of the
     keys of the item.
     """
     keys = dict.fromkeys(key for values in settings.values() for key in values)
-    unlike: dict[str, Unlike] = {}
+    differing: dict[str, TestsByValue] = {}
     for key in keys:
         tests: dict[str, list[str]] = {}
         for test, values in settings.items():
             tests.setdefault(values.get(key, _ABSENT), []).append(test)
-        is_listed = _ABSENT in tests and any(key.startswith(f"{parent}.") for parent in unlike)
-        if len(tests) > 1 and not is_listed:
-            unlike[key] = tests
-    return unlike
+        is_in_list = _ABSENT in tests and any(key.startswith(f"{path}.") for path in differing)
+        if len(tests) > 1 and not is_in_list:
+            differing[key] = tests
+    return differing
 
 
-def settings_by_test(
-    samples: Sequence[Sample], settings: Mapping[str, Settings]
-) -> dict[str, Settings]:
-    """Return settings of samples by test; by file for tests with the same name.
-
-    Parameters
-    ----------
-    samples : of a group, or of two groups that are compared
-    settings : by file
-    """
-    times = Counter(sample.test for sample in samples)
-    return {
-        sample.test if times[sample.test] == 1 else sample.source: settings[sample.source]
-        for sample in samples
-    }
-
-
-def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
-    """Describe the settings that differ among the tests of a comparison.
+def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
+    """Describe the settings that differ among the tests of two groups.
 
     Parameters
     ----------
@@ -150,37 +137,38 @@ def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
 
     Returns
     -------
-    One text, or none. More than three settings are summarised by blocks of the protocol.
+    A single text; none if no settings differ. More than three are summarised by block.
     """
     max_listed = 3
-    keys = list(differing(settings))
+    keys = list(find_differing_settings(settings))
     if len(keys) > max_listed:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
     return (format_sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
 
 
-_WITHOUT = ""
+_NOT_STATED = ""
+"""Value of a field that a test sheet does not state."""
 _LENGTH = "length"
 
 
-class Key(NamedTuple):
+class GroupKey(NamedTuple):
     """Fields that the samples of a group share.
 
     Parameters
     ----------
     field_values : one per grouping field; empty if the sheet does not state it
     protocol : name of the protocol
-    more : further fields and values that divide samples with these values, such as a length;
-        empty without any, or if the fields were chosen
+    further : fields and values that divide samples of one type, such as a length; empty if the
+        grouping fields were chosen
     """
 
     field_values: tuple[str, ...]
     protocol: str
-    more: tuple[tuple[str, str], ...] = ()
+    further: tuple[tuple[str, str], ...] = ()
 
 
-def key_of(sample: Sample, by: Sequence[str]) -> Key:
-    """Return the group of a sample.
+def find_group_key(sample: Sample, by: Sequence[str]) -> GroupKey:
+    """Return the key of the group of a sample.
 
     Parameters
     ----------
@@ -188,10 +176,12 @@ def key_of(sample: Sample, by: Sequence[str]) -> Key:
     by : grouping fields
     """
     fields = list_fields(sample.specimen)
-    return Key(tuple(fields.get(name, _WITHOUT) for name in by), sample.protocol)
+    return GroupKey(tuple(fields.get(name, _NOT_STATED) for name in by), sample.protocol)
 
 
-def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, list[Sample]]:
+def divide_into_groups(
+    samples: Sequence[Sample], by: Sequence[str] = ()
+) -> dict[GroupKey, list[Sample]]:
     """Divide samples into the groups of a report.
 
     Parameters
@@ -202,21 +192,21 @@ def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, lis
 
     Returns
     -------
-    Samples by group, in the order of `sort_keys`. Tests of two protocols are in two groups.
+    Samples by group, in the order of `sort_groups`. Tests of two protocols are in two groups.
     """
-    members: dict[Key, list[Sample]] = {}
+    members: dict[GroupKey, list[Sample]] = {}
     for sample in samples:
-        members.setdefault(key_of(sample, by or (TYPE,)), []).append(sample)
+        members.setdefault(find_group_key(sample, by or (TYPE,)), []).append(sample)
     if not by:
         members = {
-            key._replace(more=tuple(part.fields.items())): list(part.samples)
+            key._replace(further=tuple(part.fields.items())): list(part.samples)
             for key, group_samples in members.items()
             for part in divide_samples(group_samples)
         }
-    return {key: members[key] for key in sort_keys(members, by or (TYPE,))}
+    return {key: members[key] for key in sort_groups(members, by or (TYPE,))}
 
 
-def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
+def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
     """Sort groups: types alphabetically, other fields by `make_field_sort_key`.
 
     Parameters
@@ -225,55 +215,59 @@ def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
     by : grouping fields
     """
 
-    def turn(key: Key) -> tuple[object, ...]:
+    def make_sort_key(key: GroupKey) -> tuple[object, ...]:
         sort_values: list[object] = [
-            word if name == TYPE else make_field_sort_key(name, word or NOT_SAID)
-            for name, word in zip(by, key.field_values, strict=True)
+            value if name == TYPE else make_field_sort_key(name, value or NOT_SAID)
+            for name, value in zip(by, key.field_values, strict=True)
         ]
         return (
             *sort_values,
             key.protocol,
-            *(make_field_sort_key(name, word) for name, word in key.more),
+            *(make_field_sort_key(name, value) for name, value in key.further),
         )
 
-    return sorted(keys, key=turn)
+    return sorted(keys, key=make_sort_key)
 
 
-def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
+def name_groups(keys: Sequence[GroupKey], by: Sequence[str]) -> dict[GroupKey, str]:
     """Name groups by their fields, and by their protocol if two share all fields.
 
     Parameters
     ----------
     keys : of the groups
-    by : grouping fields; a type, or a length that divides a type, is named by its value alone
+    by : grouping fields; the name of a type, or of a length within a type, is its value
 
     Examples
     --------
-    >>> list(group_names([Key(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
+    >>> list(name_groups([GroupKey(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
     ['wire B2, without taping']
-    >>> list(group_names([Key(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
+    >>> list(name_groups([GroupKey(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
     ['A1, 85 mm']
     """
-    protocols = Counter(labels for labels, _ in {(key.field_values, key.protocol) for key in keys})
+    n_protocols = Counter(
+        values for values, _ in {(key.field_values, key.protocol) for key in keys}
+    )
     names = {}
     for key in keys:
-        labels = [_word(name, word) for name, word in zip(by, key.field_values, strict=True)]
-        labels += [key.protocol] if protocols[key.field_values] > 1 else []
-        labels += [word if name == _LENGTH else _word(name, word) for name, word in key.more]
+        labels = [_name_field(*field) for field in zip(by, key.field_values, strict=True)]
+        labels += [key.protocol] if n_protocols[key.field_values] > 1 else []
+        labels += [
+            value if name == _LENGTH else _name_field(name, value) for name, value in key.further
+        ]
         names[key] = ", ".join(labels)
     return names
 
 
-def _word(name: str, word: str) -> str:
+def _name_field(name: str, value: str) -> str:
     label = name.replace("_", " ")
-    if word == _WITHOUT:
+    if value == _NOT_STATED:
         return f"without {label}"
-    return word if name == TYPE else f"{label} {word}"
+    return value if name == TYPE else f"{label} {value}"
 
 
-def missing_fields(key: Key, by: Sequence[str]) -> list[str]:
+def list_missing_fields(key: GroupKey, by: Sequence[str]) -> list[str]:
     """List the fields that the sheets of a group do not state."""
-    return [name for name, word in zip(by, key.field_values, strict=True) if word == _WITHOUT]
+    return [name for name, value in zip(by, key.field_values, strict=True) if value == _NOT_STATED]
 
 
 def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) -> None:
@@ -288,7 +282,7 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     Raises
     ------
     UsageError
-        If there is one; the message lists the fields, the nearest first.
+        If there is one; the message lists the fields that exist.
     """
     fields = list_field_names(sample.specimen for sample in samples)
     unknown = [name for name in wanted if name not in fields]
@@ -301,7 +295,7 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
 
 
 def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
-    """Rename spools that have the same name in several types.
+    """Rename spools whose name occurs in several types.
 
     Parameters
     ----------
@@ -309,82 +303,78 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
 
     Returns
     -------
-    The samples, with the type before the name of such spools; and the original names.
+    The samples, with the type before the name of such spools; and the original names of these.
     """
-    belong = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
-    times = Counter(spool for spool, _ in belong)
-    shared = sorted(spool for spool, count in times.items() if count > 1)
-    named = []
+    pairs = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
+    n_types = Counter(spool for spool, _ in pairs)
+    shared = sorted(spool for spool, count in n_types.items() if count > 1)
+    renamed = []
     for sample in samples:
         specimen = sample.specimen
         if specimen.spool in shared:
-            named_spool = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
-            sample = replace(sample, specimen=named_spool)  # noqa: PLW2901
-        named.append(sample)
-    return named, shared
+            specimen = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
+            sample = replace(sample, specimen=specimen)  # noqa: PLW2901
+        renamed.append(sample)
+    return renamed, shared
 
 
-_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
+_FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
 """Fields in the order of a report; others follow."""
 
 
 QUESTIONS = "answers to questions"
 TYPES = "differences of types"
 OTHERS = "other main numbers"
-
-
-@dataclass(frozen=True, slots=True)
-class Differences:
-    """Differences that a report shows.
-
-    Parameters
-    ----------
-    listed : by pair
-    pairs_not_shown : number of pairs of groups that do not fit `alone`
-    """
-
-    listed: tuple[Difference, ...]
-    pairs_not_shown: int = 0
+"""Families of differences, whose verdicts are corrected for their number together."""
 
 
 def find_differences(
     groups: Sequence[Group],
-    wishes: Mapping[str, Groups],
+    group_settings: Mapping[str, Groups],
     settings: Mapping[str, Settings],
     *,
     by: Sequence[str],
     alone: str = "",
-) -> Differences:
+) -> tuple[tuple[Difference, ...], int]:
     """Compare groups of the same protocol in its main numbers.
 
     Parameters
     ----------
     groups : of the report
-    wishes : group settings by protocol
-    settings : processing settings by file
+    group_settings : settings of groups, by protocol
+    settings : processing settings, by test
     by : grouping fields
     alone : list only pairs that differ in this field alone; empty for all
 
     Returns
     -------
+    differences : see the notes
+    n_hidden : number of pairs that `alone` excludes
+
+    Notes
+    -----
     First the pairs that differ in one field, field by field, with the lower value first: none
     before half-lap, 7 before 12. Only these are judged, in three families: `QUESTIONS`, the first
     main number in pairs that differ in a field of the sheets; `TYPES`, the same in pairs of types;
-    `OTHERS`, the other main numbers in all these pairs. Pairs excluded by `alone` are not counted.
+    `OTHERS`, the other main numbers in all these pairs. Pairs that `alone` excludes are not judged.
     """
     pairs = [
         pair_differences
-        for one, other in combinations(groups, 2)
-        if one.protocol == other.protocol
-        and (pair_differences := _compare(one, other, wishes[one.protocol], settings, by))
+        for first, second in combinations(groups, 2)
+        if first.protocol == second.protocol
+        and (
+            pair_differences := _compare(
+                first, second, group_settings[first.protocol], settings, by
+            )
+        )
     ]
     shown_pairs = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
-    flat = [difference for pair in sorted(shown_pairs, key=_question_rank) for difference in pair]
-    return Differences(tuple(_judge(flat)), len(pairs) - len(shown_pairs))
+    flat = [difference for pair in sorted(shown_pairs, key=_rank_pair) for difference in pair]
+    return tuple(_judge(flat)), len(pairs) - len(shown_pairs)
 
 
 def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
-    """Yield differences in order, with verdicts for those of a family."""
+    """Yield differences in order; those of a family are judged together."""
     families: dict[str, list[Difference]] = {}
     for difference in differences:
         families.setdefault(difference.family, []).append(difference)
@@ -396,36 +386,41 @@ def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
         yield next(judged_by_family[difference.family])
 
 
-def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
-    """Return the place of a pair by its field: others follow, then the type, then several."""
-    order = (*_ORDER, None, TYPE, "")
+def _rank_pair(pair: Sequence[Difference]) -> tuple[int, str]:
+    """Return the rank of a pair: fields in their order, others, the type, several fields."""
+    order = (*_FIELD_ORDER, None, TYPE, "")
     question = pair[0].single_field
-    return (order.index(question), "") if question in order else (len(_ORDER), question)
+    return (order.index(question), "") if question in order else (len(_FIELD_ORDER), question)
 
 
 def _compare(
-    one: Group, other: Group, options: Groups, settings: Mapping[str, Settings], by: Sequence[str]
+    first: Group,
+    second: Group,
+    group_settings: Groups,
+    settings: Mapping[str, Settings],
+    by: Sequence[str],
 ) -> list[Difference]:
     """Return the differences of a pair, with their family and caveats."""
-    fields = find_differing_fields(one, other, by)
-    is_alone = len(fields) == 1
+    fields = find_differing_fields(first, second, by)
+    is_single = len(fields) == 1
     ((name, (before, after)), *_) = (*fields.items(), ("", ("", "")))
     if (
-        is_alone
+        is_single
         and name != TYPE
         and make_field_sort_key(name, after) < make_field_sort_key(name, before)
     ):
-        one, other, fields = other, one, {name: (after, before)}
-    unlike = differing_settings(settings_by_test((*one.samples, *other.samples), settings))
-    names = options.main or tuple(number.name for number in one.numbers[:1])
-    compared = compare_groups(one, other, names=names, margin=options.margin)
-    family = "" if not is_alone else TYPES if name == TYPE else QUESTIONS
+        first, second, fields = second, first, {name: (after, before)}
+    tests = [sample.test for sample in (*first.samples, *second.samples)]
+    caveats = describe_differing_settings({test: settings[test] for test in tests})
+    names = group_settings.main or tuple(number.name for number in first.numbers[:1])
+    compared = compare_groups(first, second, names=names, margin=group_settings.margin)
+    family = "" if not is_single else TYPES if name == TYPE else QUESTIONS
     return [
         replace(
             difference,
-            caveats=(*difference.caveats, *unlike),
+            caveats=(*difference.caveats, *caveats),
             fields=fields,
-            family=family if number == 0 or not is_alone else OTHERS,
+            family=family if number == 0 or not is_single else OTHERS,
         )
         for number, difference in enumerate(compared)
     ]

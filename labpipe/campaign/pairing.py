@@ -1,4 +1,4 @@
-"""Pair exports into tests: one folder per test, or by patterns of file names."""
+"""Pair exports into tests, by folder or by patterns of file names, and write their test sheets."""
 
 from __future__ import annotations
 
@@ -11,8 +11,14 @@ from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import all_protocols, majority
-from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
+from labpipe.process.protocol_match import find_majority, load_all_protocols
+from labpipe.process.sheet_inference import (
+    InferredTest,
+    count_protocols,
+    infer_test,
+    read_neighbours,
+    safe_name,
+)
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
@@ -21,9 +27,9 @@ from labpipe.protocol.source import Role, Source
 from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
 
-_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
+_SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
 """Keys of a specimen that are also columns of a campaign sheet."""
-_NOT_EXPORTS = (".yaml", ".yml", ".md", ".ini")
+_OTHER_ENDINGS = (".yaml", ".yml", ".md", ".ini")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +40,7 @@ class Candidate:
     ----------
     folder : of the test, below that of the campaign; may be missing
     files : path of each export, by role if the plan states roles, else by name
-    values : from the names, by column of a campaign sheet
+    values : facts from the names, by column of a campaign sheet
     by_role : whether the keys of `files` are roles
     """
 
@@ -60,12 +66,12 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class RawListing:
-    """Content of the folder of exports.
+class CandidateListing:
+    """Exports of a campaign by the rules of its plan.
 
     Parameters
     ----------
-    candidates : tests, by name
+    candidates : tests, sorted by name
     unmatched : files that fit no rule, with the reason
     """
 
@@ -80,27 +86,31 @@ class PairingOutcome:
     Parameters
     ----------
     sheet : new or existing; None while exports are missing
-    messages : on the content of the sheet, or on problems
+    messages : remarks on the content of the sheet, or on changed exports
     is_new : whether the sheet was written
-    open : keys to fill in before the test can be processed
-    missing : roles without an export yet
-    unread : exports that cannot be read, with the reason
+    open_keys : keys to fill in before the test can be processed
+    missing : roles without an export, or exports of an existing sheet that are missing
+    unreadable : exports that cannot be read, with the reason
     """
 
     sheet: Path | None
     messages: tuple[str, ...] = ()
     is_new: bool = False
-    open: tuple[str, ...] = ()
+    open_keys: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    unread: Mapping[str, str] = field(default_factory=dict)
+    unreadable: Mapping[str, str] = field(default_factory=dict)
 
 
-def plan_of(folder: Path) -> CampaignPlan:
-    """Read the campaign YAML of a folder; without one, there is one folder per test.
+def read_plan(folder: Path) -> CampaignPlan:
+    """Read the campaign YAML of a folder.
 
     Parameters
     ----------
     folder : of the campaign's exports
+
+    Returns
+    -------
+    The plan; without a file, that of a campaign with one folder per test.
 
     Raises
     ------
@@ -113,14 +123,14 @@ def plan_of(folder: Path) -> CampaignPlan:
 
 def list_candidates(
     folder: Path, plan: CampaignPlan, *, is_skipped: Callable[[Path], bool] = lambda _: False
-) -> RawListing:
+) -> CandidateListing:
     """List the tests of a campaign by its rules, without opening any file.
 
     Parameters
     ----------
     folder : of the campaign's exports
     plan : its rules
-    is_skipped : whether the test of a folder is skipped
+    is_skipped : returns whether the test of a folder is skipped
 
     Raises
     ------
@@ -128,53 +138,55 @@ def list_candidates(
         If a folder cannot be listed, such as on a lost network drive.
     """
     if isinstance(plan.pair, ByFolder):
-        return _by_folder(folder, plan.pair, is_skipped)
-    listed = _by_name(folder, plan.pair)
-    kept = (candidate for candidate in listed.candidates if not is_skipped(candidate.folder))
-    return replace(listed, candidates=tuple(kept))
+        return _list_by_folder(folder, plan.pair, is_skipped)
+    listing = _list_by_name(folder, plan.pair)
+    candidates = tuple(test for test in listing.candidates if not is_skipped(test.folder))
+    return replace(listing, candidates=candidates)
 
 
-_CONTROL_CHARACTERS = "its name has control characters; rename it"
+_BAD_NAME = "its name has control characters; rename it"
 
 
-def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]) -> RawListing:
+def _list_by_folder(
+    folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
+) -> CandidateListing:
     candidates, unmatched = list[Candidate](), dict[Path, str]()
-    for place in _test_folders(folder, is_skipped):
-        files = {name: place / name for name in _names(place) if _may_be_export(name)}
+    for place in _walk_test_folders(folder, is_skipped):
+        files = {name: place / name for name in _list_names(place) if _may_be_export(name)}
         for name in [file for file in files if has_control_characters(file)]:
-            unmatched[files.pop(name)] = _CONTROL_CHARACTERS
+            unmatched[files.pop(name)] = _BAD_NAME
         values = {} if pair.pattern is None else pair.pattern.match(place.name)
         if values is None:
             why = f"the name of its folder does not fit {pair.name!r}"
             unmatched |= dict.fromkeys(files.values(), why)
         elif files or (place / SHEET_NAME).exists():
             candidates.append(Candidate(place, files, values))
-    loose = [folder / name for name in _names(folder) if _may_be_export(name)]
+    loose = [folder / name for name in _list_names(folder) if _may_be_export(name)]
     unmatched |= dict.fromkeys(loose, "it is not in the folder of a test")
-    return RawListing(tuple(candidates), unmatched)
+    return CandidateListing(tuple(candidates), unmatched)
 
 
-def _test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[Path]:
+def _walk_test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[Path]:
     """Yield the topmost folders with files below a folder."""
-    for place in _folders(folder):
+    for place in _list_folders(folder):
         if is_skipped(place):
             continue
-        if _names(place):
+        if _list_names(place):
             yield place
         else:
-            yield from _test_folders(place, is_skipped)
+            yield from _walk_test_folders(place, is_skipped)
 
 
-def _by_name(folder: Path, pair: ByName) -> RawListing:
+def _list_by_name(folder: Path, pair: ByName) -> CandidateListing:
     top, patterns = folder / pair.source, pair.patterns
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
     depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())
-    for name in _below(top, depth=depth):
-        roles = {role: pattern.match(name) for role, pattern in patterns.items()}
-        fits = {role: values for role, values in roles.items() if values is not None}
+    for name in _walk_exports(top, depth=depth):
+        matches = {role: pattern.match(name) for role, pattern in patterns.items()}
+        fits = {role: values for role, values in matches.items() if values is not None}
         if has_control_characters(name):
-            unmatched[top / name] = _CONTROL_CHARACTERS
+            unmatched[top / name] = _BAD_NAME
         elif not fits:
             unmatched[top / name] = "its name fits no pattern in campaign.yaml"
         elif len(fits) > 1:
@@ -184,17 +196,17 @@ def _by_name(folder: Path, pair: ByName) -> RawListing:
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
             test = safe_name(values.get("test") or patterns[role].stem(name))
             new = Candidate(folder / test, {}, values, by_role=True)
-            known = candidates.setdefault(key, new)
-            if role in known.files:
-                other = known.files[role].name
+            earlier = candidates.setdefault(key, new)
+            if role in earlier.files:
+                other = earlier.files[role].name
                 unmatched[top / name] = f"{other} is already the {role} of the same test"
             else:
-                candidates[key] = replace(known, files={**known.files, role: top / name})
+                candidates[key] = replace(earlier, files={**earlier.files, role: top / name})
     ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
-    return RawListing(tuple(ordered), unmatched)
+    return CandidateListing(tuple(ordered), unmatched)
 
 
-def _names(folder: Path) -> list[str]:
+def _list_names(folder: Path) -> list[str]:
     """List the files of a folder by name, without hidden ones."""
     with os.scandir(folder) as entries:
         return sorted(
@@ -202,7 +214,7 @@ def _names(folder: Path) -> list[str]:
         )
 
 
-def _folders(folder: Path) -> list[Path]:
+def _list_folders(folder: Path) -> list[Path]:
     with os.scandir(folder) as entries:
         names = [
             entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")
@@ -210,21 +222,21 @@ def _folders(folder: Path) -> list[Path]:
     return [folder / name for name in sorted(names)]
 
 
-def _below(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Yield files down to a depth, with slashes, but none in a folder with a test sheet."""
+def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
+    """Yield possible exports down to a depth, except those in a folder with a test sheet."""
     if prefix and (top / SHEET_NAME).exists():
         return
-    yield from (f"{prefix}{name}" for name in _names(top) if _may_be_export(name))
+    yield from (f"{prefix}{name}" for name in _list_names(top) if _may_be_export(name))
     if depth > 1:
-        for place in _folders(top):
-            yield from _below(place, depth - 1, f"{prefix}{place.name}/")
+        for place in _list_folders(top):
+            yield from _walk_exports(place, depth - 1, f"{prefix}{place.name}/")
 
 
 def _may_be_export(name: str) -> bool:
-    return not name.casefold().endswith(_NOT_EXPORTS)
+    return not name.casefold().endswith(_OTHER_ENDINGS)
 
 
-def stated_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
+def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     """Collect the facts on a test from plan and names, by column of a campaign sheet.
 
     Parameters
@@ -232,13 +244,13 @@ def stated_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     plan : of the campaign
     candidate : the test
     """
-    columns = {key: str(plan.specimen[key]) for key in _COLUMNS if key in plan.specimen}
+    columns = {key: str(plan.specimen[key]) for key in _SPECIMEN_COLUMNS if key in plan.specimen}
     columns |= {"operator": plan.operator} if plan.operator else {}
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
     columns["test"] = safe_name(candidate.name)
-    named = candidate.files.items() if candidate.by_role else ()
-    return columns | {role: path.name for role, path in named}
+    files = candidate.files.items() if candidate.by_role else ()
+    return columns | {role: path.name for role, path in files}
 
 
 def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> PairingOutcome:
@@ -252,7 +264,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
     Returns
     -------
-    The sheet, or the missing roles. An existing sheet is never overwritten.
+    The sheet, or the missing roles or unreadable exports. An existing sheet is never overwritten.
 
     Raises
     ------
@@ -260,24 +272,26 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
         If a file cannot be copied or written, or names or plan have a fault.
     """
     if candidate.sheet.exists():
-        return _with_sheet(candidate)
+        return _check_sheet(candidate)
     if candidate.by_role:
-        by_name = [role for role in _needed(plan, candidate) if role not in candidate.files]
-        if by_name:
-            return PairingOutcome(None, missing=tuple(by_name))
+        roles = _list_planned_roles(plan, candidate)
+        if absent := tuple(role for role in roles if role not in candidate.files):
+            return PairingOutcome(None, missing=absent)
     copies = _copy_exports(candidate)
-    neighbours = neighbours_in(candidate.folder.resolve().parent)
-    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=neighbours)
-    missing = _missing(seen, plan, neighbours.protocols_beside(candidate.folder), waited)
-    if seen.unread or missing:
+    neighbours = read_neighbours(candidate.folder.resolve().parent)
+    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
+    missing = _find_missing_roles(
+        inferred, plan, count_protocols(neighbours, candidate.folder), waited
+    )
+    if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
-        return PairingOutcome(None, missing=missing, unread=seen.unread)
-    sheet = write_inferred_sheet(add_plan_blocks(seen, plan))
-    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open=sheet.open)
+        return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
+    sheet = write_inferred_sheet(add_plan_blocks(inferred, plan))
+    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open)
 
 
-def _with_sheet(candidate: Candidate) -> PairingOutcome:
-    """Find the exports that the sheet of a test names and that are missing."""
+def _check_sheet(candidate: Candidate) -> PairingOutcome:
+    """Find the missing and the changed exports of a test that has a sheet."""
     try:
         sheet = load_test_sheet(candidate.sheet)
     except ProtocolError:
@@ -286,10 +300,10 @@ def _with_sheet(candidate: Candidate) -> PairingOutcome:
     absent = tuple(name for name in names if not (candidate.folder / name).exists())
     if absent:
         return PairingOutcome(None, missing=absent)
-    elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
+    originals = [path for path in candidate.files.values() if path.parent != candidate.folder]
     messages = [
         format_sentence("campaign.newer_export", file=path.name)
-        for path in elsewhere
+        for path in originals
         if _differs(path, candidate.folder / path.name)
     ]
     return PairingOutcome(candidate.sheet, tuple(messages))
@@ -299,104 +313,111 @@ def _differs(path: Path, copy: Path) -> bool:
     """Return whether an export has changed since it was copied, by size and time."""
     if not copy.exists():
         return False
-    one, other = path.stat(), copy.stat()
-    return (one.st_size, int(one.st_mtime)) != (other.st_size, int(other.st_mtime))
+    states = [(status.st_size, int(status.st_mtime)) for status in (path.stat(), copy.stat())]
+    return states[0] != states[1]
 
 
-def add_plan_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
-    """Add the facts of the plan without a column: labels, bundle, overrides.
+def add_plan_blocks(inferred: InferredTest, plan: CampaignPlan) -> InferredTest:
+    """Add the facts of the plan that have no column: labels, bundle, overrides.
 
     Parameters
     ----------
-    seen : a test
+    inferred : a test
     plan : of the campaign
     """
-    rest = {key: value for key, value in plan.specimen.items() if key not in _COLUMNS}
+    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
-    return replace(seen, blocks={"specimen": rest, "overrides": overrides})
+    return replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
 
 
-def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
+def _list_planned_roles(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
     if plan.wait_for is not None:
         return plan.wait_for
     return list(plan.pair.exports) if isinstance(plan.pair, ByName) else list(candidate.files)
 
 
-def _missing(
-    seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
+def _find_missing_roles(
+    inferred: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
 ) -> tuple[str, ...]:
-    """Return the missing roles, from the inferred test and the protocols of other tests."""
+    """Find the missing roles, from the inferred test and the protocols of other tests."""
     if plan.wait_for is not None:
-        return tuple(role for role in plan.wait_for if role not in seen.files)
-    needed, optional = _required_and_awaited(seen, plan, others)
-    missing = [role for role in needed if role not in seen.files]
-    late = [role for role in optional if role not in seen.files]
+        return tuple(role for role in plan.wait_for if role not in inferred.files)
+    needed, optional = _find_required_and_awaited(inferred, plan, others)
+    missing = [role for role in needed if role not in inferred.files]
+    late = [role for role in optional if role not in inferred.files]
     return tuple(missing or (late if waited < plan.patience else []))
 
 
-def _required_and_awaited(
-    seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int]
+def _find_required_and_awaited(
+    inferred: InferredTest, plan: CampaignPlan, others: Mapping[str, int]
 ) -> tuple[list[str], list[str]]:
-    """Return the required roles of a test, and optional roles that are awaited for a while.
+    """Find the required roles of a test, and optional roles that are awaited for a while.
 
     If the plan names no protocol, the most frequent one of the other tests is assumed if its roles
     include the exports. An optional export is awaited only if another protocol with these exports
     requires it: one of the other tests, or, if none fits, any protocol.
     """
     if plan.protocol:
-        sources = _sources(plan.protocol, seen.folder)
-        needed = _required_roles(sources)
+        sources = _find_sources(plan.protocol, inferred.folder)
+        needed = _list_required_roles(sources)
         return needed, [role for role in sources if role not in needed]
-    of_others = [_sources(name, seen.folder) for name in others if name]
-    of_any = (protocol.sources for protocol in all_protocols())
-    may_be = _accepting(seen, of_others) or _accepting(seen, of_any)
-    usual = _sources(majority(others), seen.folder)
-    sources = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
-    needed = _required_roles(sources)
-    wanted = {role for sources in may_be for role in _required_roles(sources)}
+    sources_of_others = [_find_sources(name, inferred.folder) for name in others if name]
+    all_sources = (protocol.sources for protocol in load_all_protocols())
+    possible = _filter_sources(inferred, sources_of_others) or _filter_sources(
+        inferred, all_sources
+    )
+    usual = _find_sources(find_majority(others), inferred.folder)
+    sources = (
+        usual
+        if usual in possible
+        else _find_sources(inferred.values.get("protocol", ""), inferred.folder)
+    )
+    needed = _list_required_roles(sources)
+    wanted = {role for sources in possible for role in _list_required_roles(sources)}
     return needed, [role for role in sources if role in wanted and role not in needed]
 
 
-def _accepting(
-    seen: InferredTest, several: Iterable[Mapping[Role, Source]]
+def _filter_sources(
+    inferred: InferredTest, candidates: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
-    return [sources for sources in several if sources.keys() >= seen.files.keys()]
+    """Return the sources of protocols that have all roles of the exports of a test."""
+    return [sources for sources in candidates if sources.keys() >= inferred.files.keys()]
 
 
-def _sources(name: str, folder: Path) -> Mapping[Role, Source]:
-    """Return the exports of a protocol by role; none for an unknown or faulty protocol."""
+def _find_sources(name: str, folder: Path) -> Mapping[Role, Source]:
+    """Find the sources of a protocol by role; none for an unknown or faulty protocol."""
     file = find_protocol(name, beside=folder) if name else None
     with suppress(LabpipeError):
         return load_protocol(file).sources if isinstance(file, Path) else {}
     return {}
 
 
-def _required_roles(sources: Mapping[Role, Source]) -> list[str]:
+def _list_required_roles(sources: Mapping[Role, Source]) -> list[str]:
     return [role for role, source in sources.items() if not source.optional]
 
 
 def _copy_exports(candidate: Candidate) -> list[Path]:
-    """Copy exports from elsewhere into the folder of their test."""
+    """Copy exports into the folder of their test; return the copies."""
     copies = []
     for path in candidate.files.values():
-        goal = candidate.folder / path.name
-        if path == goal:
+        copy = candidate.folder / path.name
+        if path == copy:
             continue
-        if goal.exists():
-            if _differs(path, goal):
-                raise StoreError.about("campaign.other_copy", goal, source=path)
+        if copy.exists():
+            if _differs(path, copy):
+                raise StoreError.about("campaign.other_copy", copy, source=path)
             continue
-        with storing(goal):
+        with storing(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
-            with replacing(goal) as part:
+            with replacing(copy) as part:
                 shutil.copyfile(path, part)
                 shutil.copystat(path, part)
-        copies.append(goal)
+        copies.append(copy)
     return copies
 
 
 def _remove_copies(copies: Sequence[Path], folder: Path) -> None:
-    """Remove copies of exports that may still be incomplete."""
+    """Remove copies of exports that may still be written."""
     for path in copies:
         path.unlink(missing_ok=True)
     with suppress(OSError):  # not empty

@@ -1,4 +1,4 @@
-"""Query results of a campaign by a condition; write a table, CSV, JSON or workbook."""
+"""Query the results of a campaign by an SQL condition; write a table, CSV, JSON or a workbook."""
 
 from __future__ import annotations
 
@@ -44,61 +44,60 @@ COLUMNS: Final = {
     "labpipe": "tests.labpipe",
     "run": "tests.run",
 }
-"""SQL expression of each column; dimensions, labels and observations of the tests follow."""
+"""SQL expression of each column. Dimensions, labels and answers of the tests are more columns."""
 _MAX_SHEET_ROWS: Final = 1_048_575
-"""Rows of a worksheet below its heading."""
-_ALLOWED: Final = frozenset(
+"""Largest number of rows of a worksheet below its heading."""
+_ALLOWED_ACTIONS: Final = frozenset(
     {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 )
 _CONTROL_CHARACTERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
-"""Characters that control a terminal or a cell."""
+"""Characters that control a terminal or change the direction of text."""
 
-_FORMULA = re.compile(r"(?![-+]\d+(?:\.\d*)?\Z)[=+\-@\t\r\n]")
-"""Start of text that a spreadsheet evaluates (OWASP); a signed number is no formula."""
+_FORMULA_START = re.compile(r"(?![-+]\d+(?:\.\d*)?\Z)[=+\-@\t\r\n]")
+"""Start of text that a spreadsheet evaluates, after OWASP; a signed number is no formula."""
 _STEPS_PER_CHECK = 1_000_000
+"""SQLite steps between checks of the duration of a query."""
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class QueryResult:
     """Rows of a query.
 
     Parameters
     ----------
     columns : names
-    rows : text, numbers or None
+    rows : cells in the order of the columns: text, a number, or None
     """
 
     columns: tuple[str, ...]
     rows: Sequence[Sequence[Any]]
 
 
-def query_results(catalog: Catalog, where: str) -> Answer:
+def query_results(catalog: Catalog, where: str) -> QueryResult:
     """Query results that fit a condition.
 
     Parameters
     ----------
     catalog : of the campaign
-    where : SQL condition on the columns; empty for all. A test without results, such as a failed
-        one, is one row
+    where : SQL condition on the columns; empty for all
 
     Returns
     -------
-    The rows, sorted by test, in the order of its results.
+    A row per result, sorted by test; a single row for a test without results, such as a failed one.
 
     Raises
     ------
     UsageError
         If the condition is invalid or takes too long.
     """
-    # SQLite steps in millions: for any condition, and added for each result
-    base_steps, steps_per_result = 200, 0.05
+    base_steps, steps_per_result = 200, 0.05  # of `_STEPS_PER_CHECK`
     with catalog.copy() as connection:
-        columns = COLUMNS | _fields(connection)
+        columns = COLUMNS | _list_specimen_columns(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
-        max_steps, passed = base_steps + steps_per_result * results, count(1)
+        max_checks, checks = base_steps + steps_per_result * results, count(1)
         connection.set_authorizer(_authorize_reads)
-        connection.set_progress_handler(lambda: next(passed) > max_steps, _STEPS_PER_CHECK)
-        selection = ", ".join(f'{what} as "{name}"' for name, what in columns.items())
+        connection.set_progress_handler(lambda: next(checks) > max_checks, _STEPS_PER_CHECK)
+        selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
         # The condition is on its own line, so that a comment in it ends there.
         condition = f"where (\n{where}\n)" if where.strip() else ""
         sql = (
@@ -107,18 +106,18 @@ def query_results(catalog: Catalog, where: str) -> Answer:
             f"{condition}"
         )
         try:
-            return Answer(tuple(columns), connection.execute(sql).fetchall())
+            return QueryResult(tuple(columns), connection.execute(sql).fetchall())
         except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
-            raise _condition_error(where, str(error), list(columns)) from error
+            raise _describe_condition_error(where, str(error), list(columns)) from error
 
 
-def _condition_error(where: str, message: str, columns: list[str]) -> UsageError:
+def _describe_condition_error(where: str, message: str, columns: list[str]) -> UsageError:
     place = repr(where)
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
-        close = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
         return UsageError.about(
-            "campaign.unknown_column", "--where", place, message=message, near=close
+            "campaign.unknown_column", "--where", place, message=message, near=near
         )
     if "interrupted" in message:
         return UsageError.about("campaign.slow_condition", "--where", place)
@@ -128,13 +127,13 @@ def _condition_error(where: str, message: str, columns: list[str]) -> UsageError
 
 
 def _authorize_reads(action: int, *_: str | None) -> int:
-    """Allow SQLite to read the tables, and nothing else."""
-    return sqlite3.SQLITE_OK if action in _ALLOWED else sqlite3.SQLITE_DENY
+    """Allow SQLite to read tables, and nothing else."""
+    return sqlite3.SQLITE_OK if action in _ALLOWED_ACTIONS else sqlite3.SQLITE_DENY
 
 
-def _fields(connection: sqlite3.Connection) -> dict[str, str]:
-    """Return SQL expressions for the dimensions, labels and observations of the tests."""
-    max_fields = 200
+def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
+    """List SQL expressions for the dimensions, labels and answers of the tests."""
+    max_columns = 200
     numbers = (
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
@@ -144,7 +143,7 @@ def _fields(connection: sqlite3.Connection) -> dict[str, str]:
     for sql, place in ((numbers, ""), *((words.format(x), x) for x in ("labels", "observed"))):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
-            if name in COLUMNS or name in fields or len(fields) >= max_fields or '"' in name:
+            if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
                 continue
             path = ".".join(filter(None, ("$", place, json.dumps(key, ensure_ascii=False))))
             quoted = path.replace("'", "''")
@@ -152,7 +151,7 @@ def _fields(connection: sqlite3.Connection) -> dict[str, str]:
     return fields
 
 
-def write_answer(answer: Answer, form: str, out: IO[str]) -> None:
+def write_answer(answer: QueryResult, form: str, out: IO[str]) -> None:
     """Write rows as text.
 
     Parameters
@@ -169,18 +168,18 @@ def write_answer(answer: Answer, form: str, out: IO[str]) -> None:
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
         out.write(f"[{lines}\n]\n")
     else:
-        out.writelines(_table(answer))
+        out.writelines(_format_table(answer))
 
 
-def _table(answer: Answer) -> Iterator[str]:
-    """Yield lines without keys, and without columns that are empty or repeat the first one."""
-    rows = [[_cell(cell) for cell in row] for row in answer.rows]
-    columns = dict(zip(map(escaped, answer.columns), zip(*rows, strict=True), strict=False))
-    first = columns.get("test")
+def _format_table(answer: QueryResult) -> Iterator[str]:
+    """Yield aligned lines without the column ``run`` and empty or repeated columns."""
+    rows = [[_format_cell(cell) for cell in row] for row in answer.rows]
+    columns = dict(zip(map(escape_controls, answer.columns), zip(*rows, strict=True), strict=False))
+    tests = columns.get("test")
     visible = {
         name: cells
         for name, cells in columns.items()
-        if name != "run" and any(cells) and (cells is first or cells != first)
+        if name != "run" and any(cells) and (cells is tests or cells != tests)
     }
     widths = [max(map(len, (name, *cells))) for name, cells in visible.items()]
     for row in (visible.keys(), *zip(*visible.values(), strict=True)) if visible else ():
@@ -188,31 +187,31 @@ def _table(answer: Answer) -> Iterator[str]:
         yield "  ".join(cells).rstrip() + "\n"
 
 
-def _cell(value: object) -> str:
+def _format_cell(value: object) -> str:
     """Format a value for a terminal, with control characters escaped."""
     if value is None:
         return ""
-    text = f"{value:.6g}" if isinstance(value, float) else escaped(str(value))
+    text = f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
     max_width = 60
     return text if len(text) <= max_width else f"{text[: max_width - 3]}..."
 
 
-def escaped(text: str) -> str:
-    """Escape control characters for a terminal.
+def escape_controls(text: str) -> str:
+    """Escape characters that control a terminal.
 
     Parameters
     ----------
     text : any
     """
-    return _CONTROL_CHARACTERS.sub(lambda sign: sign[0].encode("unicode_escape").decode(), text)
+    return _CONTROL_CHARACTERS.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def _quote_formula(value: object) -> object:
     """Put an apostrophe before text that a spreadsheet would evaluate."""
-    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
+    return f"'{value}" if isinstance(value, str) and _FORMULA_START.match(value) else value
 
 
-def write_workbook(answer: Answer, path: Path) -> None:
+def write_workbook(answer: QueryResult, path: Path) -> None:
     """Write rows as a workbook.
 
     Parameters
@@ -236,5 +235,5 @@ def write_workbook(answer: Answer, path: Path) -> None:
     with replacing(path) as temporary, Workbook(str(temporary), options) as book:
         sheet = book.add_worksheet("results")
         for number, row in enumerate((answer.columns, *answer.rows)):
-            cells = [escaped(value) if isinstance(value, str) else value for value in row]
+            cells = [escape_controls(value) if isinstance(value, str) else value for value in row]
             sheet.write_row(number, 0, cells)

@@ -1,4 +1,4 @@
-"""Three lines on a new test: status, numbers, and actions at the bench."""
+"""The verdict of a watch on a new test: status, numbers against its group, what to check."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from labpipe.report.wording import find_display_unit
 from labpipe.statistics.means import compute_t_quantile
 
 MAX_NUMBERS: Final = 3
-"""Numbers in a verdict."""
+"""Largest number of results in a verdict."""
 
 _Entry: TypeAlias = Mapping[str, Any]
 """A result in summary.json."""
@@ -31,15 +31,14 @@ Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests by result."""
 
 
-def group_of(row: TestRow) -> str:
-    """Return the group of a test: its protocol and specimen, except spool and sample.
+def make_group_key(row: TestRow) -> str:
+    """Make the key of the group of a test: its protocol and specimen, except spool and sample.
 
     Parameters
     ----------
     row : of the test
     """
-    # Fields of the specimen that may differ within a group.
-    ignored_fields = ("spool", "sample", "uncertainty")
+    ignored_fields = ("spool", "sample", "uncertainty")  # these may differ within a group
     specimen = json.loads(row.specimen)
     fields = {key: value for key, value in specimen.items() if key not in ignored_fields}
     return json.dumps([row.protocol, fields], sort_keys=True)
@@ -47,7 +46,7 @@ def group_of(row: TestRow) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DisplaySettings:
-    """Display settings of a test.
+    """Settings of a protocol for the verdict on a test.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ class DisplaySettings:
     main: tuple[str, ...] = ()
 
 
-def display_settings(sheet: Path) -> DisplaySettings:
+def read_display_settings(sheet: Path) -> DisplaySettings:
     """Read the display settings of a test from its protocol.
 
     Parameters
@@ -72,46 +71,47 @@ def display_settings(sheet: Path) -> DisplaySettings:
     return DisplaySettings()
 
 
-def verdict(
+def describe_test(
     name: str, summary: Mapping[str, Any], others: Values, settings: DisplaySettings
 ) -> list[str]:
-    """Write the verdict on a processed test.
+    """Describe a processed test for the person at the bench.
 
     Parameters
     ----------
     name : of the test
-    summary : from its summary.json
+    summary : content of its summary.json
     others : ok values of each result in the other tests of its group
-    settings : for display
+    settings : of its protocol
 
     Returns
     -------
-    Three lines: status; main numbers compared with the group; what to check.
+    Three lines: status; main results compared with the group; what to check.
     """
     results = summary["results"]
-    main = _main_results(results, settings.main)
-    numbers = [_number(result, others, settings.display) for result in main]
+    main = _select_main_results(results, settings.main)
+    numbers = [_compare_with_group(result, others, settings.display) for result in main]
     outside = [number.name for number in numbers if number.is_outside]
-    by_state = {
-        state: [result["name"] for result in results if result["status"] == state]
-        for state in ("failed", "doubtful")
+    names = {
+        status: [result["name"] for result in results if result["status"] == status]
+        for status in ("failed", "doubtful")
     }
-    n_ok = len(results) - sum(map(len, by_state.values()))
-    parts = [f"{len(bad)} {state} ({_name_list(bad)})" for state, bad in by_state.items() if bad]
-    parts += [f"outside the group: {_name_list(outside)}"] if outside else []
+    n_ok = len(results) - sum(map(len, names.values()))
+    parts = [f"{len(bad)} {status} ({_join_names(bad)})" for status, bad in names.items() if bad]
+    parts += [f"outside the group: {_join_names(outside)}"] if outside else []
     head = f"{name}: {'LOOK' if parts else 'WELL'}, {', '.join([f'{n_ok} ok', *parts])}"
-    comparisons = list(dict.fromkeys(number.against for number in numbers))
-    if len(comparisons) == 1:  # common to all, and written once
-        line = f"{'; '.join(number.text for number in numbers)}; {comparisons[0]}"
+    group_sizes = list(dict.fromkeys(number.group_size for number in numbers))
+    if len(group_sizes) == 1:  # written once for all
+        line = f"{'; '.join(number.text for number in numbers)}; {group_sizes[0]}"
     else:
-        line = "; ".join(f"{number.text}, {number.against}" for number in numbers) or "no numbers"
+        line = "; ".join(f"{number.text}, {number.group_size}" for number in numbers)
+        line = line or "no numbers"
     codes = [reason["code"] for result in results for reason in result["reasons"]]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
-    return [head, f"  {line}", f"  {actions_for(codes, outside=bool(outside))}"]
+    return [head, f"  {line}", f"  {describe_actions(codes, outside=bool(outside))}"]
 
 
-def failure_lines(name: str, code: str, reason: str) -> list[str]:
-    """Write the verdict on a test that could not be processed.
+def describe_failure(name: str, code: str, reason: str) -> list[str]:
+    """Describe a test that could not be processed.
 
     Parameters
     ----------
@@ -120,26 +120,26 @@ def failure_lines(name: str, code: str, reason: str) -> list[str]:
 
     Returns
     -------
-    Three lines, as from `verdict`.
+    Three lines, as of `describe_test`.
     """
     first = " ".join(reason.splitlines()[0].split()) if reason else code
-    return [f"{name}: FAILED ({code})", f"  {first}", f"  {actions_for([code])}"]
+    return [f"{name}: FAILED ({code})", f"  {first}", f"  {describe_actions([code])}"]
 
 
-def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
-    """Write what to check while the specimen is mounted.
+def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
+    """Describe what to check while the specimen is mounted.
 
     Parameters
     ----------
-    codes : of findings, most important first
-    outside : whether a number is outside its group
+    codes : of notes, reasons and failures, most important first
+    outside : whether a result is outside the spread of its group
 
     Returns
     -------
     One line.
     """
     max_actions = 3
-    bench_actions = actions()
+    bench_actions = read_actions()
     chosen = list(dict.fromkeys(bench_actions[code] for code in codes if code in bench_actions))
     chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
     if not chosen:
@@ -150,24 +150,25 @@ def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
 
 
 @cache
-def actions() -> dict[str, str]:
-    """Read the actions at the bench by code."""
+def read_actions() -> dict[str, str]:
+    """Read what to do at the bench, by code."""
     text = (files("labpipe.campaign") / "bench_actions.toml").read_text(encoding="utf-8")
-    return {code: load["do"] for load in tomllib.loads(text)["action"] for code in load["codes"]}
+    entries = tomllib.loads(text)["action"]
+    return {code: entry["do"] for entry in entries for code in entry["codes"]}
 
 
 @dataclass(frozen=True, slots=True)
-class _Number:
-    """A formatted number, its comparison, and whether it is outside of the group."""
+class _Comparison:
+    """A result as text, the size of its group, and whether it is outside the spread."""
 
     name: str
     text: str
-    against: str
+    group_size: str
     is_outside: bool = False
 
 
-def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
-    """Return the main results: those by which the protocol compares, else the first ones."""
+def _select_main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
+    """Select the results by which the protocol compares, then those of the first cycle."""
     candidates = {
         result["name"]: result
         for result in results
@@ -178,32 +179,32 @@ def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry
     return [candidates[name] for name in ranked][:MAX_NUMBERS]
 
 
-def _number(result: _Entry, others: Values, display: Mapping[str, str]) -> _Number:
-    # Tests needed to judge what is outside the spread; with fewer, only the range is shown.
-    min_group_tests = 6
+def _compare_with_group(result: _Entry, others: Values, display: Mapping[str, str]) -> _Comparison:
+    """Compare a result with the other tests of its group, by the prediction interval of Student."""
+    min_group_tests = 6  # of fewer tests, only the range is shown
     name, value = result["name"], float(result["value"])
     scale = find_display_unit(name, result["unit"], display)
     values = np.array(others.get(name, ()))
     text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(values)
     if n == 0:
-        return _Number(name, text, "first of its group")
+        return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
         low, high = sorted(scale.factor * np.array([values.min(), values.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
-        return _Number(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
+        return _Comparison(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # of all numbers of a verdict together
     quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
-    reach = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
-    centre = float(values.mean())
-    low, high = (scale.factor * (centre + side * reach) for side in (-1.0, 1.0))
-    is_outside = abs(value - centre) > reach
+    half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
+    mean = float(values.mean())
+    low, high = (scale.factor * (mean + side * half_width) for side in (-1.0, 1.0))
+    is_outside = abs(value - mean) > half_width
     place = "OUTSIDE" if is_outside else "within"
     text += f" ({place} {low:.4g} to {high:.4g})"
-    return _Number(name, text, f"n = {n} so far", is_outside)
+    return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 
-def _name_list(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     max_names = 4
     more = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + more

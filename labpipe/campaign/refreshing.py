@@ -1,4 +1,4 @@
-"""Update the catalog from the files of a campaign, or rebuild it."""
+"""Update the catalog of a campaign from the files of its tests, or rebuild it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     OutcomeFiles,
-    RawFolder,
+    RawContent,
     find_outcome,
     list_processed,
     list_raw,
@@ -33,7 +33,7 @@ from labpipe.campaign.catalog_rows import (
     RUNNING,
     STALE,
     Entry,
-    Seen,
+    FileState,
     TestRow,
     as_json,
     encodable,
@@ -44,14 +44,13 @@ from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     DecisionFile,
-    add_decisions,
     applicable_decision,
-    carry_over,
+    find_unapplied_decisions,
     read_decisions,
-    unapplied_decisions,
 )
-from labpipe.campaign.pairing import list_candidates, plan_of
+from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError
+from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -67,20 +66,20 @@ class Overview:
     Parameters
     ----------
     rows : of all tests, by folder
-    claims : of processes at work, by folder
+    claims : of processes at work, by folder of the test
     raw : test sheets and files
     decisions : all of the campaign, in order
     notes : messages, such as on a rebuilt catalog or unreadable decisions
-    bad_input : whether a note is on a file that needs repair
+    has_bad_input : whether a note is on a file that needs repair
     has_failed_results : whether any result failed in a test that is not rejected
     """
 
     rows: dict[str, TestRow]
     claims: dict[str, Claim] = field(default_factory=dict)
-    raw: RawFolder = field(default_factory=RawFolder)
+    raw: RawContent = field(default_factory=RawContent)
     decisions: tuple[Decision, ...] = ()
     notes: list[str] = field(default_factory=list)
-    bad_input: bool = False
+    has_bad_input: bool = False
     has_failed_results: bool = False
 
     def state_of(self, folder: str) -> str:
@@ -88,7 +87,7 @@ class Overview:
 
         Parameters
         ----------
-        folder : of the test
+        folder : of the test, one of `rows`
         """
         return RUNNING if folder in self.claims else self.rows[folder].state
 
@@ -96,7 +95,7 @@ class Overview:
     def unapplied(self) -> list[tuple[Decision, str]]:
         """Return the decisions that are not applied, and why."""
         runs = {folder: row.attempt for folder, row in self.rows.items()}
-        return list(unapplied_decisions(self.decisions, runs))
+        return list(find_unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
@@ -106,17 +105,18 @@ class Overview:
 
 @contextmanager
 def open_campaign(campaign: CampaignFolders, *, start_empty: bool = False) -> Iterator[CatalogSync]:
-    """Open the catalog of a campaign; rebuild it if there is no usable one.
+    """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
     ----------
     campaign : its folders
-    start_empty : whether to rebuild it in any case
+    start_empty : whether to make an empty one in any case
 
     Raises
     ------
     LabpipeError
-        If it was made by a newer labpipe, or cannot be made.
+        If the catalog was made by a newer labpipe or another program, or cannot be made; with
+        `start_empty`, also if a process works on a test.
     """
     notes: list[str] = []
     catalog = _open_or_make_catalog(campaign, notes, start_empty=start_empty)
@@ -138,14 +138,14 @@ def _open_or_make_catalog(
         folder.mkdir(parents=True, exist_ok=True)
     path = folder / CATALOG
     if not can_write(path):
-        notes.append(f"{path}: the folder is read-only: the catalog was made in memory")
+        notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return new_catalog(folder)
     with locked(folder, patience=lock_timeout):
         try:
             catalog = open_catalog(folder)
         except NoCatalog as why:
             if path.exists():
-                notes.append(f"{path}: rebuilt from the files of the tests: {why}")
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
             return new_catalog(folder)
         if not start_empty:
             return catalog  # another process has just made it
@@ -155,7 +155,7 @@ def _open_or_make_catalog(
 
 
 def _refuse_if_running(catalog: Catalog) -> None:
-    for folder, claim in catalog.claims().items():
+    for folder, claim in catalog.read_claims().items():
         raise StoreError.about(
             "campaign.process_at_work", catalog.path,
             pid=claim.pid, host=claim.machine, test=folder,
@@ -185,35 +185,35 @@ class CatalogSync:
         State of the campaign. Unchanged files are not opened.
         """
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
-        rows, seen = self.catalog.rows(), self.catalog.seen()
+        rows, states = self.catalog.read_rows(), self.catalog.read_file_states()
         self.read_decisions()
         changed: dict[str, Entry] = {}
         folders = raw.sheets.keys() | outcomes.keys()
         for folder in sorted(folders):
-            entry = self._new_entry(
+            entry = self._make_new_entry(
                 folder, raw.sheets.get(folder), outcomes.get(folder), rows.get(folder),
-                seen.get(folder),
+                states.get(folder),
             )  # fmt: skip
             if entry is not None:
                 changed[folder] = entry
         if changed:
-            self.catalog.put(changed.values(), seen)
+            self.catalog.put(changed.values(), states)
         if gone := rows.keys() - folders:
             self.catalog.remove(gone)
         rows |= {folder: entry.row for folder, entry in changed.items()}
         stored = self._decisions
         return Overview(
             {folder: rows[folder] for folder in sorted(folders)},
-            self.catalog.claims(),
+            self.catalog.read_claims(),
             raw,
             stored.decisions,
-            [*self.notes, *stored.faults, *raw.refused],
-            bad_input=bool(stored.faults or raw.refused),
+            [*self.notes, *stored.faults, *raw.problems],
+            has_bad_input=bool(stored.faults or raw.problems),
             has_failed_results=self.catalog.has_failed_results(),
         )
 
-    def renew(self, folder: str) -> TestRow:
-        """Update one test, such as after processing.
+    def refresh_test(self, folder: str) -> TestRow:
+        """Update the catalog from the files of one test, and return its row.
 
         Parameters
         ----------
@@ -221,40 +221,44 @@ class CatalogSync:
         """
         sheet = self.campaign.raw / folder / SHEET_NAME
         files = find_outcome(self.campaign, folder)
-        row = self.catalog.rows(folder).get(folder)
-        seen = self.catalog.seen(folder).get(folder)
-        entry = self._new_entry(folder, sheet if sheet.is_file() else None, files, row, seen)
+        row = self.catalog.read_rows(folder).get(folder)
+        state = self.catalog.read_file_states(folder).get(folder)
+        entry = self._make_new_entry(folder, sheet if sheet.is_file() else None, files, row, state)
         if entry is not None:
             self.catalog.put([entry])
             return entry.row
         return row or TestRow(folder)
 
-    def content_of(self, folder: str) -> Content:
+    def determine_content(self, folder: str) -> Content:
         """Determine the inputs of a test, and record them.
 
         Parameters
         ----------
         folder : of the test, with a test sheet
         """
-        seen = self._seen(folder)
+        state = self._read_file_state(folder)
         sheet = self.campaign.raw / folder / SHEET_NAME
-        content = self._keys.content_of(sheet, parse_content(seen.content))
-        renewed = replace(seen, content=content.as_text())
-        self.catalog.put([Entry(TestRow(folder), renewed, only_seen=True)])
+        content = self._keys.determine_content(sheet, parse_content(state.content))
+        new_state = replace(state, content=content.as_text())
+        self.catalog.put([Entry(TestRow(folder), new_state, is_row_unchanged=True)])
         return content
 
-    def _seen(self, folder: str) -> Seen:
-        return self.catalog.seen(folder).get(folder, Seen())
+    def _read_file_state(self, folder: str) -> FileState:
+        return self.catalog.read_file_states(folder).get(folder, FileState())
 
-    def files_of(self, folder: str, sheet: Path) -> tuple[str, ...]:
-        """Return the files that a test names, below its folder; only its sheet if that is faulty.
+    def list_files(self, folder: str, sheet: Path) -> tuple[str, ...]:
+        """List test sheet and exports of a test, relative to its folder.
 
         Parameters
         ----------
         folder : of the test
         sheet : its test.yaml
+
+        Returns
+        -------
+        The names of the files; only that of the sheet if it is faulty.
         """
-        content = parse_content(self._seen(folder).content)
+        content = parse_content(self._read_file_state(folder).content)
         if content is not None and content.stamps:
             return tuple(content.stamps)
         try:
@@ -267,30 +271,37 @@ class CatalogSync:
         """Read the decisions of the campaign, for later updates."""
         self._decisions = read_decisions(self.campaign.processed, self.campaign.name)
 
-    def _new_entry(
+    def _make_new_entry(
         self,
         folder: str,
         sheet: Path | None,
         files: OutcomeFiles | None,
         row: TestRow | None,
-        seen: Seen | None,
+        state: FileState | None,
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
-        marks = files.marks if files is not None else ""
-        stored = parse_content(seen.content) if seen is not None else None
-        now = self._keys.content_of(sheet, stored) if sheet is not None and marks else None
-        content = stored if now is None else now
-        renewed = Seen(
-            "" if content is None else content.as_text(),
-            marks if sheet is not None else f"{marks} {_WITHOUT_SHEET}",
+        signature = files.signature if files is not None else ""
+        stored = parse_content(state.content) if state is not None else None
+        present = self._keys.determine_content(sheet, stored) if sheet and signature else None
+        content = present or stored
+        new_state = FileState(
+            content.as_text() if content is not None else "",
+            signature if sheet is not None else f"{signature} {_WITHOUT_SHEET}",
         )
-        is_same = now is None or (stored is not None and stored.key == now.key)
-        looks_same = seen is not None and seen.marks == renewed.marks
-        if row is not None and looks_same and is_same and self._is_current(row, now):
-            return None if content == stored else Entry(row, renewed, only_seen=True)
+        has_same_content = present is None or (stored is not None and stored.key == present.key)
+        has_same_outcome = state is not None and state.outcome == new_state.outcome
+        if (
+            row is not None
+            and has_same_outcome
+            and has_same_content
+            and self._is_current(row, present)
+        ):
+            return None if content == stored else Entry(row, new_state, is_row_unchanged=True)
         outcome = read_outcome(folder, files)
-        rejection = self._rejection_of(outcome, row)
-        return replace(outcome, row=_row(outcome, now, rejection), seen=renewed)
+        rejection = self._find_rejection(folder, _last_key(outcome.row))
+        return replace(
+            outcome, row=_complete_row(outcome, present, rejection), file_state=new_state
+        )
 
     def _is_current(self, row: TestRow, content: Content | None) -> bool:
         """Return whether a row is still valid for the present content and decisions."""
@@ -299,59 +310,33 @@ class CatalogSync:
         is_stale = content is not None and content.key != row.attempt
         if is_stale or row.state == STALE:
             return is_stale and row.state == STALE
-        decision = self._rejection(row.folder, row.attempt)
+        decision = self._find_rejection(row.folder, row.attempt)
         if decision is None:
             return row.state != REJECTED
-        facts = (decision.because, decision.by, decision.when)
-        return row.state == REJECTED and facts == (row.why, row.decided_by, row.decided)
+        stated = (decision.because, decision.by, decision.when)
+        return row.state == REJECTED and stated == (row.why, row.decided_by, row.decided)
 
-    def _rejection(self, folder: str, run: str) -> Decision | None:
+    def _find_rejection(self, folder: str, run: str) -> Decision | None:
         decision = applicable_decision(self._decisions.by_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
-    def _rejection_of(self, outcome: Entry, row: TestRow | None) -> Decision | None:
-        """Return the rejection of a test; carry it over if only the processing version changed."""
-        folder, key = outcome.row.folder, _attempt(outcome.row)
-        by_run = {made.run: made for made in self._decisions.by_test.get(folder, ())}
-        if (
-            row is not None
-            and row.run in by_run
-            and key not in {"", *by_run}
-            and outcome.row.state != FAILED
-            and self._has_same_inputs(row, outcome)
-            and not self.catalog.in_memory
-        ):
-            before = self.catalog.results_of(folder)
-            carried = carry_over(by_run[row.run], key, before, outcome.results)
-            if carried is not None:
-                add_decisions(self.campaign.processed, self.campaign.name, [carried])
-                self.read_decisions()
-        return self._rejection(folder, key)
 
-    def _has_same_inputs(self, row: TestRow, outcome: Entry) -> bool:
-        """Return whether exports, sheet and protocol of a test are those of its row."""
-        texts = (outcome.row.sheet, outcome.row.resolved)
-        same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
-        return same and self.catalog.inputs_of(row.folder) == outcome.inputs
-
-
-def _attempt(row: TestRow) -> str:
-    """Return the key of the last attempt of a test; empty also for a failure without a key."""
+def _last_key(row: TestRow) -> str:
+    """Return the key of the last attempt of a test; empty for a failure without a key."""
     return row.failed_run if row.state == FAILED else row.run
 
 
-def _row(outcome: Entry, content: Content | None, rejection: Decision | None) -> TestRow:
-    """Make the row of a test from its outcome, the facts of its sheet, and its rejection."""
-    row, about = outcome.row, {} if content is None else content.about
-    facts = {key: getattr(row, key) or encodable(text) for key, text in about.items()}
-    row = replace(row, **facts)
+def _complete_row(outcome: Entry, content: Content | None, rejection: Decision | None) -> TestRow:
+    """Add the facts of the test sheet, outdated inputs and the rejection to the row of a test."""
+    row, facts = outcome.row, {} if content is None else content.facts
+    row = replace(row, **{key: getattr(row, key) or encodable(facts[key]) for key in facts})
     row = replace(row, test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
         row = replace(row, specimen=as_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
-    if content is not None and content.key != _attempt(row):
+    if content is not None and content.key != _last_key(row):
         changes = describe_changes(
             inputs=outcome.inputs, sheet=row.sheet, protocol=row.resolved, now=content
         )
@@ -363,11 +348,8 @@ def _row(outcome: Entry, content: Content | None, rejection: Decision | None) ->
     )
 
 
-USED, WAITING, UNKNOWN = "used", "waiting", "unknown"
-
-
-def account_for_files(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]:
-    """Determine the use of each file.
+def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
+    """Find the files below the exports of a campaign that belong to no test.
 
     Parameters
     ----------
@@ -376,36 +358,20 @@ def account_for_files(sync: CatalogSync, overview: Overview) -> dict[str, list[s
 
     Returns
     -------
-    Sorted files below the campaign: ``used`` (in results), ``waiting`` (of a test to process),
-    ``failed`` (of a failed test) and ``unknown`` (in no test sheet).
+    Sorted paths below the campaign. The files that a test sheet names, the campaign YAML and the
+    exports that it pairs are known.
     """
-    files_by_use: dict[str, list[str]] = {USED: [], WAITING: [], FAILED: [], UNKNOWN: []}
-    owner: dict[str, str] = {}
-    for folder, sheet in overview.raw.sheets.items():
-        state = overview.state_of(folder)
-        use = WAITING if state in {PENDING, STALE, RUNNING} else USED
-        use = FAILED if state == FAILED else use
-        for name in sync.files_of(folder, sheet):
-            owner[f"{folder}/{name}" if folder else name] = use
-    owner |= {file: use for file, use in _by_plan(sync).items() if file not in owner}
-    for file in overview.raw.files:
-        files_by_use[owner.get(file, UNKNOWN)].append(file)
-    return {use: sorted(files) for use, files in files_by_use.items()}
-
-
-def _by_plan(sync: CatalogSync) -> dict[str, str]:
-    """Return the use of the campaign YAML and of the exports that it pairs."""
     raw = sync.campaign.raw
-    if not (raw / PLAN_NAME).is_file():
-        return {}
-    use_by_file = {PLAN_NAME: USED}
-    try:
-        listed = list_candidates(raw, plan_of(raw))
-    except (LabpipeError, OSError):  # `labpipe check` reports the fault
-        return use_by_file
-    for candidate in listed.candidates:
-        if candidate.by_role or not candidate.sheet.exists():
-            use = USED if candidate.sheet.exists() else WAITING
-            files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
-            use_by_file |= {path.relative_to(raw).as_posix(): use for path in files}
-    return use_by_file
+    known = {
+        f"{folder}/{name}" if folder else name
+        for folder, sheet in overview.raw.sheets.items()
+        for name in sync.list_files(folder, sheet)
+    }
+    if (raw / PLAN_NAME).is_file():
+        known.add(PLAN_NAME)
+        with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
+            for candidate in list_candidates(raw, read_plan(raw)).candidates:
+                if candidate.by_role or not candidate.sheet.exists():
+                    files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
+                    known |= {path.relative_to(raw).as_posix() for path in files}
+    return sorted(file for file in overview.raw.files if file not in known)

@@ -1,4 +1,4 @@
-"""What a report needs of a processed test and its protocol: thinned curves, sizes, numbers."""
+"""Reduce processed tests to samples of a report: thinned curves, sizes, kinds of results."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from labpipe.records.result import Specimen, TestResult
 from labpipe.store.read import ReportedTest
 
 
-def sample_of(read: ReportedTest, *, source: str, label: str = "") -> Sample:
-    """Reduce a processed test to its data for a report.
+def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
+    """Make the sample of a report from a processed test.
 
     Parameters
     ----------
-    read : with or without recordings
+    test : as read for a report
     source : its file
     label : of the test in its campaign
     """
-    result = read.result
+    result = test.result
     return Sample(
         test=result.test,
         specimen=result.specimen,
         protocol=result.protocol,
-        loading=_branches(result, Direction.LOADING),
-        unloading=_branches(result, Direction.UNLOADING),
+        loading=_thin_branches(result, Direction.LOADING),
+        unloading=_thin_branches(result, Direction.UNLOADING),
         results=result.results,
         slips=result.slips,
         lines=result.lines,
@@ -45,22 +45,22 @@ def sample_of(read: ReportedTest, *, source: str, label: str = "") -> Sample:
         operator=result.operator,
         instruments=result.instruments,
         inputs=result.inputs,
-        shapes=read.shapes,
-        law=read.law,
+        shapes=test.shapes,
+        law=test.law,
     )
 
 
-def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
-    """Choose the frames at equal, round steps of the first loading.
+def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
+    """Choose the frames at equal, round steps of deflection in the first loading.
 
     Parameters
     ----------
-    result : with its curve
-    time : shape (frames,), s, on the clock of the curve
+    result : with or without a curve
+    time : shape (frames,), s, of the frames on the clock of the curve
 
     Returns
     -------
-    frames : first at or beyond each step; none without a loading branch
+    frames : index of the first frame at or beyond each step; none without a loading branch
     deflection : shape of `frames`, m, of the curve at these frames
     """
     none = np.empty(0, dtype=np.int64), np.empty(0)
@@ -72,15 +72,14 @@ def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     deflection[(time < first.start_time) | (time > first.stop_time)] = np.nan
     if not np.isfinite(deflection).any():
         return none
-    levels = _levels(float(np.nanmax(deflection)))
-    reached = [np.flatnonzero(deflection >= level) for level in levels]
-    frames = np.unique([hits[0] for hits in reached if len(hits)]).astype(np.int64)
+    levels = _round_levels(float(np.nanmax(deflection)))
+    beyond = [np.flatnonzero(deflection >= level) for level in levels]
+    frames = np.unique([indices[0] for indices in beyond if len(indices)]).astype(np.int64)
     return frames, deflection[frames]
 
 
-def _levels(largest: float) -> Floats:
-    """Return round steps from zero to the largest deflection, m."""
-    # shapes drawn of a test, without the first
+def _round_levels(largest: float) -> Floats:
+    """Return deflections at round steps from zero to the largest one, m."""
     max_steps = 6
     if not largest > 0.0:
         return np.zeros(1)
@@ -91,15 +90,14 @@ def _levels(largest: float) -> Floats:
     return np.arange(0.0, largest, step)
 
 
-def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
+def _thin_branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
     branches = result.curve.branches if result.curve is not None else ()
     return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
 
 
 def _thin(result: TestResult, branch: Branch) -> SampleCurve:
     """Average a branch over blocks of samples, up to the failure."""
-    # points of a branch: enough to smear a slip or a corner by less than a line width
-    max_points = 2000
+    max_points = 2000  # blocks smear a slip or a corner by less than a line width
     curve = result.curve
     if curve is None:
         message = "a branch without a curve"
@@ -128,42 +126,44 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
 
 
 @dataclass(frozen=True, slots=True)
-class NumberKinds:
-    """Results that groups treat specially, by name without cycle and part.
+class ResultKinds:
+    """Names of results that groups treat specially, without cycle and part.
 
     Parameters
     ----------
-    signed : may be negative
-    set_by_rig : describe the motion of the rig, not the specimen
+    signed : results that may be negative
+    set_by_rig : results that describe the motion of the rig, not the specimen
     """
 
     signed: frozenset[str] = frozenset()
     set_by_rig: frozenset[str] = frozenset()
 
 
-def number_kinds(protocol: Protocol) -> NumberKinds:
+def classify_results(protocol: Protocol) -> ResultKinds:
     """Classify the results of a protocol.
 
     Parameters
     ----------
     protocol : resolved; if it states the stroke, the rig sets results that depend on the stroke
     """
-    outputs = dict(_outputs(protocol))
-    is_set = protocol.rig.stroke is not None
-    return NumberKinds(
-        frozenset(stem for stem, output in outputs.items() if output.can_be_negative),
-        frozenset(stem for stem, output in outputs.items() if is_set and output.is_set_by_stroke),
+    outputs = dict(_list_outputs(protocol))
+    states_stroke = protocol.rig.stroke is not None
+    return ResultKinds(
+        frozenset(name for name, output in outputs.items() if output.can_be_negative),
+        frozenset(
+            stem for stem, output in outputs.items() if states_stroke and output.is_set_by_stroke
+        ),
     )
 
 
-def _outputs(protocol: Protocol) -> Iterator[tuple[str, Output]]:
+def _list_outputs(protocol: Protocol) -> Iterator[tuple[str, Output]]:
     for entry in protocol.results:
         values = {field.name: getattr(entry, field.name) for field in fields(entry)}
         yield from ((output.name.format_map(values), output) for output in entry.outputs)
 
 
 def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
-    """Add the sizes of the protocol to a specimen; its sheet overrides them.
+    """Add the sizes of the protocol to those of a specimen; its test sheet has priority.
 
     Parameters
     ----------

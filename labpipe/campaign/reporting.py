@@ -1,4 +1,4 @@
-"""Make the report of a campaign from processed tests."""
+"""Make the report of a campaign: read processed tests, group and compare them, write the files."""
 
 from __future__ import annotations
 
@@ -10,34 +10,31 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.campaign.campaign_folders import name_of_campaign
+from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     applicable_decision,
-    decision_entry,
-    decision_sentence,
-    decisions_on,
-    label_of,
+    find_label,
+    read_decisions_on,
 )
 from labpipe.campaign.grouping import (
     Settings,
     check_fields,
-    division,
+    divide_into_groups,
     find_differences,
-    group_names,
-    missing_fields,
+    list_missing_fields,
+    list_settings,
+    name_groups,
+    note_differing_settings,
     rename_shared_spools,
-    setting_notes,
-    settings_by_test,
-    settings_of,
 )
 from labpipe.campaign.report_samples import (
-    NumberKinds,
+    ResultKinds,
     add_sizes,
-    frames_at_steps,
-    number_kinds,
-    sample_of,
+    choose_frames,
+    classify_results,
+    make_sample,
 )
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.mechanics.studies.bundle_bounds import find_places
@@ -45,8 +42,8 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
-    recording_of,
-    refuse_repeated,
+    identify_recording,
+    refuse_duplicates,
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
@@ -66,12 +63,12 @@ from labpipe.store.read import read_reported, read_result
 from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
-RECIPE_FILE = "report.json"
+OPTIONS_FILE = "report.json"
 
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """Options of a report, stored beside it to make it again.
+    """Options of a report, stored beside it so that it can be made again.
 
     Parameters
     ----------
@@ -79,8 +76,8 @@ class ReportOptions:
     by : fields of the test sheets to group by; if empty, the type and all fields of the specimen
         that differ within a type
     alone : show only pairs of groups that differ in this field alone; empty for all
-    wires : wire sheet, for the bounds of harness bundles
-    letterhead : laboratory, customer and order
+    wires : wire sheet, to compare harness bundles with their bounds; None without one
+    letterhead : laboratory, customer, order and logo
     formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
     has_test_pages : whether each test has a page
     """
@@ -95,9 +92,9 @@ class ReportOptions:
 
     @classmethod
     def read(cls, folder: Path) -> ReportOptions:
-        """Read the options of the report in a folder; without any, return empty ones."""
+        """Read the options of the report in a folder; return `DEFAULT_OPTIONS` without any."""
         try:
-            stored = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
+            stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
             facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
             stored["letterhead"] = Letterhead(tuple((name, text) for name, text in facts), logo)
             stored["wires"] = stored["wires"] and folder / stored["wires"]
@@ -106,20 +103,20 @@ class ReportOptions:
             return cls()
 
     def text(self, folder: Path) -> str:
-        """Write JSON, with the wire sheet relative to the folder of the report."""
+        """Return the options as JSON, with the wire sheet relative to the folder of the report."""
         wires = self.wires and os.path.relpath(self.wires, folder)
         return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
     def or_earlier(self, earlier: ReportOptions) -> ReportOptions:
-        """Fill the missing options from those of an earlier report.
+        """Return the options, with missing ones from an earlier report.
 
         Parameters
         ----------
         earlier : options
         """
-        own, then = self.letterhead, earlier.letterhead
-        facts = dict(then.facts) | dict(own.facts)
-        letterhead = Letterhead(tuple(facts.items()), own.logo or then.logo)
+        facts = dict(earlier.letterhead.facts) | dict(self.letterhead.facts)
+        logo = self.letterhead.logo or earlier.letterhead.logo
+        letterhead = Letterhead(tuple(facts.items()), logo)
         names = [entry.name for entry in fields(self)]
         filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
         return ReportOptions(**filled | {"letterhead": letterhead})
@@ -129,7 +126,7 @@ DEFAULT_OPTIONS = ReportOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reported:
+class WrittenReport:
     """A report and its files.
 
     Parameters
@@ -150,7 +147,7 @@ def report_tests(
     out: Path | None = None,
     say: Callable[[str], None] = lambda _: None,
     options: ReportOptions = DEFAULT_OPTIONS,
-) -> Reported:
+) -> WrittenReport:
     """Make one report from processed tests.
 
     Parameters
@@ -173,23 +170,25 @@ def report_tests(
     """
     files = find_results(targets)
     shared = shared_folder(files)
-    read = _read_tests(files, say)
-    campaign = _campaign_of(read, files, options.title or shared.resolve().name, options)
+    tests = _read_tests(files, say)
+    campaign = _make_campaign(tests, files, options.title or shared.resolve().name, options)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        paged = (*list_samples(campaign), *campaign.rejected_samples)
+        samples = (*list_samples(campaign), *campaign.rejected_samples)
         pages = {
-            name_page_file(sample.label or sample.test): page_of_test(
+            name_page_file(sample.label or sample.test): make_test_page(
                 Path(sample.source), compute_report_id(campaign)
             )
-            for sample in (paged if options.has_test_pages else ())
+            for sample in (samples if options.has_test_pages else ())
         }
-        extras = Extras(options.letterhead, options.formats, pages, "journal" in read.styles)
+        extras = Extras(options.letterhead, options.formats, pages, "journal" in tests.styles)
         written = write_report(campaign, stage, extras)
-        recipe = options.text(folder)
-        (stage / RECIPE_FILE).write_text(recipe, encoding="utf-8", newline="\n")
-    return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
+        text = options.text(folder)
+        (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
+    return WrittenReport(
+        folder, campaign, tuple(folder / path.relative_to(stage) for path in written)
+    )
 
 
 def make_campaign(
@@ -217,43 +216,56 @@ def make_campaign(
         If no file can be read, all were rejected, decisions cannot be read, two tests have the same
         name, no test sheet has a requested field, or the wire sheet has faults.
     """
-    return _campaign_of(_read_tests(files, say), files, title, options)
+    return _make_campaign(_read_tests(files, say), files, title, options)
 
 
-def _campaign_of(
-    read: _ReadTests, files: Sequence[Path], title: str, options: ReportOptions
+def _make_campaign(
+    tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
 ) -> Campaign:
     wires = None if options.wires is None else read_wire_sheet(options.wires)
-    check_fields(options.by, read.samples, "--by")
-    check_fields(list(filter(None, [options.alone])), read.samples, "--compare")
-    groups, by = _groups(read, options.by), options.by or (TYPE,)
-    differences = find_differences(groups, read.wishes, read.settings, by=by, alone=options.alone)
+    check_fields(options.by, tests.samples, "--by")
+    check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
+    groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
+    differences, n_hidden = find_differences(
+        groups, tests.group_settings, tests.settings, by=by, alone=options.alone
+    )
     return Campaign(
         title=title,
         groups=tuple(groups),
-        differences=differences.listed,
-        left_out=read.left_out,
-        rejected=read.rejected,
+        differences=differences,
+        left_out=tests.left_out,
+        rejected=tests.rejected,
         labpipe_version=__version__,
         by=by,
         compared=options.alone,
-        pairs_not_shown=differences.pairs_not_shown,
+        pairs_not_shown=n_hidden,
         places=() if wires is None else tuple(find_places(groups, wires)),
         wire_sheet="" if options.wires is None else options.wires.name,
-        rejected_samples=tuple(read.rejected_samples),
-        name=name_of_campaign(shared_folder(files)),
-        decisions=tuple(map(decision_entry, read.decisions)),
+        rejected_samples=tuple(tests.rejected_samples),
+        name=find_campaign_name(shared_folder(files)),
+        decisions=tuple(decision.as_json() for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
 
 
 @dataclass(slots=True)
-class _ReadTests:
-    """Samples with settings of their protocols, and tests that are left out or rejected."""
+class _Tests:
+    """The tests of a report.
+
+    Parameters
+    ----------
+    samples : in order, without those left out or rejected
+    group_settings, result_kinds : by protocol
+    settings : of processing, by test
+    left_out, rejected : the reason, by file
+    rejected_samples : in order
+    decisions : all on these tests
+    styles : of figures, from the protocols
+    """
 
     samples: list[Sample] = field(default_factory=list)
-    wishes: dict[str, Groups] = field(default_factory=dict)
-    kinds: dict[str, NumberKinds] = field(default_factory=dict)
+    group_settings: dict[str, Groups] = field(default_factory=dict)
+    result_kinds: dict[str, ResultKinds] = field(default_factory=dict)
     settings: dict[str, Settings] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: dict[str, str] = field(default_factory=dict)
@@ -262,99 +274,102 @@ class _ReadTests:
     styles: set[str] = field(default_factory=set)
 
 
-def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests:
-    read = _ReadTests()
-    decided, shared = decisions_on(files), shared_folder(files)
+def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
+    tests = _Tests()
+    decisions_by_file, shared = read_decisions_on(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
         try:
-            drawable = read_reported(file, frames_at_steps)
+            drawable = read_reported(file, choose_frames)
             result = drawable.result
             check_summary(result, file.parent / SUMMARY_FILE)
             # Group settings come from the protocol stored in each result.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
-            read.left_out[str(file)] = str(error)
+            tests.left_out[str(file)] = str(error)
             continue
         specimen = add_sizes(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = sample_of(sized, source=str(file), label=label_of(file, shared))
-        read.decisions.extend(decided.get(file, ()))
-        decision = applicable_decision(decided.get(file, ()), run=result.run)
+        sample = make_sample(sized, source=str(file), label=find_label(file, shared))
+        decisions = decisions_by_file.get(file, ())
+        tests.decisions.extend(decisions)
+        decision = applicable_decision(decisions, run=result.run)
         if decision is not None:
-            sample = replace(sample, decision=decision_sentence(decision))
+            sample = replace(sample, decision=decision.describe())
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = sample.decision
-            read.rejected_samples.append(sample)
+            tests.rejected[str(file)] = sample.decision
+            tests.rejected_samples.append(sample)
             continue
-        read.styles.add(protocol.report.style)
-        read.wishes[result.protocol] = protocol.groups
-        read.kinds[result.protocol] = number_kinds(protocol)
-        read.settings[str(file)] = settings_of(protocol)
-        recordings.append((file, recording_of(result, protocol)))
-        read.samples.append(sample)
-    if not read.samples:
-        rejections = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
-        raise UsageError("\n".join([*read.left_out.values(), *rejections]))
-    refuse_repeated([(sample.test, Path(sample.source)) for sample in read.samples], "name")
+        tests.styles.add(protocol.report.style)
+        tests.group_settings[result.protocol] = protocol.groups
+        tests.result_kinds[result.protocol] = classify_results(protocol)
+        tests.settings[sample.test] = list_settings(protocol)
+        recordings.append((file, identify_recording(result, protocol)))
+        tests.samples.append(sample)
+    if not tests.samples:
+        rejections = [f"{file}: rejected: {why}" for file, why in tests.rejected.items()]
+        raise UsageError("\n".join([*tests.left_out.values(), *rejections]))
+    refuse_duplicates([(sample.test, Path(sample.source)) for sample in tests.samples], "name")
     copies = find_copies(recordings)
-    read.samples = [sample for sample in read.samples if sample.source not in copies]
-    read.left_out |= copies
-    return read
+    tests.samples = [sample for sample in tests.samples if sample.source not in copies]
+    tests.left_out |= copies
+    return tests
 
 
-def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:
-    members, by = division(read.samples, by), by or (TYPE,)
-    names = group_names(list(members), by)
+def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
+    members, by = divide_into_groups(tests.samples, by), by or (TYPE,)
     groups = []
-    for key, name in names.items():
-        facts = read.wishes[key.protocol], read.kinds[key.protocol]
-        group = _group(name, members[key], *facts, missing_fields(key, by))
+    for key, name in name_groups(list(members), by).items():
+        group_settings = tests.group_settings[key.protocol]
+        kinds = tests.result_kinds[key.protocol]
+        missing_fields = list_missing_fields(key, by)
+        group = _make_group(name, members[key], group_settings, kinds, missing_fields)
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
-        unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
-        groups.append(replace(group, notes=(*unlike, *group.notes)))
+        settings = {sample.test: tests.settings[sample.test] for sample in group.samples}
+        notes = note_differing_settings(settings, noted)
+        groups.append(replace(group, notes=(*notes, *group.notes)))
     return mark_outliers(groups)
 
 
-def _group(
+def _make_group(
     name: str,
     members: Sequence[Sample],
     settings: Groups,
-    kinds: NumberKinds,
-    not_said: Sequence[str],
+    kinds: ResultKinds,
+    missing_fields: Sequence[str],
 ) -> Group:
-    samples, renamed = rename_shared_spools(members)
-    # Only results that describe the specimen.
-    of_specimens = [
-        replace(sample, results=tuple(one for one in sample.results if is_main(one.name)))
+    samples, renamed_spools = rename_shared_spools(members)
+    # Only results that describe the specimen are grouped.
+    grouped_samples = [
+        replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))
         for sample in samples
     ]
     group = build_group(
         name,
         members[0].protocol,
-        of_specimens,
+        grouped_samples,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
         signed=kinds.signed,
         set_by_rig=kinds.set_by_rig,
     )
     numbers = {number.name: number for number in group.numbers}
-    first = [numbers.pop(name) for name in settings.main if name in numbers]
-    by_source = {sample.source: sample for sample in samples}
+    main = [numbers.pop(name) for name in settings.main if name in numbers]
+    samples_by_source = {sample.source: sample for sample in samples}
     return replace(
         group,
-        samples=tuple(by_source[sample.source] for sample in group.samples),
-        numbers=(*first, *numbers.values()),
-        notes=(*make_grouping_notes(not_said, renamed), *group.notes),
+        samples=tuple(samples_by_source[sample.source] for sample in group.samples),
+        numbers=(*main, *numbers.values()),
+        notes=(*make_grouping_notes(missing_fields, renamed_spools), *group.notes),
         lot=judge_lot(
-            [by_source[sample.source] for sample in group.samples],
+            [samples_by_source[sample.source] for sample in group.samples],
             LotRule(settings.coverage, settings.confidence),
         ),
     )
 
 
-def page_of_test(file: Path, report: str = "") -> str:
+def make_test_page(file: Path, report: str = "") -> str:
     """Make the page of a test: facts, numbers and figures.
 
     Parameters

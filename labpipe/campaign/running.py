@@ -1,4 +1,4 @@
-"""Process the new and changed tests of a campaign, each claimed by one run."""
+"""Run a campaign: process its new and changed tests, clear failures, record decisions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from pathlib import Path
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
-from labpipe.campaign.executors import Executor, Outcome, Task
+from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
 from labpipe.errors import StoreError, UsageError, sort_by_likeness
+from labpipe.process.run import Task
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
-_RETRY_PAUSE, _TRIES = 1.0, 60
-"""s between attempts to process a test that another process still writes, and their number."""
+_RETRY_DELAY = 1.0
+"""Time between attempts to process a test that another process still writes, s."""
+_MAX_RETRIES = 60
 
 
 @dataclass(slots=True)
@@ -30,7 +32,7 @@ class RunSummary:
     ----------
     overview : the campaign after the run
     processed : outcomes of the tests that were processed, by folder
-    elsewhere : tests claimed by another labpipe
+    elsewhere : tests that another labpipe processes
     """
 
     overview: Overview
@@ -43,7 +45,7 @@ def run_campaign(
     executor: Executor,
     *,
     only: Collection[str] | None = None,
-    again: Collection[str] = (),
+    forced: Collection[str] = (),
     make_task: Callable[..., Task] = Task,
     begin: Callable[[int], None] = lambda _: None,
     on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
@@ -55,7 +57,7 @@ def run_campaign(
     campaign : its folders
     executor : processes the tests
     only : tests to consider; None for all
-    again : tests to process even if nothing changed
+    forced : tests to process even if nothing changed
     make_task : makes the task of a test from its sheet, folder of results and key, such as a
         partial of `Task` with figures and links
     begin : called with the number of tests to process
@@ -63,7 +65,7 @@ def run_campaign(
 
     Returns
     -------
-    Summary. Simultaneous runs share the work: each test is claimed by one of them.
+    The summary. Simultaneous runs share the work: each test is claimed by one of them.
 
     Raises
     ------
@@ -78,16 +80,16 @@ def run_campaign(
             for folder, row in overview.rows.items()
             if folder in overview.raw.sheets
             and (only is None or folder in only)
-            and (row.state in {PENDING, STALE} or folder in again)
+            and (row.state in {PENDING, STALE} or folder in forced)
         ]
         begin(len(due))
         run = _Run(sync, make_task, on_outcome)
-        run.process(executor, due, again)
+        run.process(executor, due, forced)
         return RunSummary(sync.refresh() if due else overview, run.outcomes, run.elsewhere)
 
 
 def run_test(
-    campaign: CampaignFolders, executor: Executor, folder: str, *, again: bool = False
+    campaign: CampaignFolders, executor: Executor, folder: str, *, is_forced: bool = False
 ) -> tuple[TestRow | None, Outcome | None]:
     """Process one test if it is new or changed, without checking all others.
 
@@ -96,7 +98,7 @@ def run_test(
     campaign : its folders
     executor : processes the test
     folder : of the test, below the campaign
-    again : whether to process it even if nothing changed
+    is_forced : whether to process it even if nothing changed
 
     Returns
     -------
@@ -112,8 +114,8 @@ def run_test(
         sync.catalog.release_dead()
         sync.read_decisions()
         run = _Run(sync)
-        run.process(executor, [folder], [folder] if again else ())
-        row = sync.renew(folder)
+        run.process(executor, [folder], [folder] if is_forced else ())
+        row = sync.refresh_test(folder)
     return None if folder in run.elsewhere else row, run.outcomes.get(folder)
 
 
@@ -127,7 +129,7 @@ def _open_writable(campaign: CampaignFolders) -> Iterator[CatalogSync]:
 
 
 class _Run:
-    """A run: it claims tests when an executor takes them, and records their outcomes."""
+    """Claims tests when an executor takes them, and records their outcomes."""
 
     def __init__(
         self,
@@ -136,60 +138,61 @@ class _Run:
         on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
     ) -> None:
         self._sync, self._make_task, self._on_outcome = sync, make_task, on_outcome
-        self._at_work: dict[Path, str] = {}
-        self._in_use: list[str] = []
+        self._claimed: dict[Path, str] = {}
+        self._busy: list[str] = []
         self.outcomes: dict[str, Outcome] = {}
         self.elsewhere: list[str] = []
 
-    def process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
-        """Process some tests, except for those claimed by another labpipe."""
+    def process(self, executor: Executor, due: list[str], forced: Collection[str]) -> None:
+        """Process tests that no other labpipe has claimed; retry those that are being written."""
         try:
-            self._process(executor, due, again)
-            for _ in range(_TRIES):
-                if not self._in_use:
+            self._process(executor, due, forced)
+            for _ in range(_MAX_RETRIES):
+                if not self._busy:
                     break
-                time.sleep(_RETRY_PAUSE)
-                unfinished, self._in_use = self._in_use, []
-                self._process(executor, unfinished, again)
+                time.sleep(_RETRY_DELAY)
+                unfinished, self._busy = self._busy, []
+                self._process(executor, unfinished, forced)
         finally:
-            self._sync.catalog.release(*self._at_work.values())
-        self.elsewhere += self._in_use
+            self._sync.catalog.release(*self._claimed.values())
+        self.elsewhere += self._busy
 
-    def _process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
-        with closing(self._tasks(due, again)) as tasks:
+    def _process(self, executor: Executor, due: list[str], forced: Collection[str]) -> None:
+        with closing(self._claim_tasks(due, forced)) as tasks:
             for outcome in executor(tasks):
-                self._settle(outcome)
+                self._record(outcome)
 
-    def _tasks(self, due: list[str], again: Collection[str]) -> Generator[Task, None, None]:
-        """Claim tests one by one; skip those processed by another run meanwhile."""
+    def _claim_tasks(self, due: list[str], forced: Collection[str]) -> Generator[Task, None, None]:
+        """Claim tests one by one; skip those that another run has processed meanwhile."""
         sync = self._sync
         for folder in due:
             if not sync.catalog.claim(folder):
                 self.elsewhere.append(folder)
                 continue
-            row = sync.renew(folder)
+            row = sync.refresh_test(folder)
             sheet = sync.campaign.raw / folder / SHEET_NAME
-            if (row.state not in {PENDING, STALE} and folder not in again) or not sheet.is_file():
+            if (row.state not in {PENDING, STALE} and folder not in forced) or not sheet.is_file():
                 sync.catalog.release(folder)
                 continue
-            self._at_work[sheet] = folder
-            key = sync.content_of(folder).key
+            self._claimed[sheet] = folder
+            key = sync.determine_content(folder).key
             yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
 
-    def _settle(self, outcome: Outcome) -> None:
-        folder = self._at_work.pop(outcome.sheet)
+    def _record(self, outcome: Outcome) -> None:
+        """Update the catalog from the outcome of a test, and release the test."""
+        folder = self._claimed.pop(outcome.sheet)
         catalog = self._sync.catalog
         if outcome.code == "in_use":  # a process that outlived its killed run
-            self._in_use.append(folder)
+            self._busy.append(folder)
         else:
-            self._sync.renew(folder)
+            self._sync.refresh_test(folder)
             self.outcomes[folder] = outcome
             self._on_outcome(folder, outcome)
         catalog.release(folder)
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:
-    """Return the state of a campaign without processing.
+    """Read the state of a campaign without processing.
 
     Parameters
     ----------
@@ -234,7 +237,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     Raises
     ------
     UsageError
-        If no failure has that code.
+        If `code` is not empty and no failure has it.
     """
     with _open_writable(campaign) as sync:
         overview = sync.refresh()
@@ -252,7 +255,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
             path = campaign.processed / folder / FAILURE_FILE
             with storing(path):
                 path.unlink(missing_ok=True)
-            sync.renew(folder)
+            sync.refresh_test(folder)
     return chosen
 
 
@@ -285,7 +288,7 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
 
 
 def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestRow:
-    """Find the row of a test by its folder, or by its name if it is unique."""
+    """Find the row of a test by its folder, or by its name if only one test has that name."""
     label = test.replace("\\", "/").strip("/")
     if label in overview.rows:
         return overview.rows[label]

@@ -1,7 +1,7 @@
-"""Serve a report to a browser on the same machine, and save decisions.
+"""The HTTP server of ``labpipe serve``: shows a report and saves decisions on its tests.
 
-The server of the standard library is sufficient: one user, a few requests a minute, and each answer
-is a file or takes a second of work.
+Only a browser on the same machine that knows the secret address gets an answer. The server of the
+standard library suffices: one person, a few requests a minute.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
-    decision_entry,
-    decisions_on,
+    find_label,
     import_decisions,
-    label_of,
     parse_decisions,
+    read_decisions_on,
 )
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE, allow_own_server
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
-LOOPBACK: Final = "127.0.0.1"
-REPORT: Final = "report"
+LOOPBACK_ADDRESS: Final = "127.0.0.1"
+REPORT_FOLDER: Final = "report"
 _TEST_PAGES_FOLDER: Final = name_page_file("").partition("/")[0]
 _INLINE_CONTENT_TYPES: Final = {
     ".html": "text/html; charset=utf-8",
@@ -45,7 +45,7 @@ _INLINE_CONTENT_TYPES: Final = {
     ".yaml": "text/plain; charset=utf-8",
     ".csv": "text/plain; charset=utf-8",
 }
-"""Types that a browser may display; all others are downloads."""
+"""Content types that a browser may display, by ending; other files are downloads."""
 _COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -53,40 +53,43 @@ _COMMON_HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-_NO_SCRIPT_POLICY: Final = (
-    "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
-)
-"""Policy of all files except labpipe's own pages: other files must not run scripts."""
+_FILE_POLICY: Final = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+"""Content security policy of files, which must not run scripts."""
+_PAGE_POLICY: Final = "frame-ancestors 'none'"
+"""Content security policy of labpipe's own pages, which may run scripts."""
+_MAX_LISTED: Final = 10
+"""Largest number of decisions that a reply names as not saved."""
 
 
 @dataclass(slots=True)
 class Site:
-    """A served report.
+    """The report to serve, and the functions that make its pages.
 
     Parameters
     ----------
-    folder : of the results of the campaign
+    results_folder : of the campaign
     campaign : its name
-    report : folder of report.html
+    report_folder : with report.html
     make_report : makes the report again
-    make_test_page : makes the page of a test from its result file
-    token : first part of every address; required for access
+    make_test_page : makes the HTML page of a test from its result file
+    token : secret first part of every address; a request without it is refused
+    lock : held while pages are made or decisions are saved
     """
 
-    folder: Path
+    results_folder: Path
     campaign: str
-    report: Path
+    report_folder: Path
     make_report: Callable[[], None]
     make_test_page: Callable[[Path], str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    work: threading.Lock = field(default_factory=threading.Lock)
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-class RefusedError(Exception):
-    """A refused request, with its HTTP status."""
+class _RefusedRequest(Exception):  # noqa: N818  a reply, not a fault
+    """A request that is refused with an HTTP status and a message."""
 
-    def __init__(self, status: HTTPStatus, why: str) -> None:
-        super().__init__(why)
+    def __init__(self, status: HTTPStatus, message: str) -> None:
+        super().__init__(message)
         self.status = status
 
 
@@ -101,7 +104,7 @@ class ReportServer(ThreadingHTTPServer):
     Raises
     ------
     UsageError
-        If the port is in use.
+        If the port is in use or impossible.
     """
 
     daemon_threads = True
@@ -110,7 +113,7 @@ class ReportServer(ThreadingHTTPServer):
     def __init__(self, site: Site, port: int) -> None:
         self.site = site
         try:
-            super().__init__((LOOPBACK, port), _Handler)
+            super().__init__((LOOPBACK_ADDRESS, port), _RequestHandler)
         except (OSError, OverflowError) as error:
             found = (getattr(error, "strerror", None) or "an impossible number").lower()
             raise UsageError.about("campaign.port", f"--port {port}", found=found) from error
@@ -119,7 +122,7 @@ class ReportServer(ThreadingHTTPServer):
         """Bind without resolving the host name, which may need a network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
-        self.server_name, self.server_port = LOOPBACK, int(self.server_address[1])
+        self.server_name, self.server_port = LOOPBACK_ADDRESS, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print errors, except lost and timed-out connections."""
@@ -129,163 +132,174 @@ class ReportServer(ThreadingHTTPServer):
     @property
     def address(self) -> str:
         """Return the address of the report."""
-        return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
+        return f"http://{LOOPBACK_ADDRESS}:{self.server_port}/{self.site.token}/"
 
 
 @dataclass(frozen=True, slots=True)
 class _Reply:
-    """Content of a reply, and what its headers say."""
+    """Content of a reply, and what its headers depend on."""
 
     content: bytes = b""
     content_type: str = _INLINE_CONTENT_TYPES[".json"]
-    policy: str = _NO_SCRIPT_POLICY
+    policy: str = _FILE_POLICY
     status: HTTPStatus = HTTPStatus.OK
-    more: tuple[tuple[str, str], ...] = ()
+    extra_headers: tuple[tuple[str, str], ...] = ()
 
 
-def _page(text: str) -> _Reply:
-    return _Reply(text.encode(), _INLINE_CONTENT_TYPES[".html"], policy="frame-ancestors 'none'")
+def _page_reply(html: str) -> _Reply:
+    return _Reply(html.encode(), _INLINE_CONTENT_TYPES[".html"], policy=_PAGE_POLICY)
 
 
-def _json(content: object, status: HTTPStatus = HTTPStatus.OK) -> _Reply:
+def _json_reply(content: object, status: HTTPStatus = HTTPStatus.OK) -> _Reply:
     return _Reply(json.dumps(content).encode(), status=status)
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _RequestHandler(BaseHTTPRequestHandler):
     server: ReportServer
     server_version, sys_version = "labpipe", ""
-    timeout = 30.0
+    timeout = 30.0  # s
 
     def do_GET(self) -> None:
         """Send a page or a file."""
-        self._answer(self._get)
+        self._send_reply(self._reply_to_get)
 
     def do_POST(self) -> None:
         """Save decisions, or make the report again."""
-        self._answer(self._post)
+        self._send_reply(self._reply_to_post)
 
     def log_message(self, format: str, *args: object) -> None:
         """Do not print requests."""
 
-    def _answer(self, make: Callable[[list[str]], _Reply]) -> None:
+    def _send_reply(self, make_reply: Callable[[list[str]], _Reply]) -> None:
+        """Send the reply to an authorised request, or the message of an error."""
         try:
-            reply = make(self._authorised_path())
-        except RefusedError as error:
-            reply = _json({"error": str(error)}, error.status)
+            reply = make_reply(self._read_authorised_path())
+        except _RefusedRequest as error:
+            reply = _json_reply({"error": str(error)}, error.status)
         except LabpipeError as error:
-            reply = _json({"error": str(error)}, HTTPStatus.CONFLICT)
+            reply = _json_reply({"error": str(error)}, HTTPStatus.CONFLICT)
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            reply = _json({"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            reply = _json_reply(
+                {"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR
+            )
         self.send_response(reply.status)
-        length = str(len(reply.content))
-        own = {"Content-Type": reply.content_type, "Content-Length": length}
-        own["Content-Security-Policy"] = reply.policy
-        for name, value in (own | _COMMON_HEADERS | dict(reply.more)).items():
+        headers = _COMMON_HEADERS | {
+            "Content-Type": reply.content_type,
+            "Content-Length": str(len(reply.content)),
+            "Content-Security-Policy": reply.policy,
+        }
+        for name, value in (*headers.items(), *reply.extra_headers):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(reply.content)
 
-    def _authorised_path(self) -> list[str]:
-        """Check a request, and return the parts of its address after the token."""
-        _check_sender(self.headers, self.server.server_port)
+    def _read_authorised_path(self) -> list[str]:
+        """Check sender and token of a request; return the path after the token in parts."""
+        _require_own_page(self.headers, self.server.server_port)
         try:
-            parts = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
+            token, *path = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
         except ValueError:
             raise _not_found() from None
-        token = self.server.site.token
-        if not secrets.compare_digest(parts[0].encode("utf-8", "replace"), token.encode()):
-            raise RefusedError(HTTPStatus.FORBIDDEN, "Open the address that labpipe serve printed.")
-        return parts[1:]
+        own_token = self.server.site.token
+        if not secrets.compare_digest(token.encode("utf-8", "replace"), own_token.encode()):
+            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
+        return path
 
-    def _get(self, parts: list[str]) -> _Reply:
+    def _reply_to_get(self, path: list[str]) -> _Reply:
         site = self.server.site
-        if parts in ([], [""], [REPORT], [REPORT, ""]):
-            location = f"/{site.token}/{REPORT}/{PAGE_FILE}"
-            return _Reply(status=HTTPStatus.FOUND, more=(("Location", location),))
-        if parts == [REPORT, PAGE_FILE]:
-            return _page(allow_own_server((site.report / PAGE_FILE).read_text(encoding="utf-8")))
-        if len(parts) == 3 and parts[:2] == [REPORT, _TEST_PAGES_FOLDER]:
-            with site.work:
-                return _page(site.make_test_page(_find_test("/".join(parts[1:]), site)))
-        file = _find_file(parts, site)
-        content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower(), "")
-        more = () if content_type else (("Content-Disposition", "attachment"),)
-        return _Reply(file.read_bytes(), content_type or "application/octet-stream", more=more)
+        if path in ([], [""], [REPORT_FOLDER], [REPORT_FOLDER, ""]):
+            location = f"/{site.token}/{REPORT_FOLDER}/{PAGE_FILE}"
+            return _Reply(status=HTTPStatus.FOUND, extra_headers=(("Location", location),))
+        if path == [REPORT_FOLDER, PAGE_FILE]:
+            html = (site.report_folder / PAGE_FILE).read_text(encoding="utf-8")
+            return _page_reply(allow_own_server(html))
+        if len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
+            with site.lock:
+                return _page_reply(site.make_test_page(_find_result("/".join(path[1:]), site)))
+        file = _find_file(path, site)
+        if (content_type := _INLINE_CONTENT_TYPES.get(file.suffix.lower())) is not None:
+            return _Reply(file.read_bytes(), content_type)
+        download = (("Content-Disposition", "attachment"),)
+        return _Reply(file.read_bytes(), "application/octet-stream", extra_headers=download)
 
-    def _post(self, parts: list[str]) -> _Reply:
+    def _reply_to_post(self, path: list[str]) -> _Reply:
         if self.headers.get("Origin") is None:
-            raise RefusedError(HTTPStatus.FORBIDDEN, "Expected a request from the report page.")
-        body = self._body()
+            raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
+        body = self._read_body()
         site = self.server.site
-        with site.work:
-            if parts == [REPORT, "decisions"]:
-                return _json(_save(body, site))
-            if parts == [REPORT, REPORT]:
+        with site.lock:
+            if path == [REPORT_FOLDER, "decisions"]:
+                return _json_reply(_save_decisions(body, site))
+            if path == [REPORT_FOLDER, "report"]:
                 site.make_report()
-                return _json({"said": "The report was rebuilt."})
+                return _json_reply({"message": format_sentence("campaign.report_rebuilt")})
         raise _not_found()
 
-    def _body(self) -> bytes:
-        # of a request body
+    def _read_body(self) -> bytes:
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
-        length = whole_number(header)
+        length = parse_count(header)
         if length is None or length > max_bytes:
             self.close_connection = True
-            limits = f"expected at most {max_bytes} bytes, found {header[:20] or 'no length'}."
-            raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {limits}")
+            found = header[:20] or "no length"
+            message = format_sentence("campaign.large_request", limit=max_bytes, found=found)
+            raise _RefusedRequest(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, message)
         return self.rfile.read(length)
 
 
-def _check_sender(headers: Any, port: int) -> None:
-    """Refuse requests of other sites, also under a host name of theirs."""
+def _require_own_page(headers: Any, port: int) -> None:
+    """Refuse requests of the pages of other sites, also under a host name of theirs."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
     why = ""
-    if host not in {f"{name}:{port}" for name in (LOOPBACK, "localhost")}:
-        why = f"Host: expected {LOOPBACK}:{port}, found {host!r}."
+    if host not in {f"{name}:{port}" for name in (LOOPBACK_ADDRESS, "localhost")}:
+        why = f"Host: expected {LOOPBACK_ADDRESS}:{port}, found {host!r}."
     elif origin is not None and origin != f"http://{host}":
         why = f"Origin: expected http://{host}, found {origin!r}."
     elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
         why = "The request came from another site."
     if why:
-        raise RefusedError(HTTPStatus.FORBIDDEN, f"{why} Open the address as printed.")
+        raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=why))
 
 
-def _not_found() -> RefusedError:
-    return RefusedError(HTTPStatus.NOT_FOUND, "There is no such file in this campaign.")
+def _not_found() -> _RefusedRequest:
+    return _RefusedRequest(HTTPStatus.NOT_FOUND, format_sentence("campaign.no_such_file"))
 
 
-def _find_file(parts: list[str], site: Site) -> Path:
-    """Find a file of the report or campaign; refuse hidden files and others."""
-    if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in parts):
+def _find_file(path: list[str], site: Site) -> Path:
+    """Find a file of the report or the campaign; refuse hidden files and files elsewhere."""
+    if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in path):
         raise _not_found()
-    is_report = parts[0] == REPORT
-    top = (site.report if is_report else site.folder).resolve()
-    file = top.joinpath(*parts[1:] if is_report else parts).resolve()
+    is_of_report = path[0] == REPORT_FOLDER
+    top = (site.report_folder if is_of_report else site.results_folder).resolve()
+    file = top.joinpath(*path[1:] if is_of_report else path).resolve()
     if not file.is_relative_to(top) or not file.is_file():
         raise _not_found()
     return file
 
 
-def _find_test(name: str, site: Site) -> Path:
-    """Find the result of a test by the name of its page."""
-    for file in files_below(site.folder, RESULT_FILE):
-        if name_page_file(label_of(file, site.folder)) == name:
+def _find_result(page: str, site: Site) -> Path:
+    """Find the result file of a test by the name of its page."""
+    for file in files_below(site.results_folder, RESULT_FILE):
+        if name_page_file(find_label(file, site.results_folder)) == page:
             return file
     raise _not_found()
 
 
-def _save(body: bytes, site: Site) -> dict[str, Any]:
-    """Import the decisions of a page; return the answer with all decisions."""
-    read = parse_decisions(body, Path("decisions"))
-    if read.faults:
-        raise RefusedError(HTTPStatus.BAD_REQUEST, "\n".join(read.faults))
-    taken = import_decisions(site.folder, site.campaign, read.decisions)
-    stored = decisions_on(files_below(site.folder, RESULT_FILE))
-    entries = [decision_entry(decision) for decisions in stored.values() for decision in decisions]
-    sentences = [f"{write_count(len(taken.added) + taken.n_known, 'decision')} saved."]
-    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.not_imported]
-    sentences += ["They take effect when the report is made again."] * bool(taken.added)
-    return {"said": " ".join(sentences), "decisions": entries}
+def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
+    """Import the decisions of a page; return a message, and all decisions of the campaign."""
+    sent = parse_decisions(body, Path("decisions"))
+    if sent.faults:
+        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(sent.faults[:_MAX_LISTED]))
+    imported = import_decisions(site.results_folder, site.campaign, sent.decisions)
+    stored = read_decisions_on(files_below(site.results_folder, RESULT_FILE))
+    entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
+    sentences = [f"{write_count(len(imported.added) + imported.n_known, 'decision')} saved."]
+    refused = [f"{decision.test}: not saved: {why}." for decision, why in imported.not_imported]
+    sentences += refused[:_MAX_LISTED]
+    if len(refused) > _MAX_LISTED:
+        sentences.append(f"{len(refused) - _MAX_LISTED} more not saved.")
+    if imported.added:
+        sentences.append(format_sentence("campaign.decisions_take_effect"))
+    return {"message": " ".join(sentences), "decisions": entries}

@@ -1,8 +1,9 @@
-"""Processes for calls; if a process dies, only its call fails."""
+"""Run calls in processes; if a process dies, only its call fails."""
 
 from __future__ import annotations
 
 import json
+import operator
 import os
 import pickle
 import queue
@@ -10,13 +11,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any, NoReturn, TypeVar, cast
+from typing import IO, NoReturn, TypeVar, cast
 
 from labpipe.errors import ProcessingError
 
@@ -25,12 +26,12 @@ T = TypeVar("T")
 
 
 class ProcessDied(Exception):  # noqa: N818  an outcome
-    """The process of a call ended before the call.
+    """The process of a call died before the call was completed.
 
     Parameters
     ----------
-    exit_code : of the process; minus the number of a signal
-    limit : s, time limit if it was exceeded; else None
+    exit_code : of the process; minus the number of the signal that killed it
+    limit : time limit of the call, s, if it was exceeded; else None
     """
 
     def __init__(self, exit_code: int, limit: float | None = None) -> None:
@@ -39,7 +40,7 @@ class ProcessDied(Exception):  # noqa: N818  an outcome
 
     @property
     def how(self) -> str:
-        """Return the text on the signal or exit code."""
+        """Return how the process died: by a signal, or with an exit code."""
         if self.exit_code >= 0:
             return f"with exit code {self.exit_code}"
         with suppress(ValueError):
@@ -59,13 +60,13 @@ class ProcessDied(Exception):  # noqa: N818  an outcome
 
 
 class WorkerProcess:
-    """A process for calls in sequence, started on first use and restarted after its death.
+    """A child process that runs calls one after another; replaced if it dies.
 
     Notes
     -----
-    The process is not forked, since forks of processes with threads may deadlock, and does not use
-    `multiprocessing`, which workers of a cluster must not use. If this process is killed, it ends
-    at once.
+    It is started by the first call. It is not forked, since a fork of a process with threads may
+    deadlock, and not made by `multiprocessing`, which workers of a cluster must not use. It ends at
+    once if its parent is killed.
     """
 
     def __init__(self) -> None:
@@ -76,8 +77,8 @@ class WorkerProcess:
 
         Parameters
         ----------
-        work : can be pickled, such as a partial of a module-level function
-        limit : s, time limit, after which the process is ended; None for no limit
+        work : can be pickled, such as a partial of a module-level function; so can its result
+        limit : s, time limit, after which the process is killed; None for no limit
 
         Raises
         ------
@@ -93,69 +94,38 @@ class WorkerProcess:
         is_late = threading.Event()
         timer = threading.Timer(
             min(threading.TIMEOUT_MAX, limit or threading.TIMEOUT_MAX),
-            _end_late,
+            _kill_late,
             (self.process, is_late),
         )
         timer.daemon = True
         timer.start()
-        answer: bytes | None = None
+        reply: bytes | None = None
         with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):  # it died
             _send(call, cast("IO[bytes]", self.process.stdin))
-            answer = pickle.load(cast("IO[bytes]", self.process.stdout))
+            reply = pickle.load(cast("IO[bytes]", self.process.stdout))
         timer.cancel()
         timer.join()
-        if answer is None:
+        if reply is None:
             raise ProcessDied(self.close(), limit if is_late.is_set() else None)
-        result, error = pickle.loads(answer)
+        result, error = pickle.loads(reply)
         if error is not None:
             raise error
         return cast("T", result)
 
     def close(self) -> int:
-        """End the process, also during a call, and return its exit code; 0 without a process."""
+        """Kill the process, also during a call, and return its exit code; 0 without a process."""
         process, self.process = self.process, None
         if process is None:
             return 0
         if process.returncode is None:
-            _kill(process)  # has no effect on the exit code of a process that died
+            _kill(process)  # a process that died already keeps its exit code
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):
                 cast("IO[bytes]", pipe).close()
         return process.wait()
 
 
-@contextmanager
-def _submitting(
-    jobs: int, limit: float | None
-) -> Iterator[Callable[[Callable[[], Any]], Future[Any]]]:
-    """Yield a function that starts a call in one of several processes.
-
-    At the end, calls that run are completed, and no others are started.
-    """
-    workers = [WorkerProcess() for _ in range(jobs)]
-    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
-    for worker in workers:
-        idle.put(worker)
-
-    def run(work: Callable[[], Any]) -> Any:
-        worker = idle.get()
-        try:
-            return worker.call(work, limit=limit)
-        finally:
-            idle.put(worker)
-
-    threads = ThreadPoolExecutor(jobs)
-    try:
-        yield lambda work: threads.submit(run, work)
-    finally:
-        try:
-            threads.shutdown(cancel_futures=True)
-        finally:
-            for worker in workers:
-                worker.close()
-
-
-def as_completed(
+def run_as_completed(
     work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
@@ -163,9 +133,9 @@ def as_completed(
     Parameters
     ----------
     work : can be pickled, such as a module-level function
-    arguments : can be pickled; taken when processes become free
+    arguments : can be pickled; the next one is taken whenever a process becomes free
     jobs : maximum number of processes, which are started on first use
-    limit : s, time limit of a call, after which its process is ended; None for no limit
+    limit : s, time limit of a call, after which its process is killed; None for no limit
 
     Yields
     ------
@@ -174,47 +144,46 @@ def as_completed(
 
     Notes
     -----
-    On an interrupt, started calls are completed.
+    If the generator is closed, as on an interrupt, started calls are completed.
     """
+    workers = [WorkerProcess() for _ in range(jobs)]
+    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def run(argument: A) -> T:
+        worker = idle.get()
+        try:
+            return worker.call(partial(work, argument), limit=limit)
+        finally:
+            idle.put(worker)
+
     remaining = iter(arguments)
     running: dict[Future[T], A] = {}
-    with _submitting(jobs, limit) as submit:
+    threads = ThreadPoolExecutor(jobs)
+    try:
         for argument in islice(remaining, jobs):
-            running[submit(partial(work, argument))] = argument
+            running[threads.submit(run, argument)] = argument
         while running:
             future = wait(running, return_when=FIRST_COMPLETED).done.pop()
-            argument = running.pop(future)
-            for following in islice(remaining, 1):
-                running[submit(partial(work, following))] = following
-            yield argument, future
+            completed = running.pop(future)
+            for argument in islice(remaining, 1):
+                running[threads.submit(run, argument)] = argument
+            yield completed, future
+    finally:
+        try:
+            threads.shutdown(cancel_futures=True)
+        finally:
+            for worker in workers:
+                worker.close()
 
 
-def in_processes(
-    calls: Sequence[Callable[[], T]], *, jobs: int, limit: float | None = None
-) -> Generator[Future[T], None, None]:
-    """Call functions in parallel processes, with results in order.
-
-    Parameters
-    ----------
-    calls : can be pickled, such as partials of module-level functions
-    jobs, limit : see `as_completed`
-
-    Yields
-    ------
-    Their completed futures in order; a result raises as `WorkerProcess.call`.
-    """
-    with _submitting(jobs, limit) as submit:
-        for future in [submit(call) for call in calls]:
-            wait([future])
-            yield future
-
-
-def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
-    """Call functions in parallel, each in its own process.
+def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
+    """Run calls in parallel processes; a single job runs in this process.
 
     Parameters
     ----------
-    calls : partials of module-level functions with their arguments
+    calls : different partials of module-level functions
     jobs : number of calls at the same time
 
     Returns
@@ -224,19 +193,21 @@ def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     Raises
     ------
     ProcessingError
-        If a process ended before its call.
+        If a process died during its call.
     """
     if jobs == 1:
         return [call() for call in calls]
     try:
-        return [future.result() for future in in_processes(calls, jobs=jobs)]
+        completed = run_as_completed(operator.call, calls, jobs=jobs)
+        results = {call: future.result() for call, future in completed}
     except ProcessDied as died:
         raise died.error("labpipe") from died
+    return [results[call] for call in calls]
 
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
-    " from labpipe.campaign.workers import serve; serve()"
+    " from labpipe.campaign.workers import run_worker; run_worker()"
 )
 
 
@@ -259,7 +230,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             os.killpg(process.pid, signal.SIGKILL)
 
 
-def _end_late(process: subprocess.Popen[bytes], is_late: threading.Event) -> None:
+def _kill_late(process: subprocess.Popen[bytes], is_late: threading.Event) -> None:
     is_late.set()
     _kill(process)
 
@@ -269,23 +240,23 @@ def _send(message: bytes, stream: IO[bytes]) -> None:
     stream.flush()
 
 
-def serve() -> NoReturn:
-    """Run the calls from standard input, in a `WorkerProcess`.
+def run_worker() -> NoReturn:
+    """Run the calls that arrive on standard input, in the process of a `WorkerProcess`.
 
-    Interrupts are handled by the parent, so that started calls are completed. This process ends
-    with its parent. Output of libraries goes to standard error; their input is empty.
+    Only the parent handles interrupts, so that started calls are completed. The process ends with
+    its parent. Output of libraries goes to standard error; their standard input is empty.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(OSError):  # out of memory, Linux then kills this process first
+    with suppress(OSError):  # if memory runs out, Linux kills this process first
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
-    requests, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read_calls, args=(requests, calls), daemon=True).start()
     try:
         while True:
-            _send(_answer(calls.get()), out)
+            _send(_run_call(calls.get()), replies)
     except SystemExit as error:
         os._exit(error.code if isinstance(error.code, int) else 1)
 
@@ -294,10 +265,10 @@ def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
     with suppress(OSError, EOFError, pickle.UnpicklingError):
         while True:
             calls.put(pickle.load(requests))
-    os._exit(1)  # no receiver for the outcome; files are complete, old or new
+    os._exit(1)  # the parent is gone; files are complete, old or new
 
 
-def _answer(call: bytes) -> bytes:
+def _run_call(call: bytes) -> bytes:
     try:
         return pickle.dumps((pickle.loads(call)(), None))
     except Exception as error:  # noqa: BLE001  raised again in the parent

@@ -1,7 +1,7 @@
-"""The command line: parse the arguments, call the work, print the outcome.
+"""The command line: parse the arguments, run the command, return the exit status.
 
-Only the standard library is imported here; each command imports what it needs when it runs, so
-that ``labpipe --help`` answers at once.
+Only the standard library is imported here, so that ``labpipe --help`` answers at once. The module
+of a command is imported when it runs.
 """
 
 from __future__ import annotations
@@ -21,16 +21,14 @@ from typing import Any
 
 from labpipe import __version__
 
-_Shared = Mapping[str, Sequence[Any]]
+_SharedArguments = Mapping[str, Sequence[Any]]
+"""Lists of arguments that several commands have, by name."""
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+"""Exit statuses."""
 
-_COMPLETION = "_ARGCOMPLETE"
+_COMPLETION_VARIABLE = "_ARGCOMPLETE"
 """Environment variable that the script of `labpipe completion` sets."""
-_NO_MEMORY = (
-    "expected enough free memory, found none left. Close other programs, or process fewer files;"
-    " earlier results are unchanged."
-)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,28 +42,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
     """
-    if _COMPLETION in os.environ:  # a shell asks for completions
+    if _COMPLETION_VARIABLE in os.environ:  # a shell asks for completions
         from argcomplete import autocomplete
 
-        autocomplete(parser_of_commands())  # exits
-    options = parser_of_commands().parse_args(arguments)
+        autocomplete(build_parser())  # exits
+    options = build_parser().parse_args(arguments)
     if arguments is not None:
         return _run(options)
     if not sys.warnoptions:  # numpy's, for developers only: `python -W default` shows
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
-        return _run(options, once_imported=_freeze_imported_objects)
+        return _run(options, once_imported=_freeze_imports)
     finally:
-        _freeze_imported_objects()
+        _freeze_imports()
 
 
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
-    from labpipe.errors import (
-        LabpipeError,
-        describe_system_error,
-        find_error_code,
-    )  # not needed for --help
+    # not needed for --help
+    from labpipe.errors import LabpipeError, describe_system_error, find_error_code
+    from labpipe.messages import format_sentence
 
     # The matrices of a test are too small for more than one BLAS thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -79,7 +75,7 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("labpipe: interrupted; earlier results are unchanged", file=sys.stderr)
+        print(f"labpipe: {format_sentence('cli.interrupted')}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of the pipe has closed it: discard what Python flushes at exit.
@@ -88,22 +84,26 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
     except Exception as error:
         if (code := find_error_code(error)) == "fault_of_labpipe":
             raise
-        message = _NO_MEMORY if code == "out_of_memory" else describe_system_error(error)
+        message = (
+            format_sentence("cli.no_memory")
+            if code == "out_of_memory"
+            else describe_system_error(error)
+        )
         print(f"labpipe {options.command}: {message}", file=sys.stderr)
         return BAD_INPUT
 
 
-def _freeze_imported_objects() -> None:
-    """Enable garbage collection for objects created from now on.
+def _freeze_imports() -> None:
+    """Enable garbage collection, but only of objects created from now on.
 
-    Modules are a hundred thousand permanent objects: scanning them for garbage takes a sixth of
-    the time of a test.
+    Modules are a hundred thousand permanent objects. To scan them for garbage takes a sixth of the
+    time of a test.
     """
     gc.freeze()
     gc.enable()
 
 
-def parser_of_commands() -> argparse.ArgumentParser:
+def build_parser() -> argparse.ArgumentParser:
     """Build the parser of all commands from ``commands.toml``."""
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     labpipe, shared, *commands = tomllib.loads(text).items()
@@ -120,8 +120,10 @@ def parser_of_commands() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_command(choice: Any, name: str, entry: Mapping[str, Any], shared: _Shared) -> None:
-    """Add a command, or an action of one."""
+def _add_command(
+    choice: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
+) -> None:
+    """Add a command, or an action of a command."""
     about = entry["about"]
     description = f"{about[0].upper()}{about[1:]}."
     parser = choice.add_parser(
@@ -134,7 +136,7 @@ def _add_command(choice: Any, name: str, entry: Mapping[str, Any], shared: _Shar
             _add_command(actions, action, action_entry, shared)
 
 
-def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _Shared) -> None:
+def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArguments) -> None:
     for argument in arguments:
         if isinstance(argument, str):
             _add_arguments(parser, shared[argument], shared)
@@ -147,7 +149,7 @@ def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _Shared) -> No
             parser.add_argument(argument["name"], **options)
 
 
-def _path(text: str) -> Path:
+def _parse_path(text: str) -> Path:
     max_shown_chars = 60
     try:
         Path(text).resolve().exists()
@@ -159,17 +161,17 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
-def _whole(text: str, least: int = 0) -> int:
-    if not text.isdecimal() or int(text) < least:
-        of_least = f" of {least} or more" if least else ""
-        message = f"expected a whole number{of_least}, found {text!r}"
+def _parse_count(text: str, minimum: int = 0) -> int:
+    if not text.isdecimal() or int(text) < minimum:
+        range_text = f" of {minimum} or more" if minimum else ""
+        message = f"expected a whole number{range_text}, found {text!r}"
         raise argparse.ArgumentTypeError(message)
     return int(text)
 
 
 _TYPES: Mapping[str, Callable[[str], object]] = {
-    "path": _path,
-    "count": partial(_whole, least=1),
-    "whole": _whole,
+    "path": _parse_path,
+    "count": partial(_parse_count, minimum=1),
+    "whole": _parse_count,
     "number": int,
 }

@@ -1,4 +1,4 @@
-"""``labpipe calibrate``."""
+"""``labpipe calibrate``: fit the wire model to processed cantilever tests."""
 
 from __future__ import annotations
 
@@ -10,22 +10,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.campaign.decisions import without_rejected
-from labpipe.campaign.queries import escaped
-from labpipe.cli.terminal import DIGITS, from_here, reading
+from labpipe.campaign.decisions import exclude_rejected
+from labpipe.campaign.queries import escape_controls
+from labpipe.cli.terminal import DIGITS, shorten_path, show_reading
 from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
-    CurveMatch,
     ExternalCurveComparison,
     Identifiability,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.report.wording import make_number_writer
+from labpipe.report.wording import make_number_writer, write_count
 
-_DOUBTED = {
+_DOUBTFUL_VERDICTS = {
     Identifiability.NOT,
     Identifiability.TWO,
     Identifiability.AT_BOUND,
@@ -35,10 +34,12 @@ _DOUBTED = {
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
-    files, rejected = without_rejected(find_results(options.paths))
+    files, rejected = exclude_rejected(find_results(options.paths))
     for file, why in rejected.items():
-        print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
-    with reading(len(options.paths)) as say:
+        print(
+            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr
+        )
+    with show_reading(len(options.paths)) as say:
         done = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,
@@ -48,14 +49,14 @@ def run(options: argparse.Namespace) -> int:
             png=options.png,
             say=say,
         )
-    print(json.dumps(as_json(done)) if options.json else calibration_table(done))
+    print(json.dumps(as_json(done)) if options.json else format_calibration(done))
     for reason in done.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
     return 2 if done.left_out else 0
 
 
-def calibration_table(done: Calibrated) -> str:
-    """Lay out a calibration for a terminal.
+def format_calibration(done: Calibrated) -> str:
+    """Format a calibration for a terminal.
 
     Parameters
     ----------
@@ -68,34 +69,34 @@ def calibration_table(done: Calibrated) -> str:
     """
     calibration = done.calibration
     lines = [
-        f"{calibration.wire}: {calibration.n_points} points of {calibration.n_samples} "
-        f"sample{'s' * (calibration.n_samples != 1)}, rms "
-        f"{_rounded(1e3 * calibration.rmse, 3)} mN ({_percent(calibration.rmse_share)} of the "
-        f"largest force)"
+        f"{calibration.wire}: {calibration.n_points} points of "
+        f"{write_count(calibration.n_samples, 'sample')}, "
+        f"rms {_format_rounded(1e3 * calibration.rmse, 3)} mN "
+        f"({_format_percent(calibration.rmse_share)} of the largest force)"
     ]
     parameters = calibration.parameters
-    lines += [_parameter(parameter) for parameter in parameters]
+    lines += [_format_parameter(parameter) for parameter in parameters]
     explanations = [parameter.explanation for parameter in parameters if parameter.explanation]
     conflicts = [parameter.conflict.message for parameter in parameters if parameter.conflict]
     lines += [f"  {message}" for message in (*explanations, *conflicts)]
     if calibration.friction_separability is not None:
         lines.append(f"  {calibration.friction_separability.explanation}")
     heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
-    lines += ["", heading, *map(_group, done.groups), *comparison_lines(done.comparisons)]
+    lines += ["", heading, *map(_format_group, done.groups), *format_comparisons(done.comparisons)]
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in calibration.notes
         if note.message not in {*explanations, *conflicts}
     ]
-    lines.append(f"results: {from_here(done.folder)}")
+    lines.append(f"results: {shorten_path(done.folder)}")
     return "\n".join(lines)
 
 
-def _parameter(parameter: CalibratedParameter) -> str:
+def _format_parameter(parameter: CalibratedParameter) -> str:
     factor, unit = DISPLAYED[parameter.name]
     if math.isnan(parameter.value):
         return f"  {parameter.name:<20}{'-':>10} {unit:<4} has no effect"
-    mark = "?" if parameter.verdict in _DOUBTED else " "
+    mark = "?" if parameter.verdict in _DOUBTFUL_VERDICTS else " "
     enclosing = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper), None
     )
@@ -113,32 +114,34 @@ def _parameter(parameter: CalibratedParameter) -> str:
     return f"{line} 95 %: {parts}  {parameter.verdict}"
 
 
-def _rounded(number: float, digits: int) -> str:
+def _format_rounded(number: float, digits: int) -> str:
     """Write a number with some digits, never in scientific notation."""
     return np.format_float_positional(float(f"{number:.{digits}g}"), trim="-")
 
 
-def _percent(share: float, digits: int = 2) -> str:
-    return f"{_rounded(100.0 * share, digits)} %"
+def _format_percent(share: float, digits: int = 2) -> str:
+    return f"{_format_rounded(100.0 * share, digits)} %"
 
 
-def _cells(rmse: float, share: str, inside: str) -> str:
-    """Lay out the columns of errors, always with a space between them."""
-    return f" {_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
+def _format_errors(rmse: float, share: str, inside: str) -> str:
+    """Format the columns of errors, with a space between them."""
+    return f" {_format_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
 
 
-def _group(group: ValidationGroup) -> str:
+def _format_group(group: ValidationGroup) -> str:
     role = "calibrating" if group.is_calibrated else "predicted"
     head = f"  {f'{group.wire}, {1e3 * group.length:.4g} mm':<14}{len(group.samples):>8}"
     errors = group.errors
     if errors is None:
         return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {group.reason or ''}"
-    cells = _cells(errors.rmse, _percent(errors.rmse_share), _percent(errors.inside, 3))
+    cells = _format_errors(
+        errors.rmse, _format_percent(errors.rmse_share), _format_percent(errors.inside, 3)
+    )
     return f"{head}{cells}  {role}"
 
 
-def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
-    """Lay out external curves for a terminal.
+def format_comparisons(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
+    """Format the comparisons with external curves for a terminal.
 
     Parameters
     ----------
@@ -146,32 +149,22 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
 
     Returns
     -------
-    A heading, a line for each curve and comparison, and the notes; nothing without curves.
+    A line for each curve and comparison, and the notes.
     """
-    max_name_width = 28
-    if not comparisons:
-        return []
-    names = [_shortened(comparison.curve.name, max_name_width) for comparison in comparisons]
-    width = max(map(len, (*names, "external curve")))
-    heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
-    lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
-    for name, comparison in zip(names, comparisons, strict=True):
-        specimen = f"{comparison.curve.wire}, {1e3 * comparison.curve.length:.4g} mm"
-        for compared_with, match in (("tests", comparison.tests), ("model", comparison.model)):
-            if match is not None:
-                row = f"  {name:<{width}}  {f'{compared_with} of {specimen}':<22}"
-                lines.append(f"{row}{_numbers(match)}")
-    notes = [note for comparison in comparisons for note in comparison.notes]
-    return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
-
-
-def _shortened(name: str, width: int) -> str:
-    return name if len(name) <= width else f"{name[: width - 1]}…"
-
-
-def _numbers(match: CurveMatch) -> str:
-    errors = match.errors
-    if errors is None:
-        return f"{0:>8}{'-':>9}{'-':>9}{'-':>9}"
-    inside = _percent(errors.inside, 3) if math.isfinite(errors.inside) else "-"
-    return f"{errors.n:>8}{_cells(errors.rmse, _percent(errors.rmse_share), inside)}"
+    lines = []
+    for comparison in comparisons:
+        curve = comparison.curve
+        specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
+        for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
+            if match is None:
+                continue
+            errors = match.errors
+            text = "no common points"
+            if errors is not None:
+                text = f"{errors.n} points, rms {_format_rounded(1e3 * errors.rmse, 3)} mN"
+                text += f" ({_format_percent(errors.rmse_share)} of the peak)"
+                if math.isfinite(errors.inside):
+                    text += f", {_format_percent(errors.inside, 3)} in the band"
+            lines.append(f"  {curve.name}, compared with {reference} of {specimen}: {text}")
+        lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
+    return lines

@@ -1,4 +1,4 @@
-"""Run the actions of ``labpipe campaign`` and print their results."""
+"""``labpipe campaign``: process many tests, query their results, decide on tests."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import (
     Decision,
-    decision_sentence,
     import_decision_file,
 )
-from labpipe.campaign.executors import Task, executor_of
-from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, account_for_files, open_campaign
+from labpipe.campaign.executors import parse_executor
+from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
+from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
     RunSummary,
     clear_failures,
@@ -27,8 +26,9 @@ from labpipe.campaign.running import (
     rebuild,
     run_campaign,
 )
-from labpipe.cli.terminal import counting, from_here
+from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
+from labpipe.process.run import Task
 from labpipe.report.wording import write_count
 from labpipe.store.replace import replacing
 
@@ -42,36 +42,43 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(
-    options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
+    options: argparse.Namespace, campaign: CampaignFolders, forced: list[str] | None = None
 ) -> int:
-    executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
+    executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
-    with counting("test") as (begin, show_ended):
+    with show_completed("test") as (begin, show_ended):
         summary = run_campaign(
             campaign,
             executor,
-            again=again or (),
+            forced=forced or (),
             make_task=make_task,
             begin=begin,
-            on_outcome=lambda folder, outcome: show_ended(f"{escaped(folder)}: {outcome.state}"),
+            on_outcome=lambda folder, outcome: show_ended(
+                f"{escape_controls(folder)}: {outcome.state}"
+            ),
         )
     _print_notes(summary.overview)
-    print(_run_report(campaign, summary))
+    print(_format_run(campaign, summary))
     return _exit_status(summary.overview)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
-        files = account_for_files(sync, overview)
+        unknown_files = find_unknown_files(sync, overview)
     _print_notes(overview)
     if options.json:
-        print(json.dumps(_as_json(campaign, overview, files), indent=2))
+        print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
     else:
         print(
-            "\n".join([_state_counts_line(campaign, overview), *_attention_lines(overview, files)])
+            "\n".join(
+                [
+                    _format_state_counts(campaign, overview),
+                    *_format_attention(overview, unknown_files),
+                ]
+            )
         )
     return _exit_status(overview)
 
@@ -113,7 +120,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
             raise UsageError.about("cli.no_reason", f"--{key}", option=f"--{key}")
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
     row = decide(campaign, options.test, decision)
-    print(f"{escaped(row.folder)}: {row.state}")
+    print(f"{escape_controls(row.folder)}: {row.state}")
     return 0
 
 
@@ -123,11 +130,14 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
         raise UsageError.about("cli.test_and_file", "--from", test=options.test)
     imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
-        print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
+        print(f"labpipe campaign: {escape_controls(fault)}", file=sys.stderr)
     for decision in imported.added:
-        print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
+        print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
     for decision, why in imported.not_imported:
-        print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
+        print(
+            escape_controls(f"{decision.test}: {decision.decision} not imported: {why}"),
+            file=sys.stderr,
+        )
     print(
         f"{write_count(len(imported.added), 'decision')} imported, {imported.n_known} already known"
     )
@@ -137,7 +147,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     overview = rebuild(campaign)
     _print_notes(overview)
-    print(_state_counts_line(campaign, overview))
+    print(_format_state_counts(campaign, overview))
     return _exit_status(overview)
 
 
@@ -164,19 +174,19 @@ _ACTIONS: dict[str, Any] = {
 
 def _print_notes(overview: Overview) -> None:
     for note in overview.notes:
-        print(f"labpipe campaign: {escaped(note)}", file=sys.stderr)
+        print(f"labpipe campaign: {escape_controls(note)}", file=sys.stderr)
 
 
 def _exit_status(overview: Overview) -> int:
     """Return the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
-    if overview.bad_input or overview.counts[FAILED]:
+    if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 
 
-def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
+def _format_run(campaign: CampaignFolders, summary: RunSummary) -> str:
     done, total = len(summary.processed), len(summary.overview.rows)
-    lines = [_state_counts_line(campaign, summary.overview), f"  processed {done} of {total}"]
+    lines = [_format_state_counts(campaign, summary.overview), f"  processed {done} of {total}"]
     if summary.elsewhere:
         names = ", ".join(summary.elsewhere[:3]) + (" ..." if len(summary.elsewhere) > 3 else "")
         lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
@@ -184,43 +194,43 @@ def _run_report(campaign: CampaignFolders, summary: RunSummary) -> str:
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
     if len(failed) > _MAX_LISTED:
         lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
-    lines += _unapplied_decisions(summary.overview)
-    return "\n".join(map(escaped, lines))
+    lines += _format_unapplied(summary.overview)
+    return "\n".join(map(escape_controls, lines))
 
 
-def _state_counts_line(campaign: CampaignFolders, overview: Overview) -> str:
+def _format_state_counts(campaign: CampaignFolders, overview: Overview) -> str:
     counts = overview.counts
     states = (
         ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
     )
-    return escaped(f"{campaign.name}: {states}  ->  {from_here(campaign.processed)}")
+    return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
 
 
-def _attention_lines(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+def _format_attention(overview: Overview, unknown_files: list[str]) -> list[str]:
     """List tests that need attention by state, then unapplied decisions and unknown files."""
     lines: list[str] = []
     running = {
         folder: f"process {claim.pid} on {claim.machine}"
         for folder, claim in overview.claims.items()
     }
-    descriptions: dict[str, Callable[[TestRow], str]] = {
+    descriptions_by_state: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
         RUNNING: lambda row: running[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
-    for state, describe in descriptions.items():
+    for state, describe in descriptions_by_state.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _section_lines(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += _unapplied_decisions(overview)
-    lines += _section_lines("unknown files", files["unknown"])
+        lines += _format_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
+    lines += _format_unapplied(overview)
+    lines += _format_section("unknown files", unknown_files)
     return lines
 
 
-def _unapplied_decisions(overview: Overview) -> list[str]:
+def _format_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    return _section_lines(
+    return _format_section(
         "decisions not applied",
         [
             f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
@@ -229,19 +239,19 @@ def _unapplied_decisions(overview: Overview) -> list[str]:
     )
 
 
-def _section_lines(heading: str, lines: list[str]) -> list[str]:
+def _format_section(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
     return [
         f"{heading} ({len(lines)})",
-        *(f"  {escaped(line)}" for line in lines[:_MAX_LISTED]),
+        *(f"  {escape_controls(line)}" for line in lines[:_MAX_LISTED]),
         *more,
     ]
 
 
-def _as_json(
-    campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
+def _format_json(
+    campaign: CampaignFolders, overview: Overview, unknown_files: list[str]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     tests = {
@@ -262,6 +272,6 @@ def _as_json(
         "tests": tests,
         "running": running,
         "decisions_not_applied": not_applied,
-        "files": files,
+        "unknown_files": unknown_files,
         "notes": overview.notes,
     }

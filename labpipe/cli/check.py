@@ -1,4 +1,4 @@
-"""``labpipe check``."""
+"""``labpipe check``: find faults of protocols and test sheets without processing."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from labpipe.process.checking import check_paths
+from labpipe.report.wording import write_count
 
 
 def run(options: argparse.Namespace) -> int:
@@ -13,9 +14,7 @@ def run(options: argparse.Namespace) -> int:
     checked = check_paths(options.paths, follow_links=options.follow_links)
     for fault in checked.faults:
         print(fault, file=sys.stderr)
-    faults = len(checked.faults)
-    verdict = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "no faults found"
-    count = len(checked.plans)
-    plans = f", {count} plan{'' if count == 1 else 's'}" if count else ""
-    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests{plans}: {verdict}")
-    return 2 if faults else 0
+    faults = write_count(len(checked.faults), "fault") if checked.faults else "no faults found"
+    plans = f", {write_count(len(checked.plans), 'plan')}" if checked.plans else ""
+    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests{plans}: {faults}")
+    return 2 if checked.faults else 0

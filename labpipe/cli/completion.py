@@ -1,4 +1,4 @@
-"""``labpipe completion``."""
+"""``labpipe completion``: a script for Tab completion in a shell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``labpipe harness``."""
+"""``labpipe harness``: shape, forces and bend radii of a line between clips."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from labpipe.cli.terminal import from_here, progress_bar, statuses_of
+from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import Watcher, as_json, follow_harness
 from labpipe.records.result import Result, Status
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     statuses = []
     for file in options.files:
         has_own_folder = options.out is not None and len(options.files) > 1
-        with following() as watcher:
+        with show_progress() as watcher:
             harness = follow_harness(
                 file,
                 wires=options.wire,
@@ -38,8 +38,8 @@ def run(options: argparse.Namespace) -> int:
                 png=options.png,
                 watcher=watcher,
             )
-        print(json.dumps(as_json(harness)) if options.json else harness_table(harness))
-        faults = list(_faults(harness))
+        print(json.dumps(as_json(harness)) if options.json else format_harness(harness))
+        faults = list(_find_faults(harness))
         for fault in faults:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
         statuses.append(1 if faults else 0)
@@ -47,8 +47,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def following() -> Iterator[Watcher]:
-    """Show progress over lines and steps: a bar on a terminal, a line for each in a pipe."""
+def show_progress() -> Iterator[Watcher]:
+    """Show progress: a bar over all steps on a terminal, a text for each line in a pipe."""
     numbers = itertools.count(1)
     with progress_bar("step") as bar:
         n_lines = 0
@@ -66,16 +66,16 @@ def following() -> Iterator[Watcher]:
         yield Watcher(begin, begin_line, bar.update)
 
 
-def _faults(harness: FollowedHarness) -> Iterator[str]:
-    """Yield the faults that set the exit status; an assumed bend radius is none."""
+def _find_faults(harness: FollowedHarness) -> Iterator[str]:
+    """Yield the faults that set the exit status, except one of an assumed bend radius."""
     if harness.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
     elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
-        yield "".join(_limit(harness)).strip()
+        yield "".join(_format_limit(harness)).strip()
 
 
-def harness_table(solution: FollowedHarness) -> str:
-    """Lay out a harness for a terminal.
+def format_harness(solution: FollowedHarness) -> str:
+    """Format the results of a harness for a terminal.
 
     Parameters
     ----------
@@ -86,7 +86,9 @@ def harness_table(solution: FollowedHarness) -> str:
     Its status, results, allowed bend radius, doubts and the folder of the files.
     """
     line, steps = solution.prepared.line, solution.harness.steps
-    status = solution.status if solution.status is Status.FAILED else statuses_of(solution.results)
+    status = (
+        solution.status if solution.status is Status.FAILED else count_statuses(solution.results)
+    )
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
@@ -97,7 +99,12 @@ def harness_table(solution: FollowedHarness) -> str:
             f"solved to step {reached} of {steps}" if reached >= 0 else "initial shape not found"
         )
         return f"{head}\n  {progress}; earlier results are unchanged"
-    lines = [head, *map(_line, solution.results), *_limit(solution), *_sweep(solution)]
+    lines = [
+        head,
+        *map(_format_line, solution.results),
+        *_format_limit(solution),
+        *_format_sweep(solution),
+    ]
     result_reasons = [
         reason
         for result in solution.results
@@ -107,23 +114,23 @@ def harness_table(solution: FollowedHarness) -> str:
     reasons = dict.fromkeys([*solution.reasons, *result_reasons])
     lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
     lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
-    return "\n".join([*lines, f"results: {from_here(solution.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(solution.folder)}"])
 
 
-def _line(result: Result) -> str:
+def _format_line(result: Result) -> str:
     name_width = 32
     factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
         return f"  {result.name:<{name_width}}{'-':>11}  {result.reason_text}"
-    written = make_number_writer(result.value, result.interval, factor)
-    line = f"  {result.name:<{name_width}}{written(result.value):>11} {typeset_unit(unit):<5}"
+    write = make_number_writer(result.value, result.interval, factor)
+    line = f"  {result.name:<{name_width}}{write(result.value):>11} {typeset_unit(unit):<5}"
     if result.interval is not None:
-        line += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
+        line += f"  95 %: {write(result.interval.lower)} to {write(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []
     return "  ".join([line, *doubts, result.remark]).rstrip()
 
 
-def _limit(harness: FollowedHarness) -> Iterator[str]:
+def _format_limit(harness: FollowedHarness) -> Iterator[str]:
     limit, bend = harness.limit, harness.sharpest
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
     verdict += " (doubtful)" if harness.is_bend_doubtful else ""
@@ -134,7 +141,7 @@ def _limit(harness: FollowedHarness) -> Iterator[str]:
     )
 
 
-def _sweep(harness: FollowedHarness) -> Iterator[str]:
+def _format_sweep(harness: FollowedHarness) -> Iterator[str]:
     if harness.sweep:
         yield "  length of the line    smallest bend radius    on the way"
     for finding in harness.sweep:

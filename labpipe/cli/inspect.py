@@ -1,4 +1,4 @@
-"""``labpipe inspect``."""
+"""``labpipe inspect``: contents of an export."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what an export contains."""
+    """Print channels, rates, gaps and oddities of an export."""
     from labpipe.process.inspection import as_json, as_text, inspect_export
 
     inspection = inspect_export(options.file)

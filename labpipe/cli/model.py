@@ -1,4 +1,4 @@
-"""``labpipe model``."""
+"""``labpipe model``: stiffness tables and simulation decks of wires."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.cli.terminal import from_here, reading
+from labpipe.cli.terminal import shorten_path, show_reading
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
 from labpipe.mechanics.wire.end_load_path import force_at
@@ -27,18 +27,18 @@ _TIP_DEFLECTION_SHARE = 0.3
 
 def run(options: argparse.Namespace) -> int:
     """Turn a sheet of wires into moment-curvature and stiffness tables."""
-    with reading(1) as say:
+    with show_reading(1) as say:
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
-    print(json.dumps(as_json(modelled)) if options.json else model_table(modelled))
+    print(json.dumps(as_json(modelled)) if options.json else format_wire_models(modelled))
     for reason in modelled.refused.values():
         print(f"labpipe model: {reason}", file=sys.stderr)
     return 1 if modelled.refused else 0
 
 
-def model_table(modelled: ModelledWires) -> str:
-    """Lay out the main numbers of modelled wires for a terminal.
+def format_wire_models(modelled: ModelledWires) -> str:
+    """Format the main numbers of modelled wires for a terminal.
 
     Parameters
     ----------
@@ -48,21 +48,21 @@ def model_table(modelled: ModelledWires) -> str:
     -------
     A line per wire, each note once, then the folder of the files.
     """
-    rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
+    rows = [_HEADING, _UNITS, *(_format_cells(table) for table in modelled.tables)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]
-    lines = [_line(row, widths) for row in rows]
-    lines += ["", *_notes(modelled.tables), *_stress_tables(modelled)]
+    lines = [_format_line(row, widths) for row in rows]
+    lines += ["", *_format_notes(modelled.tables), *_format_stress_tables(modelled)]
     if modelled.refused:
-        names = _wire_list(tuple(modelled.refused), 0)
+        names = _join_names(tuple(modelled.refused), 0)
         lines.append(f"  not modelled: {names} (reasons below)")
     if modelled.removed:
-        names = _wire_list(modelled.removed, 0)
+        names = _join_names(modelled.removed, 0)
         lines.append(f"  no longer in the sheet, files removed: {names}")
-    lines.append(f"results: {from_here(modelled.folder)}")
+    lines.append(f"results: {shorten_path(modelled.folder)}")
     return "\n".join(lines)
 
 
-def _cells(table: WireTable) -> tuple[str, ...]:
+def _format_cells(table: WireTable) -> tuple[str, ...]:
     onset = table.slip_onset(0)
     return (
         table.name,
@@ -72,17 +72,17 @@ def _cells(table: WireTable) -> tuple[str, ...]:
         f"{1e6 * table.slip_stiffness:.5g}",
         onset if isinstance(onset, str) else f"{onset:.3g}",
         f"{table.curvature[-1]:.4g}",
-        _force(table),
+        _format_force(table),
     )
 
 
-def _force(table: WireTable) -> str:
+def _format_force(table: WireTable) -> str:
     """Return the end load at the deflection of the heading; a dash beyond the curve."""
     force = force_at(table, _TIP_DEFLECTION_SHARE * table.spec.length)
     return "-" if np.isnan(force) else f"{force:.4g}"
 
 
-def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+def _format_line(row: Sequence[str], widths: Sequence[int]) -> str:
     text_columns = 3  # left-aligned
     cells = [
         f"{cell:<{width}}" if column < text_columns else f"{cell:>{width}}"
@@ -91,7 +91,7 @@ def _line(row: Sequence[str], widths: Sequence[int]) -> str:
     return "  ".join(cells).rstrip()
 
 
-def _notes(tables: Sequence[WireTable]) -> list[str]:
+def _format_notes(tables: Sequence[WireTable]) -> list[str]:
     """List each note once with its wires; warnings first."""
     wires: dict[tuple[Severity, str], list[str]] = {}
     for table in tables:
@@ -99,22 +99,22 @@ def _notes(tables: Sequence[WireTable]) -> list[str]:
             wires.setdefault((note.severity, note.message), []).append(table.name)
     order = sorted(wires, key=lambda key: key[0] is Severity.INFO)
     return [
-        f"  {severity}: {message}  [{_wire_list(wires[severity, message], len(tables))}]"
+        f"  {severity}: {message}  [{_join_names(wires[severity, message], len(tables))}]"
         for severity, message in order
     ]
 
 
-def _stress_tables(modelled: ModelledWires) -> list[str]:
+def _format_stress_tables(modelled: ModelledWires) -> list[str]:
     """List stress tables with the wires that use them."""
     wires: dict[str, list[str]] = {}
     for table in modelled.tables:
         if curves := modelled.curves.get(table.name):
             wires.setdefault(describe_stress_tables(curves), []).append(table.name)
     count = len(modelled.tables)
-    return [f"  info: {tables}  [{_wire_list(names, count)}]" for tables, names in wires.items()]
+    return [f"  info: {tables}  [{_join_names(names, count)}]" for tables, names in wires.items()]
 
 
-def _wire_list(names: Sequence[str], count: int) -> str:
+def _join_names(names: Sequence[str], count: int) -> str:
     """List the first wires; the workbook lists all."""
     max_names = 10
     if len(names) <= max_names:

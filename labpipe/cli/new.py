@@ -1,4 +1,4 @@
-"""``labpipe new``."""
+"""``labpipe new``: write test sheets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Collection
 from labpipe.errors import UsageError
 from labpipe.process.sheet_writing import WrittenSheet, new_from_sheet, write_inferred_sheets
 
-_NOT_VALUES = {"command", "folder", "sheet", "set", "overwrite"}
-"""Options that are no values of a test sheet."""
+_OTHER_OPTIONS = {"command", "folder", "sheet", "set", "overwrite"}
+"""Options that state no value of a test sheet."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     values = {
         name: value
         for name, value in vars(options).items()
-        if name not in _NOT_VALUES and value is not None
+        if name not in _OTHER_OPTIONS and value is not None
     }
     for change in options.set:
         key, equals, value = change.partition("=")
@@ -36,14 +36,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
-    """Describe a sheet; of a long message that was printed before, only the first line."""
+    """Describe a sheet; shorten remarks that were printed before to their first line."""
     if sheet.kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
-    sentences = (
-        sentence.partition("\n")[0] if sentence in printed else sentence
-        for sentence in sheet.remarks
-    )
-    lines = [f"wrote {sheet.path}", *(f"  {sentence}" for sentence in sentences)]
+    remarks = [
+        remark.partition("\n")[0] if remark in printed else remark for remark in sheet.remarks
+    ]
+    lines = [f"wrote {sheet.path}", *(f"  {remark}" for remark in remarks)]
     if sheet.open:
         lines.append(f"  to fill in: {', '.join(sheet.open)}")
     return "\n".join(lines)

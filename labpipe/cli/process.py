@@ -1,4 +1,4 @@
-"""``labpipe process``."""
+"""``labpipe process``: exports to results and figures."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from labpipe.campaign.executors import default_jobs, process_tests
-from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
+from labpipe.cli.terminal import (
+    compute_name_width,
+    count_statuses,
+    format_result,
+    shorten_path,
+    show_completed,
+)
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
-
-_FINISHED = "completed a replacement of files that a killed process had left unfinished"
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         summaries = [build_summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(table(test) for test in processed))
+        print("\n\n".join(format_test(test) for test in processed))
     if refused:
         return 2
     return 1 if any(test.n_failed for test in processed) else 0
@@ -54,16 +59,16 @@ def process_all(
     png: bool = False,
     follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
-    """Process tests, and print why any are refused.
+    """Process tests, and print why some are refused.
 
     Returns
     -------
     processed : the processed tests
     refused : number of tests that were refused
     """
-    processed, refused = [], 0
-    with progress(len(tests)) as begin:
-        for done in process_tests(
+    with show_completed("test") as (begin, show):
+        begin(len(tests))
+        outcomes = process_tests(
             tests,
             out=out,
             figures=figures,
@@ -71,20 +76,20 @@ def process_all(
             follow_links=follow_links,
             jobs=jobs or default_jobs(),
             limit=limit,
-            begin=begin,
-        ):
-            if isinstance(done, Refused):
-                print(f"labpipe process: {done.reason}", file=sys.stderr)
-                refused += 1
-                continue
-            if done.finished:
-                print(f"labpipe process: {done.folder}: {_FINISHED}", file=sys.stderr)
-            processed.append(done)
-    return processed, refused
+            on_outcome=lambda test: show(test.parent.name),
+        )
+    for outcome in outcomes:
+        if isinstance(outcome, Refused):
+            print(f"labpipe process: {outcome.reason}", file=sys.stderr)
+        elif outcome.finished:
+            completed = format_sentence("cli.replacement_completed")
+            print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
+    processed = [outcome for outcome in outcomes if isinstance(outcome, Processed)]
+    return processed, len(outcomes) - len(processed)
 
 
-def table(processed: Processed) -> str:
-    """Lay out the results of one test for a terminal.
+def format_test(processed: Processed) -> str:
+    """Format the results of one test for a terminal.
 
     Parameters
     ----------
@@ -95,12 +100,15 @@ def table(processed: Processed) -> str:
     A heading, one line per result, then reasons for doubtful and failed results.
     """
     result = processed.result
-    lines, width = [headline(processed)], name_width(result.name for result in result.results)
+    lines, width = (
+        [format_headline(processed)],
+        compute_name_width(result.name for result in result.results),
+    )
     quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
     for quantity in result.results:
         quantities.setdefault(quantity.name.partition(".")[0], []).append(quantity)
-    for several in quantities.values():
-        lines += _lines(several, dict(result.display), width)
+    for cycles in quantities.values():
+        lines += _format_quantity(cycles, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
     for quantity in result.results:
         if quantity.reasons:
@@ -109,17 +117,17 @@ def table(processed: Processed) -> str:
             )
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
-    lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]
+    lines += [f"  {note.severity}: {_format_note(note)}" for note in warnings]
     return "\n".join(lines)
 
 
-def _placed(note: QualityNote) -> str:
-    """Return the message of a note, with its place in front unless it begins with it."""
+def _format_note(note: QualityNote) -> str:
+    """Format a note: its place and message, unless the message begins with the place."""
     has_place = note.message.startswith(note.where.partition(",")[0])
     return note.message if has_place else f"{note.where}: {note.message}"
 
 
-def headline(processed: Processed) -> str:
+def format_headline(processed: Processed) -> str:
     """Summarise a test in one line.
 
     Parameters
@@ -127,22 +135,22 @@ def headline(processed: Processed) -> str:
     processed : the test
     """
     result = processed.result
-    counts = statuses_of(result.results)
-    return f"{result.test}  ({result.protocol}): {counts}  ->  {from_here(processed.folder)}"
+    counts = count_statuses(result.results)
+    return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 
-def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Lay out one line per result; of many cycles the first ones and the range of the rest."""
+def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
+    """Format a line per cycle; of many cycles, the first ones and the range of the others."""
     max_lines = 8
     if len(results) <= max_lines:
-        return [result_line(result, display, width) for result in results]
-    rest = results[max_lines // 2 :]
-    values = [result.value for result in rest if result.value is not None]
-    lines = [result_line(result, display, width) for result in results[: max_lines // 2]]
+        return [format_result(result, display, width) for result in results]
+    others = results[max_lines // 2 :]
+    values = [result.value for result in others if result.value is not None]
+    lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
     if values:
         display_scale = find_display_unit(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
-        name = f"... to {rest[-1].name}"
-        lines.append(f"  {name:<{width}} {span} ({len(rest)} more in summary.json)")
+        name = f"... to {others[-1].name}"
+        lines.append(f"  {name:<{width}} {span} ({len(others)} more in summary.json)")
     return lines

@@ -1,4 +1,4 @@
-"""``labpipe report``."""
+"""``labpipe report``: means, figures and tables of many tests."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from labpipe.campaign.queries import escaped
-from labpipe.campaign.reporting import Reported, ReportOptions, report_tests
-from labpipe.cli.terminal import from_here, name_width, reading, result_line
+from labpipe.campaign.queries import escape_controls
+from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
+from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_reading
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
@@ -22,15 +22,15 @@ from labpipe.report.wording import describe_counts
 
 def run(options: argparse.Namespace) -> int:
     """Report processed tests in a page, figures and a workbook."""
-    files, wanted = find_results(options.paths), report_options(options)
-    with reading(len(files)) as say:
-        reported = report_tests(files, out=options.out, say=say, options=wanted)
-    print(report_table(reported))
-    return status_of(reported)
+    files, recipe = find_results(options.paths), parse_report_options(options)
+    with show_reading(len(files)) as say:
+        reported = report_tests(files, out=options.out, say=say, options=recipe)
+    print(format_report(reported))
+    return print_left_out(reported)
 
 
-def report_options(options: argparse.Namespace) -> ReportOptions:
-    """Read what a report shows from the options.
+def parse_report_options(options: argparse.Namespace) -> ReportOptions:
+    """Convert the options of a command to those of a report.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     UsageError
         If a format of figures is unknown, or the logo is not a PNG or JPEG of the allowed size.
     """
-    formats = _list_of(getattr(options, "figures", ""))
+    formats = _split_list(getattr(options, "figures", ""))
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise UsageError.about(
@@ -53,7 +53,7 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     logo = "" if options.logo is None else read_logo(options.logo)
     return ReportOptions(
         title=options.title,
-        by=_list_of(options.by),
+        by=_split_list(options.by),
         alone=options.compare,
         wires=options.wire,
         letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
@@ -62,13 +62,18 @@ def report_options(options: argparse.Namespace) -> ReportOptions:
     )
 
 
-def _list_of(text: str) -> tuple[str, ...]:
+def _split_list(text: str) -> tuple[str, ...]:
     """Split a comma-separated option."""
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
-def status_of(reported: Reported) -> int:
-    """Print the tests left out; return 2 for any of these, 1 for failed results, else 0."""
+def print_left_out(reported: WrittenReport) -> int:
+    """Print the tests that are left out.
+
+    Returns
+    -------
+    Exit status: 2 if any are left out, 1 if a result failed, else 0.
+    """
     for reason in reported.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
     if reported.campaign.left_out:
@@ -78,8 +83,8 @@ def status_of(reported: Reported) -> int:
     return 1 if failed else 0
 
 
-def report_table(reported: Reported) -> str:
-    """Lay out the main numbers of a report for a terminal.
+def format_report(reported: WrittenReport) -> str:
+    """Format the main numbers of a report for a terminal.
 
     Parameters
     ----------
@@ -93,24 +98,28 @@ def report_table(reported: Reported) -> str:
     for group in reported.campaign.groups:
         lines.append(f"{group.name}  ({group.protocol}): {describe_counts(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
-        width = name_width(number.name for number in group.numbers)
-        lines += [_mean_line(number, display, width) for number in group.numbers]
+        width = compute_name_width(number.name for number in group.numbers)
+        lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
     for file, why in reported.campaign.rejected.items():
-        lines.append(f"rejected: {from_here(Path(file).absolute().parent)}: {escaped(why)}")
+        lines.append(
+            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(why)}"
+        )
     lines.append(
-        f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
+        f"report: {shorten_path(reported.files[0])}"
+        if reported.files
+        else "report: nothing written"
     )
     return "\n".join(lines)
 
 
-def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
+def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
     mean = number.mean.chosen if number.mean is not None else None
     value = mean.mean if mean is not None else None
     interval = mean.interval if mean is not None else None
     status = Status.FAILED if value is None else Status.OK
     reasons = (Reason("no_samples", "no sample has this result"),) if value is None else ()
-    as_result = Result(
+    result = Result(
         number.name,
         value,
         number.unit,
@@ -120,4 +129,4 @@ def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> s
         estimate=mean.estimate if mean is not None else None,
     )
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
-    return f"{result_line(as_result, display, width)}{missing}"
+    return f"{format_result(result, display, width)}{missing}"

@@ -1,4 +1,4 @@
-"""``labpipe serve``."""
+"""``labpipe serve``: show a report in the browser and save decisions."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import ReportOptions, page_of_test, report_tests
-from labpipe.campaign.serving import REPORT, ReportServer, Site
-from labpipe.cli.report import report_options
-from labpipe.cli.terminal import reading
+from labpipe.campaign.campaign_folders import find_campaign_name
+from labpipe.campaign.reporting import ReportOptions, make_test_page, report_tests
+from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
+from labpipe.cli.report import parse_report_options
+from labpipe.cli.terminal import show_reading
 from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
@@ -18,13 +18,17 @@ from labpipe.report.lab_report import PAGE_FILE
 def run(options: argparse.Namespace) -> int:
     """Serve a report until interrupted; make it first if there is none."""
     folder = shared_folder(find_results(options.paths))
-    report = folder / REPORT if options.out is None else options.out
+    report = folder / REPORT_FOLDER if options.out is None else options.out
     site = Site(
-        folder, name_of_campaign(folder), report, lambda: _make(options, report), page_of_test
+        folder,
+        find_campaign_name(folder),
+        report,
+        lambda: _make_report(options, report),
+        make_test_page,
     )
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():
-            _make(options, report)
+            _make_report(options, report)
         print(f"{options.title or site.campaign or folder.name}: {server.address}")
         print("Reachable from this machine only. Press Ctrl+C to stop.", flush=True)
         if not options.no_browser:
@@ -36,8 +40,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _make(options: argparse.Namespace, folder: Path) -> None:
+def _make_report(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
-    wanted = report_options(options).or_earlier(ReportOptions.read(folder))
-    with reading(len(files)) as say:
-        report_tests(files, out=options.out, say=say, options=wanted)
+    recipe = parse_report_options(options).or_earlier(ReportOptions.read(folder))
+    with show_reading(len(files)) as say:
+        report_tests(files, out=options.out, say=say, options=recipe)

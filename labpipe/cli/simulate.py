@@ -1,4 +1,4 @@
-"""``labpipe simulate``."""
+"""``labpipe simulate``: synthetic exports of a test with known truth."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from labpipe.virtual_lab import (
 
 _TYPES = {"wire": (), "taped-bundle": TAPED_TYPES, "conduit-bundle": CONDUIT_TYPES}
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
-_WIRE = "W1"
-"""Not in any wire sheet: its law is given by numbers, not by strands."""
+_WIRE_TYPE = "W1"
+"""Type of the simulated wire; it is in no wire sheet, since its law is stated by numbers."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,27 +38,29 @@ def _simulate(options: argparse.Namespace) -> Path:
     rate, fps = (parse_quantity(text, "1/s") for text in (options.rate, options.fps))
     cycles = 3 if options.cycles is None else options.cycles
     numbers = {"rate": rate, "fps": fps, "cycles": cycles}
-    wrong = [f"{key}={value:g}" for key, value in numbers.items() if not value >= 1]
+    faults = [f"{key}={value:g}" for key, value in numbers.items() if not value >= 1]
     if not re.fullmatch(r"\w[\w.+-]*", options.name):
-        wrong.append(f"name={options.name}")
+        faults.append(f"name={options.name}")
     specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
     if specimen_type and specimen_type not in _TYPES[options.kind]:
-        wrong.append(f"type={specimen_type} of a {options.kind}")
+        faults.append(f"type={specimen_type} of a {options.kind}")
     if options.kind == "conduit-bundle" and options.cycles is not None:
-        wrong.append(f"cycles={cycles} of a conduit bundle")
-    if wrong:
-        raise ValueError(", ".join(wrong))
-    goal = options.out / options.name
+        faults.append(f"cycles={cycles} of a conduit bundle")
+    if faults:
+        raise ValueError(", ".join(faults))
+    folder = options.out / options.name
     if options.kind == "conduit-bundle":
         conduit = conduit_scenario(specimen_type)
         clocks = replace(conduit.clocks, rate=rate, fps=fps)
-        return simulate_test(replace(conduit, name=options.name, clocks=clocks), goal, options.seed)
-    wire = CantileverScenario(specimen_type=_WIRE, spool=f"{_WIRE}-s1")
-    bent = wire if options.kind == "wire" else taped_scenario(specimen_type)
-    bent = replace(
-        bent,
+        return simulate_test(
+            replace(conduit, name=options.name, clocks=clocks), folder, options.seed
+        )
+    wire = CantileverScenario(specimen_type=_WIRE_TYPE, spool=f"{_WIRE_TYPE}-s1")
+    scenario = wire if options.kind == "wire" else taped_scenario(specimen_type)
+    scenario = replace(
+        scenario,
         name=options.name,
-        mechanics=replace(bent.mechanics, cycles=cycles),
-        clocks=replace(bent.clocks, rate=rate, fps=fps),
+        mechanics=replace(scenario.mechanics, cycles=cycles),
+        clocks=replace(scenario.clocks, rate=rate, fps=fps),
     )
-    return simulate_test(bent, goal, options.seed)
+    return simulate_test(scenario, folder, options.seed)

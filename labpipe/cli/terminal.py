@@ -1,4 +1,4 @@
-"""Terminal output that commands share: progress, and the line of a result."""
+"""Terminal output of several commands: progress bars, paths, and the line of a result."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from labpipe.report.wording import find_display_unit, make_number_writer
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-_MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
+_STATUS_MARKS = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 DIGITS = 5
 """Significant digits of a number without an interval."""
 
 
 @contextmanager
 def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
-    """Show a bar of progress on a terminal; in a pipe it is disabled.
+    """Show a progress bar on a terminal; in a pipe it is disabled.
 
     Parameters
     ----------
-    unit : what is counted
-    total : number of these; None if it is not known yet
+    unit : of the count, such as ``test``
+    total : final count; None if it is not known yet
     """
     from tqdm import tqdm
 
@@ -38,42 +38,17 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 
 
 @contextmanager
-def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
-    """Show the progress of tests: a bar on a terminal, a line each in a pipe.
+def show_completed(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
+    """Show completed tests or other things: a bar on a terminal, a line each in a pipe.
 
     Parameters
     ----------
-    count : of tests
+    unit : of the count, such as ``test``
 
     Yields
     ------
-    begin : call it with each test; it returns a function to call at the start of each stage
-    """
-    stages, numbers = ("read", "process", "write", "draw"), itertools.count()
-    with progress_bar("stage", count * len(stages)) as bar:
-
-        def begin(test: Path) -> Callable[[str], None]:
-            number = next(numbers)
-            bar.n = number * len(stages)
-            if bar.disable:
-                print(f"{number + 1}/{count} {test.parent.name}", file=sys.stderr)
-            return lambda stage: _advance(bar, f"{test.parent.name}: {stage}")
-
-        yield begin
-
-
-@contextmanager
-def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
-    """Show what has ended, in any order: a bar on a terminal, a line each in a pipe.
-
-    Parameters
-    ----------
-    unit : what is counted
-
-    Yields
-    ------
-    begin : call it with the total number
-    show : call it with a text on each thing that has ended
+    begin : call it with the final count
+    show : call it with a text whenever one is completed
     """
     done = itertools.count(1)
     with progress_bar(unit) as bar:
@@ -87,7 +62,7 @@ def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str],
 
 
 @contextmanager
-def reading(count: int) -> Iterator[Callable[[str], None]]:
+def show_reading(count: int) -> Iterator[Callable[[str], None]]:
     """Show on a terminal which test is being read; in a pipe, nothing.
 
     Parameters
@@ -107,8 +82,8 @@ def _advance(bar: tqdm[NoReturn], text: str) -> None:
     bar.update()
 
 
-def from_here(path: Path) -> Path:
-    """Return a path relative to the working folder, if it is below it.
+def shorten_path(path: Path) -> Path:
+    """Return a path relative to the working folder if it is below that.
 
     Parameters
     ----------
@@ -118,13 +93,13 @@ def from_here(path: Path) -> Path:
     return path.relative_to(current) if path.is_relative_to(current) else path
 
 
-def name_width(names: Iterable[str]) -> int:
-    """Return the column width for the names of a table."""
+def compute_name_width(names: Iterable[str]) -> int:
+    """Return the width of the column for names."""
     min_width = 26
     return max(min_width, *(len(name) for name in names), 0)
 
 
-def statuses_of(results: Iterable[Result]) -> str:
+def count_statuses(results: Iterable[Result]) -> str:
     """Count results by status, such as ``20 ok, 1 doubtful``.
 
     Parameters
@@ -135,8 +110,8 @@ def statuses_of(results: Iterable[Result]) -> str:
     return ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
 
 
-def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
-    """Lay out a result with its interval and its largest contribution, in its display unit.
+def format_result(result: Result, display: Mapping[str, str], width: int) -> str:
+    """Format a result with its interval and its largest contribution, in its display unit.
 
     Parameters
     ----------
@@ -146,16 +121,16 @@ def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
     """
     interval_width = 26
     factor, unit = find_display_unit(result.name, result.unit, display)
-    mark = _MARK[result.status]
+    mark = _STATUS_MARKS[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    written = make_number_writer(result.value, result.interval, factor, DIGITS)
-    line = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
+    write = make_number_writer(result.value, result.interval, factor, DIGITS)
+    line = f"{mark} {result.name:<{width}}{write(result.value):>12} {unit:<6}"
     if result.interval is None:
         return line
-    interval = f"95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
+    interval = f"95 %: {write(result.interval.lower)} to {write(result.interval.upper)}"
     if result.distinct_estimate is not None:
-        interval = f"estimate {written(result.distinct_estimate)}, {interval}"
+        interval = f"estimate {write(result.distinct_estimate)}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

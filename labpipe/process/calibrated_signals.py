@@ -51,7 +51,7 @@ class Take:
     rest: Flags | None = None
     scale_error: float = 0.0
 
-    def signal_of(self, time: Floats, values: Floats) -> Signal:
+    def make_signal(self, time: Floats, values: Floats) -> Signal:
         """Make a signal of a length (m) on the clock of the cameras, with their scale error."""
         return Signal(time, values, "m", self.role, relative_error=self.scale_error)
 

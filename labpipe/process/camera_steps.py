@@ -21,8 +21,8 @@ from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.motion import turning_points
-from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, mean_level
+from labpipe.process.motion import find_motion_turns
+from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, average_level
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import SHAPE
@@ -48,7 +48,7 @@ _DOUBTFUL = {
 """Notes after which numbers that use the shape may be wrong. A repair by a rule is only noted."""
 
 
-def repair(
+def repair_marker_tracks(
     prepared: Prepared, step: RepairMarkers, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
     """Carry out ``repair-markers``: labels, stale poses, gaps; then rings."""
@@ -80,7 +80,7 @@ def _ring_centres(repaired: RepairedTracks) -> RepairedTracks:
     return compute_ring_centres(repaired, rings)
 
 
-def turn_into_specimen(
+def find_specimen_axes(
     prepared: Prepared, step: SpecimenFrameStep, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
     """Carry out ``specimen-frame``: the frame, and with a clamp the signal ``travel``."""
@@ -111,7 +111,7 @@ def turn_into_specimen(
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[rest])
-        signals = signals.add_signal("travel", take.signal_of(tracks.time, travel))
+        signals = signals.add_signal("travel", take.make_signal(tracks.time, travel))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
 
 
@@ -127,7 +127,7 @@ def _before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> 
     return np.asarray(time < (time[strokes[0].start] if strokes else np.inf), dtype=np.bool_)
 
 
-def fit_shapes(
+def fit_specimen_shapes(
     prepared: Prepared, step: FitShape, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
     """Carry out ``fit-shape``: the shape and the signal ``compute_deflection``."""
@@ -179,13 +179,13 @@ def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     """
     values = compute_deflection(fit.shape, rest=rest)
     seen = ~np.isnan(values)
-    _, error = mean_level(values[rest & seen], values[~rest])
+    _, error = average_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
     if usable:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return replace(take.signal_of(fit.shape.time, values), zero_error=error, perturbed=moved)
+    return replace(take.make_signal(fit.shape.time, values), zero_error=error, perturbed=moved)
 
 
 def _shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -299,7 +299,7 @@ _DRIFT = 1e-4 / sqrt(3.0)
 """Standard uncertainty of the drift of the camera clock, which one turn does not show."""
 
 
-def bend_between_supports(
+def fit_three_point_shape(
     prepared: Prepared, step: ThreePointShape, protocol: Protocol
 ) -> tuple[Prepared, list[Finding]]:
     """Carry out ``three-point-shape``: the bent axis, and the signal ``mid_span``.
@@ -363,7 +363,7 @@ def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal
     compute_deflection = shape.axis.deflection
     at_rest = compute_deflection[rest & np.isfinite(compute_deflection)]
     zero = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
-    return replace(take.signal_of(time, compute_deflection - at_rest.mean()), zero_error=zero)
+    return replace(take.make_signal(time, compute_deflection - at_rest.mean()), zero_error=zero)
 
 
 def _is_bent_most(sections: Sections) -> Flags:
@@ -426,8 +426,8 @@ def align_cameras(
     if mid_span is None or mid_span.clock == motion.clock:
         return prepared, {}, []
     own_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
-    turns = turning_points(motion, strokes, window=window)
-    camera_turns = turning_points(mid_span, own_strokes, window=window)
+    turns = find_motion_turns(motion, strokes, window=window)
+    camera_turns = find_motion_turns(mid_span, own_strokes, window=window)
     first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
     second = np.array([turn.middle for turn in camera_turns if own_strokes[turn.stroke].sign > 0])
     pairs, _ = match_peaks(first, second)

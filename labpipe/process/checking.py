@@ -15,13 +15,13 @@ from labpipe.process.output_paths import files_below
 from labpipe.process.reading import join_exports, read_role
 from labpipe.process.steps import run_step
 from labpipe.protocol.load import (
-    is_there,
+    find_missing_exports,
     load_calibration_plan,
     load_campaign_plan,
     load_harness,
     load_protocol,
     load_test_sheet,
-    missing_exports,
+    path_exists,
     resolve,
 )
 from labpipe.protocol.schema import Markers, Protocol
@@ -127,10 +127,10 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     except ProtocolError:
         return None
     keys = set(data) if isinstance(data, Mapping) else set()
-    other_keys = set() if "sources" in keys else keys - {*Protocol.keys()}
-    if other_keys & {*HarnessFile.keys()} - {*CalibrationPlan.keys()}:
+    other_keys = set() if "sources" in keys else keys - {*Protocol.list_keys()}
+    if other_keys & {*HarnessFile.list_keys()} - {*CalibrationPlan.list_keys()}:
         return load_harness
-    return load_calibration_plan if other_keys & {*CalibrationPlan.keys()} else None
+    return load_calibration_plan if other_keys & {*CalibrationPlan.list_keys()} else None
 
 
 def _check_protocol(path: Path, report: CheckReport) -> None:
@@ -148,16 +148,16 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
         return None
     protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
     before = len(report.faults)
-    if protocol is not None and (results := needs_span(protocol)):
+    if protocol is not None and (results := results_needing_span(protocol)):
         listed = ", ".join(results)
         error = ProtocolError.about("process.span_missing", path, "specimen.span", results=listed)
         report.faults.append(str(error))
         before += 1
-    missing = missing_exports(sheet, path)
+    missing = find_missing_exports(sheet, path)
     report.faults += str(missing).splitlines() if missing else []
     parts: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
-        for file in filter(is_there, (path.parent / name for name in names)):
+        for file in filter(path_exists, (path.parent / name for name in names)):
             if protocol is None:
                 report.attempt(partial(recognise_export, file))
                 continue
@@ -197,7 +197,7 @@ def _check_steps(
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
-def needs_span(protocol: Protocol) -> list[str]:
+def results_needing_span(protocol: Protocol) -> list[str]:
     """List the results that need the span, if the protocol does not state it.
 
     Parameters

@@ -14,10 +14,10 @@ from labpipe.errors import format_overrides
 from labpipe.process.motion import (
     Turn,
     check_turns,
+    find_motion_turns,
+    find_turn_events,
     match_strokes,
-    turn_events,
-    turning_points,
-    with_rising_force,
+    orient_force,
 )
 from labpipe.protocol.schema import (
     Align,
@@ -59,7 +59,7 @@ def join_clocks(
     by_turns = isinstance(align, AlignTurningPoints)
     if not by_turns and force.clock == signals.raw[signals.displacement].clock:
         return None, [], []
-    turns = turning_points(motion, strokes, window=align.motion_window)
+    turns = find_motion_turns(motion, strokes, window=align.motion_window)
     fit: ClockFit | None
     match align:
         case AlignStated():
@@ -67,14 +67,14 @@ def join_clocks(
         case AlignCommonStart():
             fit, findings = fit_common_start(force, align, motion, strokes, turns)
         case AlignTurningPoints():
-            fit, findings = align_clocks(force, align, motion, strokes, turns)
+            fit, findings = fit_turning_points(force, align, motion, strokes, turns)
         case _ as never:
             assert_never(never)
     for_clock = not isinstance(align, AlignStated)
     return fit, turns, [*findings, *check_turns(motion, strokes, turns, for_clock=for_clock)]
 
 
-def align_clocks(
+def fit_turning_points(
     force: Signal,
     align: AlignTurningPoints,
     motion: Signal,
@@ -95,9 +95,9 @@ def align_clocks(
     """
     if _is_constant(force):
         return None, [_constant(force, align.channel)]
-    force, findings = with_rising_force(force), list[Finding]()
+    force, findings = orient_force(force), list[Finding]()
     pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
-    events = turn_events(force, pairs, turns, align.force_window)
+    events = find_turn_events(force, pairs, turns, align.force_window)
     if not events:
         error = Finding.of(
             "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
@@ -184,8 +184,8 @@ def _measure_repeat(
     waves = compute_drift_modes(time - time[0], drift)
     lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
-    wander = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
-    return Repeat(moved.value, pulled.value, error, wander)
+    drift_error = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
+    return Repeat(moved.value, pulled.value, error, drift_error)
 
 
 def _block_means(values: Floats) -> Floats:
@@ -346,7 +346,7 @@ def _check_stated_offset(
     max_peak_lag, lag_error_factor = 1.0, 3.0
     if not strokes or _is_constant(force):
         return
-    force = with_rising_force(force)
+    force = orient_force(force)
     peaks = find_rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
     if not len(peaks):
         return
@@ -393,9 +393,9 @@ def fit_common_start(
     findings: list[Finding] = []
     if _is_constant(force):
         findings.append(_constant(force, align.channel))
-    force = with_rising_force(force)
+    force = orient_force(force)
     pairs = _rough_turns(motion, force, strokes, align)
-    events = turn_events(force, pairs, turns, align.force_window)
+    events = find_turn_events(force, pairs, turns, align.force_window)
     shared_turns = _event_table(events, shape_errors=0)
     at_turn = _weighted_difference(shared_turns)
     together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset

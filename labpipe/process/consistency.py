@@ -20,7 +20,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import LIMITS, Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
-from labpipe.results.reduced_test import FailurePoint, sense_of_loading
+from labpipe.results.reduced_test import FailurePoint, compute_loading_sign
 from labpipe.signal.rests_and_jumps import find_level_jumps
 from labpipe.signal.turning_points import estimate_noise_level
 
@@ -225,7 +225,7 @@ def _check_drift(where: str, curve: Curve, share: float, *, is_level: bool) -> I
     end = median(after[-len(before) :])  # the end of a long rest, because specimens relax
     largest = float(np.nanmax(np.abs(part - level)))
     error = estimate_noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
-    change = sense_of_loading(part) * (end - level)
+    change = compute_loading_sign(part) * (end - level)
     if (abs(change) if is_level else change) >= max(share * largest, REST_ERROR_FACTOR * error):
         yield Finding.of(
             "process.zero_drift", where, "force", level=level, end=end, share=abs(change) / largest
@@ -252,7 +252,7 @@ def check_break(
         return
     level, largest = median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
     error = estimate_noise_level(curve.force) * sqrt(2.0 / len(after))
-    below = -sense_of_loading(curve.force[: failure.sample + 1]) * level
+    below = -compute_loading_sign(curve.force[: failure.sample + 1]) * level
     if below >= max(limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
         yield Finding.of(
             "process.zero_drift_after_break", where, "force", level=level, share=below / largest
@@ -415,7 +415,7 @@ def _check_second_specimen(
 
 
 def _sense(curve: Curve, branch: Branch) -> float:
-    return sense_of_loading(curve.force[branch.start : branch.stop])
+    return compute_loading_sign(curve.force[branch.start : branch.stop])
 
 
 def _finite(values: Floats) -> Floats:

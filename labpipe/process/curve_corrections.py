@@ -23,20 +23,26 @@ from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Sli
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
+from labpipe.results.curve_replicates import (
+    add_back,
+    find_piece_starts,
+    make_trace,
+    replicate_curves,
+    select_first_loading,
+)
 from labpipe.results.failures import (
     LossOfForce,
-    final_loss,
-    loading_before,
-    lost_earlier,
-    slow_loss,
+    find_loading_before,
+    find_loss_start,
+    find_slow_loss,
+    measure_earlier_loss,
 )
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.reduced_test import FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.slack_and_slips import (
-    counted_from_taut,
+    choose_slack_samples,
+    count_samples_before,
     find_slips,
-    samples_before,
-    slack_of,
+    subtract_slack,
 )
 from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
@@ -221,7 +227,7 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
             other_branch.direction is Direction.UNLOADING
         )
     force = _sign(curve) * curve.force[after]
-    sample = final_loss(curve.time[after], force, rule, is_back[after])
+    sample = find_loss_start(curve.time[after], force, rule, is_back[after])
     return sample if isinstance(sample, Failure) else sample + branch.start
 
 
@@ -234,8 +240,8 @@ def _find_failure(
         finite = np.flatnonzero(~np.isnan(force))
         if rule.at_end_below and force[finite[-1]] < rule.at_end_below * np.nanmax(force):
             return FailurePoint(loading.start + int(finite[-1]))
-        sense = sense_of_loading(curve.displacement[loading])
-        sample = slow_loss(sense * curve.displacement[loading], force, rule)
+        sense = compute_loading_sign(curve.displacement[loading])
+        sample = find_slow_loss(sense * curve.displacement[loading], force, rule)
         return (
             lost
             if sample is None
@@ -243,16 +249,16 @@ def _find_failure(
         )
     if lost is None or isinstance(lost, Failure):
         return lost
-    loading = slice(loading_before(curve, lost).start, lost + 1)
+    loading = slice(find_loading_before(curve, lost).start, lost + 1)
     return FailurePoint(
-        lost, lost_earlier(curve.time[loading], _sign(curve) * curve.force[loading], rule)
+        lost, measure_earlier_loss(curve.time[loading], _sign(curve) * curve.force[loading], rule)
     )
 
 
 def _sign(curve: Curve) -> float:
     """Return the sign of the force in the first loading."""
     first = curve.branches[0]
-    return sense_of_loading(curve.force[first.start : first.stop])
+    return compute_loading_sign(curve.force[first.start : first.stop])
 
 
 def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTest:
@@ -267,7 +273,7 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
     curve_values = {"force": curve.force, "displacement": curve.displacement}
     for quantity, name in names.items():
         if name in signals.filters:
-            cuts = cuts_of(test.clocks, ends, raw[name])
+            cuts = find_piece_starts(test.clocks, ends, raw[name])
             filtered_signal = raw[name].map_values(
                 partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
             )
@@ -287,7 +293,10 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
 
 def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     curve = test.curve
-    if curve is None or not (stretch := loading_of(traced(test))).stop > stretch.start:
+    if (
+        curve is None
+        or not (stretch := select_first_loading(make_trace(test))).stop > stretch.start
+    ):
         return test, []
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[stretch], curve.force[stretch]
@@ -330,7 +339,7 @@ def _add_slips_back(test: ReducedTest, curve: Curve) -> ReducedTest:
 
 def _cut_at_slip(test: ReducedTest, curve: Curve) -> ReducedTest:
     """Discard the curve from the first slip on."""
-    stop = samples_before(test.slips, len(curve.force))
+    stop = count_samples_before(test.slips, len(curve.force))
     force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
     branches = tuple(
         replace(branch, stop=min(branch.stop, stop), stop_time=float(curve.time[stop - 1]))
@@ -351,7 +360,7 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
     curve, where = test.curve, test.signals.displacement
     if curve is None:
         return test, []
-    decide = partial(slack_of, start_share=block.start, stop_share=block.stop)
+    decide = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
     slack = measure_slack(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
@@ -368,7 +377,7 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
         _with_displacement(
             test, curve, test.displacement.map_values(lambda values: values - offset)
         ),
-        replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
+        replicates=test.replicates and subtract_slack(test.replicates, decide, slack),
         slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
     )
     return corrected, [Finding.of("process.slack_removed", where, slack=1e3 * offset)]
@@ -391,10 +400,10 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     measured = return_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
-    slack, trace = measured[0], traced(test)
+    slack, trace = measured[0], make_trace(test)
     if np.isnan(slack.deviations).mean() > max_falling_share:
         return Failure.of("process.not_rising")
-    start = loading_of(trace).start
+    start = select_first_loading(trace).start
     first, load = float(trace.displacement[start]), float(trace.force[start])
     if slack.value < first and not _preload_explains(slack, decide, trace, start):
         zero, first = 1e3 * slack.value, 1e3 * first

@@ -31,7 +31,9 @@ MAX_CORNER_CUT = 5e-6
 """m by which a motion may round a corner."""
 
 
-def strokes_of(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], list[Finding]]:
+def find_motion_strokes(
+    motion: Signal, block: Branches
+) -> tuple[tuple[Stroke, ...], list[Finding]]:
     """Find the strokes of a motion, or a blocking finding if it has none.
 
     Parameters
@@ -103,7 +105,7 @@ class Turn:
         return (self.arrival,) if self.arrival is self.departure else (self.arrival, self.departure)
 
 
-def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float) -> list[Turn]:
+def find_motion_turns(motion: Signal, strokes: tuple[Stroke, ...], *, window: float) -> list[Turn]:
     """Find the times at which a motion turns, by straight lines on both sides of each corner.
 
     Parameters
@@ -146,7 +148,7 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     return turns
 
 
-def branches_between(
+def split_at_turns(
     motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
 ) -> tuple[Branch, ...]:
     """Split a motion into branches, at interpolated times where its turns are known."""
@@ -157,7 +159,7 @@ def branches_between(
     return split_branches(motion.time, strokes, turning_times=times)
 
 
-def with_rising_force(force: Signal) -> Signal:
+def orient_force(force: Signal) -> Signal:
     """Reverse a force that falls in loading, so that its turns are peaks."""
     return replace(force, values=-force.values) if goes_down(force.values) else force
 
@@ -348,7 +350,7 @@ def _is_whole(signal: Signal) -> bool:
     return max(ends) < float(finite.min()) + max_rest_share * float(np.ptp(finite))
 
 
-def turn_event(
+def find_turn_event(
     force: Signal, turn: Turn, near: float, *, window: float
 ) -> tuple[Corner, Reversal] | None:
     """Find the corner of the force at a turn of the motion.
@@ -411,7 +413,7 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
     )
 
 
-def turn_events(
+def find_turn_events(
     force: Signal, pairs: list[tuple[int, float]], turns: list[Turn], window: float
 ) -> list[tuple[Corner, Reversal]]:
     """Find the corners of a force at the turns of a motion that are paired with its peaks.
@@ -425,7 +427,7 @@ def turn_events(
     """
     turn_of_stroke = {turn.stroke: turn for turn in turns}
     events = (
-        turn_event(force, turn_of_stroke[stroke], near, window=window)
+        find_turn_event(force, turn_of_stroke[stroke], near, window=window)
         for stroke, near in pairs
         if stroke in turn_of_stroke
     )

@@ -13,7 +13,7 @@ from labpipe.records.result import TestResult
 from labpipe.store.replace import STAGES, exists_or_is_staged
 
 
-def recording_of(result: TestResult, protocol: Protocol) -> Hashable:
+def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
     """Identify the recording from which a test was made.
 
     Parameters
@@ -41,7 +41,7 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
 
     Parameters
     ----------
-    recordings : file and `recording_of` of each test
+    recordings : file and `identify_recording` of each test
 
     Returns
     -------
@@ -134,7 +134,7 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
     return sorted(paths)
 
 
-def refuse_repeated(marks: Iterable[tuple[str, Path]], what: str) -> None:
+def refuse_duplicates(marks: Iterable[tuple[str, Path]], what: str) -> None:
     """Refuse two tests with the same name or results folder, ignoring case.
 
     Parameters

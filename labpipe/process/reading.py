@@ -25,7 +25,7 @@ from labpipe.readers.text_cells import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of programs for an unknown unit."""
@@ -115,7 +115,7 @@ def _known_unit(stated: str) -> str:
 def _same_unit(one: str, other: str, si_unit: str) -> bool:
     """Check whether two units of a dimension are equal."""
     try:
-        return isclose(si_factor(one, si_unit), si_factor(other, si_unit), rel_tol=1e-9)
+        return isclose(find_si_factor(one, si_unit), find_si_factor(other, si_unit), rel_tol=1e-9)
     except ValueError:
         return False
 
@@ -145,7 +145,7 @@ def read_inputs(
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
-    files = named_exports(sheet, protocol)
+    files = list_named_exports(sheet, protocol)
     # Hashing runs in a thread: it takes as long as reading and releases the GIL.
     with ThreadPoolExecutor(max_workers=1) as executor:
         fingerprints = [
@@ -160,10 +160,10 @@ def read_inputs(
             for role, source in protocol.sources.items()
         }
         inputs = tuple(future.result() for future in fingerprints)
-    return recordings, (*inputs, *dialect_cards(protocol))
+    return recordings, (*inputs, *fingerprint_dialect_cards(protocol))
 
 
-def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
+def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
     """List the exports of a test, in the order of its protocol.
 
     Parameters
@@ -178,7 +178,7 @@ def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]
     return [(role, name) for role in protocol.sources for name in sheet.files[role]]
 
 
-def dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
+def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     """Take fingerprints of the dialect cards of the lab, which define how an export is read.
 
     Parameters
@@ -374,7 +374,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
     unit = _si_unit(source, source.unit or channel.unit_in_file)
-    factor = si_factor(source.unit or channel.unit_in_file, unit)
+    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

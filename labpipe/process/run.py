@@ -25,18 +25,23 @@ from labpipe.errors import (
     find_error_code,
 )
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.reading import dialect_cards, fingerprint, named_exports, read_inputs
-from labpipe.process.sanity_checks import instruments_of
+from labpipe.process.reading import (
+    fingerprint,
+    fingerprint_dialect_cards,
+    list_named_exports,
+    read_inputs,
+)
+from labpipe.process.sanity_checks import list_certified_instruments
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import (
     dump_protocol,
+    find_missing_exports,
     load_test_sheet,
-    missing_exports,
     parse_protocol,
     resolve,
 )
 from labpipe.protocol.schema import FigureName, Protocol
-from labpipe.protocol.values import is_name_of_a_test
+from labpipe.protocol.values import is_test_name
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
@@ -145,7 +150,7 @@ def process(task: Task, say: Say) -> Processed:
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = task.goal or results_folder_of(source, None, lambda: result.test)
+    folder = task.goal or find_results_folder(source, None, lambda: result.test)
     owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=task.figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
@@ -224,7 +229,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks data that a step needs.
     """
-    tested, operator = day_and_operator(raw.test_yaml, raw.recordings)
+    tested, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
     try:
         reduced = reduce_recordings(raw.recordings, protocol, tested=tested, specimen=raw.specimen)
     except ProcessingError as error:
@@ -253,11 +258,13 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         run=run_key(raw),
         date=tested,
         operator=operator,
-        instruments=instruments_of(protocol),
+        instruments=list_certified_instruments(protocol),
     )
 
 
-def day_and_operator(sheet: str, recordings: Mapping[str, Recording]) -> tuple[date | None, str]:
+def find_day_and_operator(
+    sheet: str, recordings: Mapping[str, Recording]
+) -> tuple[date | None, str]:
     """Find the day and the operator of a test.
 
     Parameters
@@ -347,7 +354,7 @@ def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protoc
     """Read a test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
     protocol = resolve(sheet, sheet_path, follow_links=follow_links)
-    if missing := missing_exports(sheet, sheet_path):
+    if missing := find_missing_exports(sheet, sheet_path):
         raise missing
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
     raw = RawTest(
@@ -366,7 +373,7 @@ def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protoc
 def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
-    if not is_name_of_a_test(raw.test):
+    if not is_test_name(raw.test):
         expected, found = "the name of a test, such as A2-085-1", repr(raw.test)
         raise StoreError.about(
             "process.bad_result", result_path, "test", expected=expected, found=found
@@ -389,7 +396,7 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     return raw, protocol
 
 
-def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+def find_results_folder(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
     """Find the results folder of a test.
 
     Parameters
@@ -496,7 +503,7 @@ def _folder_of(task: Task) -> Path | None:
     if task.goal is not None:
         return task.goal
     with suppress(LabpipeError, OSError, MemoryError):
-        return results_folder_of(task.sheet, None, partial(name_of, task.sheet))
+        return find_results_folder(task.sheet, None, partial(name_of, task.sheet))
     return None
 
 
@@ -512,9 +519,9 @@ def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
         texts = {"sheet": text, "protocol": resolved}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
         failure = replace(failure, made_of=hashes)
-        exports_by_role, folder = named_exports(sheet, protocol), task.sheet.parent
+        exports_by_role, folder = list_named_exports(sheet, protocol), task.sheet.parent
         exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
-        inputs = (*exports, *dialect_cards(protocol))
+        inputs = (*exports, *fingerprint_dialect_cards(protocol))
         run = key_of([(file.role, file.sha256) for file in inputs], text, resolved)
         return replace(failure, inputs=inputs, run=failure.run or run)
     except Exception:  # noqa: BLE001  the same fault may occur here, and is reported already

@@ -22,7 +22,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.beam import held_at_rest
+from labpipe.results.beam import compute_prop_force
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end
 from labpipe.signal.turning_points import estimate_noise_level
@@ -57,7 +57,9 @@ def check_rig(
         return
     if protocol.rig.string is not None:  # the force can fall by the weight on the string only
         weight = protocol.rig.string.counterweight * GRAVITY
-        weight += held_at_rest(GRAVITY * (specimen.mass_per_length or 0.0), specimen.length or 0.0)
+        weight += compute_prop_force(
+            GRAVITY * (specimen.mass_per_length or 0.0), specimen.length or 0.0
+        )
         yield from _check_negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
     if specimen.span is not None and force.has_time and not is_blocked:
         means, reason = _per_second(force), "a load that presses on a specimen cannot pull it"
@@ -267,7 +269,7 @@ def _falls(values: Floats) -> bool:
     return len(finite) > 1 and bool(finite[-1] < finite[0])
 
 
-def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
+def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
     """Report a record that begins under load and mark the results that depend on its start.
 
     Parameters
@@ -405,7 +407,7 @@ def find_cut_ends(
     return ends | {"force": force_end} if force_end < last.stop_time - missing else ends
 
 
-def file_is_cut(findings: Findings) -> bool:
+def is_file_cut(findings: Findings) -> bool:
     """Check the notes of readers for exports whose last rows may be missing."""
     return any(finding.code in _CUT_FILES for finding in findings.entries)
 
@@ -488,7 +490,7 @@ def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limit
     return sense * end >= turns[-1] - near
 
 
-def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:
+def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
     """List the instruments whose certificates a protocol states.
 
     Parameters
@@ -524,7 +526,7 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
             )
 
 
-def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
+def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
     """Doubt quantities of instruments whose calibration was overdue.
 
     Parameters

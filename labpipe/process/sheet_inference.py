@@ -1,4 +1,4 @@
-"""Infer a test sheet: what files and names say, what siblings say, what is left for a person."""
+"""Infer a test sheet from the exports, from names, and from the other tests of the campaign."""
 
 from __future__ import annotations
 
@@ -7,35 +7,37 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
 from functools import cache
 from importlib.resources import files as package_files
 from pathlib import Path
+from typing import TypeAlias
 
 from labpipe.errors import Fault, LabpipeError, ReadError
 from labpipe.messages import format_sentence
-from labpipe.process.checking import needs_span
-from labpipe.process.protocol_match import Fit, all_protocols, match_protocols
+from labpipe.process.checking import results_needing_span
+from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES
-from labpipe.protocol.values import has_control_characters, is_name_of_a_test
+from labpipe.protocol.values import has_control_characters, is_test_name
 from labpipe.readers import recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_FACT_KEYS = ("date", "operator", "type", "sample", "length", "width", "thickness")
+_COPIED_FACTS = ("date", "operator", "type", "sample", "length", "width", "thickness")
+"""Facts that become values of a test sheet."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
-FOLDER = "the name of the folder"
+FOLDER_NAME = "the name of the folder"
 _YEAR_FIRST = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
 _YEAR_LAST = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """12-hour clock in capitals, the US format of Windows, which puts the month first."""
-_NAME = re.compile(r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)")
+_FOLDER_NAME = re.compile(r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +46,15 @@ class Fact:
 
     Parameters
     ----------
-    key : column of a campaign's table: ``date``, ``operator``, ``type``, ``sample``, ``length``
-        ...; ``take`` for the name of the test in a program
-    value : as a test sheet writes it; empty if ambiguous
-    where : its source, such as ``force.mat``
-    written : as it is written there
+    key : column of a campaign table: ``date``, ``operator``, ``type``, ``sample``, ``length`` ...;
+        ``take`` for the name that the recording program has for the test
+    value : as a test sheet writes it
+    source : such as ``force.mat``
     """
 
     key: str
     value: str
-    where: str
-    written: str = ""
+    source: str
 
 
 @cache
@@ -63,81 +63,78 @@ def _fact_keys() -> dict[str, dict[str, list[str]]]:
     return tomllib.loads(text)
 
 
-def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
-    """Collect the facts that an export holds about its test.
+def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
+    """Collect the facts about the test that the metadata of an export state.
 
     Parameters
     ----------
-    name : of the file; its date is used if the export has none
+    name : of the file; a date in it is used if the metadata have none
     recording : from its reader
 
     Returns
     -------
-    Its facts. The modification time of the file is not one of them: copying changes it.
+    The facts. The modification time of the file is not one of them, because copying changes it.
     """
-    entries, facts = dict[str, str](), list[Fact]()
-    for word, text in _entries(recording.metadata):
-        entries.setdefault(word, text)
+    entries = dict[str, str]()
+    for entry, text in _metadata_entries(recording.metadata):
+        entries.setdefault(entry, text)
+    facts = list[Fact]()
     for key, names in _fact_keys()["keys"].items():
-        texts = [entries[entry] for entry in names if _is_filled(key, entries.get(entry, ""))]
-        facts += [
-            Fact(key, day_in(text) if key == "date" else text, name, text) for text in texts[:1]
-        ]
-    if not any(fact.key == "date" for fact in facts):
-        facts += [Fact("date", day, f"the name of {name}", name) for day in _days_in_name(name)]
+        values = (_parse_fact(key, entries.get(entry, "")) for entry in names)
+        facts += [Fact(key, value, name) for value in [next(filter(None, values), "")] if value]
+    if all(fact.key != "date" for fact in facts) and (day := parse_day(name)):
+        facts.append(Fact("date", day, f"the name of {name}"))
     return tuple(facts)
 
 
-def _entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+def _metadata_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     """Yield metadata entries by the last part of their key."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _fact_keys()["entries"]["lists"]:
-            yield from _entries(value)
+            yield from _metadata_entries(value)
         yield key.rpartition(" : ")[2].strip(), str(value).strip()
 
 
-def _is_filled(key: str, text: str) -> bool:
-    """Check whether an entry was filled in, and can be what its key says."""
-    if key in ("length", "width", "thickness"):
-        return (_metres(text) or 0.0) > 0.0
+def _parse_fact(key: str, text: str) -> str:
+    """Return the value of a metadata entry; empty if it was not filled in or does not fit."""
     if key == "date":
-        return bool(_YEAR_FIRST.search(text) or _YEAR_LAST.search(text))
-    return text.casefold() not in _fact_keys()["entries"]["empty"]
+        return parse_day(text)
+    if key in ("length", "width", "thickness"):
+        return text if (_parse_metres(text) or 0.0) > 0.0 else ""
+    return "" if text.casefold() in _fact_keys()["entries"]["empty"] else text
 
 
-def facts_of_folder(name: str) -> tuple[Fact, ...]:
+def parse_folder_name(name: str) -> tuple[Fact, ...]:
     """Parse a folder name such as ``A2-085-1``: type, length in mm, sample.
 
     Parameters
     ----------
     name : of the folder of a test
 
+    Returns
+    -------
+    The facts; none if the name has another form, or holds a date.
+
     Examples
     --------
-    >>> [(fact.key, fact.value) for fact in facts_of_folder("A2-085-1")]
+    >>> [(fact.key, fact.value) for fact in parse_folder_name("A2-085-1")]
     [('type', 'A2'), ('length', '85 mm'), ('sample', '1')]
-    >>> [(fact.key, fact.value) for fact in facts_of_folder("CWB-2a-3")]
+    >>> [(fact.key, fact.value) for fact in parse_folder_name("CWB-2a-3")]
     [('type', 'CWB-2a'), ('sample', '3')]
-    >>> facts_of_folder("Test Run 4 10-23-2023 6 43 09 PM")
+    >>> parse_folder_name("Test Run 4 10-23-2023 6 43 09 PM")
     ()
     """
-    if _days_in_name(name) or _YEAR_LAST.search(name):
+    if parse_day(name) or _YEAR_LAST.search(name):
         return ()
-    match = _NAME.fullmatch(name)
+    match = _FOLDER_NAME.fullmatch(name)
     parts = match.groupdict("") if match else {}
     if parts.get("length"):
         parts["length"] = f"{int(parts['length'])} mm"
-    return tuple(Fact(key, value, FOLDER, name) for key, value in parts.items() if value)
+    return tuple(Fact(key, value, FOLDER_NAME) for key, value in parts.items() if value)
 
 
-def _days_in_name(name: str) -> list[str]:
-    """Find dates in the name of a file or folder that begin with the year."""
-    written = [*_YEAR_FIRST.findall(name), *_COMPACT_DATE.findall(name)]
-    return list(dict.fromkeys(day for parts in written if (day := _iso_date(*parts))))
-
-
-def day_in(text: str) -> str:
-    """Parse a date in the format of some program.
+def parse_day(text: str) -> str:
+    """Parse the first date in a text.
 
     Parameters
     ----------
@@ -149,21 +146,21 @@ def day_in(text: str) -> str:
 
     Examples
     --------
-    >>> day_in("27.02.2015"), day_in("10/26/2022 13:02"), day_in("3/11/2026 10:05:00 AM")
+    >>> parse_day("27.02.2015"), parse_day("10/26/2022 13:02"), parse_day("3/11/2026 10:05:00 AM")
     ('2015-02-27', '2022-10-26', '2026-03-11')
-    >>> day_in("03/09/2026 10:05:00")
+    >>> parse_day("03/09/2026 10:05:00")
     ''
     """
-    if match := _YEAR_FIRST.search(text):
+    if match := _YEAR_FIRST.search(text) or _COMPACT_DATE.search(text):
         return _iso_date(*match.groups())
     if not (match := _YEAR_LAST.search(text)):
         return ""
-    first, mark, second, year, rest = match.groups()
+    first, separator, second, year, remainder = match.groups()
     day_first, month_first = _iso_date(year, second, first), _iso_date(year, first, second)
-    if mark == "." or not month_first:
+    if separator == "." or not month_first:
         return day_first
-    is_clear = _US_CLOCK.match(rest) or day_first in ("", month_first)
-    return month_first if is_clear else ""
+    is_unambiguous = _US_CLOCK.match(remainder) or day_first in ("", month_first)
+    return month_first if is_unambiguous else ""
 
 
 def _iso_date(year: str, month: str, day: str) -> str:
@@ -181,28 +178,26 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
 
     Returns
     -------
-    agreed : by key, those on which all sources agree; `where` names all of them
-    left_open : by key, a sentence on contradictory or ambiguous facts
+    agreed : by key, the facts on which all sources agree; `Fact.source` names all of them
+    contradictions : by key, a sentence on the different values
     """
-    by_key: dict[str, list[Fact]] = {}
+    sources: dict[str, dict[str, list[str]]] = {}
     for fact in facts:
-        by_key.setdefault(fact.key, []).append(fact)
-    agreed, left_open = dict[str, Fact](), dict[str, str]()
-    for key, facts_of_key in by_key.items():
-        clear = [fact for fact in facts_of_key if fact.value]
-        if len({fact.value for fact in clear}) == 1:
-            sources = " and ".join(dict.fromkeys(fact.where for fact in clear))
-            agreed[key] = replace(clear[0], where=sources)
-            continue
-        statements = ", ".join(
-            f"{fact.value or repr(fact.written)} in {fact.where}" for fact in clear or facts_of_key
-        )
-        left_open[key] = format_sentence(
-            "process.facts_differ" if clear else "process.facts_ambiguous",
-            key=key,
-            statements=statements,
-        )
-    return agreed, left_open
+        sources.setdefault(fact.key, {}).setdefault(fact.value, []).append(fact.source)
+    agreed, contradictions = dict[str, Fact](), dict[str, str]()
+    for key, sources_by_value in sources.items():
+        listed = {
+            value: " and ".join(dict.fromkeys(names)) for value, names in sources_by_value.items()
+        }
+        statements = ", ".join(f"{value} in {names}" for value, names in listed.items())
+        if len(listed) == 1:
+            ((value, names),) = listed.items()
+            agreed[key] = Fact(key, value, names)
+        else:
+            contradictions[key] = format_sentence(
+                "process.facts_differ", key=key, statements=statements
+            )
+    return agreed, contradictions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,8 +207,8 @@ class FolderContents:
     Parameters
     ----------
     exports : those that can be read
-    others : names of other files, and what each appears to be
-    unread : names of exports that cannot be read, and the reason: damaged, truncated, locked
+    others : what each other file appears to be, by name
+    unread : why an export cannot be read (damaged, truncated, locked), by name
     """
 
     exports: dict[Path, Recording] = field(default_factory=dict)
@@ -222,16 +217,16 @@ class FolderContents:
 
 
 def read_folder(folder: Path) -> FolderContents:
-    """Read the files in the folder of a test; formats are recognised by content.
+    """Read the exports in the folder of a test; formats are recognised by content.
 
     Parameters
     ----------
     folder : of the test; a missing folder is empty
     """
     contents = FolderContents()
-    for path in files_in(folder):
+    for path in list_possible_exports(folder):
         if has_control_characters(path.name):
-            contents.others[path.name] = "its name has control characters; rename it"
+            contents.others[path.name] = format_sentence("process.control_characters")
             continue
         try:
             path.open("rb").close()  # raises OSError before the format is recognised
@@ -246,12 +241,12 @@ def read_folder(folder: Path) -> FolderContents:
     return contents
 
 
-def files_in(folder: Path) -> list[Path]:
+def list_possible_exports(folder: Path) -> list[Path]:
     """List the files of a folder that may be exports, by name, without hidden ones.
 
     Parameters
     ----------
-    folder : of a test
+    folder : of a test; a missing folder is empty
     """
     return [
         path
@@ -260,8 +255,8 @@ def files_in(folder: Path) -> list[Path]:
     ]
 
 
-def folders_of_tests(folder: Path) -> list[Path]:
-    """List the test folders of a campaign that hold files, by name.
+def list_test_folders(folder: Path) -> list[Path]:
+    """List the test folders of a campaign that may hold exports, by name.
 
     Parameters
     ----------
@@ -269,58 +264,58 @@ def folders_of_tests(folder: Path) -> list[Path]:
 
     Returns
     -------
-    The folders; none if the folder is that of a test: it has a test sheet, or no folder with files.
+    The folders; none if the folder itself holds a test sheet, or does not exist.
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
     below = [path for path in sorted(folder.iterdir()) if path.is_dir()]
-    return [path for path in below if not path.name.startswith(".") and files_in(path)]
+    return [path for path in below if not path.name.startswith(".") and list_possible_exports(path)]
 
 
-@dataclass(slots=True)
-class Neighbours:
-    """Protocols of the tests of a campaign by folder; empty for a test without one.
-
-    Parameters
-    ----------
-    tests : type of the specimen and protocol of each test
-    """
-
-    tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
-
-    def protocols_beside(self, folder: Path, specimen_type: str | None = None) -> Counter[str]:
-        """Count the protocols of the other tests, of all types or of one.
-
-        Parameters
-        ----------
-        folder : of the test itself
-        specimen_type : type of the specimen; None for all
-        """
-        return Counter(
-            protocol
-            for other, (other_type, protocol) in self.tests.items()
-            if other != folder.resolve() and specimen_type in (None, other_type)
-        )
+Neighbours: TypeAlias = dict[Path, tuple[str, str]]
+"""Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
 
 
-def neighbours_in(campaign: Path) -> Neighbours:
-    """Read the protocols of the tests of a campaign.
+def read_neighbours(campaign: Path) -> Neighbours:
+    """Read the specimen types and protocols of the tests of a campaign.
 
     Parameters
     ----------
     campaign : folder with the folders of the tests
     """
-    neighbours = Neighbours()
-    for folder in folders_of_tests(campaign):
-        neighbours.tests[folder] = (_named(folder).get("type", ""), "")
+    neighbours: Neighbours = {}
+    for folder in list_test_folders(campaign):
+        neighbours[folder] = (_values_in_name(folder).get("type", ""), "")
         with suppress(LabpipeError, OSError):
             sheet = load_test_sheet(folder / SHEET_NAME)
-            neighbours.tests[folder] = (sheet.specimen.type, sheet.protocol)
+            neighbours[folder] = (sheet.specimen.type, sheet.protocol)
     return neighbours
 
 
-def _named(folder: Path) -> dict[str, str]:
-    return {fact.key: fact.value for fact in facts_of_folder(folder.name)}
+def count_protocols(
+    neighbours: Neighbours, folder: Path, specimen_type: str | None = None
+) -> Counter[str]:
+    """Count the protocols of the other tests of a campaign.
+
+    Parameters
+    ----------
+    neighbours : tests of the campaign
+    folder : of the test itself, which is not counted
+    specimen_type : type of the counted specimens; None for all
+
+    Returns
+    -------
+    Number of tests by protocol; under an empty name, those without one.
+    """
+    return Counter(
+        protocol
+        for other, (other_type, protocol) in neighbours.items()
+        if other != folder.resolve() and specimen_type in (None, other_type)
+    )
+
+
+def _values_in_name(folder: Path) -> dict[str, str]:
+    return {fact.key: fact.value for fact in parse_folder_name(folder.name)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,11 +325,11 @@ class InferredTest:
     Parameters
     ----------
     folder : of the test
-    values : text by column of a campaign's table
+    values : text by column of a campaign table
     files : names of exports by role
-    open : required columns without a value, which the user fills in
+    open : required columns and roles without a value, which the user fills in
     remarks : sentences on the sources of the values, and on contradictions
-    unread : exports of a known format that cannot be read, with the reason
+    unread : why an export of a known format cannot be read, by name
     blocks : content without a column, by key of the test sheet
     """
 
@@ -348,7 +343,7 @@ class InferredTest:
 
 
 def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[InferredTest]:
-    """Infer several tests of one campaign; the others may decide what one leaves open.
+    """Infer several tests of one campaign.
 
     Parameters
     ----------
@@ -357,20 +352,20 @@ def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[
 
     Yields
     ------
-    Each test: first those with a definite protocol, then the others. Only the recordings of one
-    test are in memory at a time.
+    Each test: first those whose exports decide the protocol, then the others, for which the
+    protocols of the first ones count. Only the recordings of one test are in memory at a time.
     """
-    neighbours = neighbours_in(folders[0].resolve().parent) if folders else Neighbours()
-    waiting = []
+    neighbours = read_neighbours(folders[0].resolve().parent) if folders else {}
+    undecided = []
     for folder in folders:
         test = infer_test(folder, stated, neighbours=neighbours)
         if "protocol" in test.open:
-            waiting.append(folder)
+            undecided.append(folder)
             continue
-        kind, protocol = test.values.get("type", ""), test.values["protocol"]
-        neighbours.tests[folder.resolve()] = (kind, protocol)
+        specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
+        neighbours[folder.resolve()] = (specimen_type, protocol)
         yield test
-    for folder in waiting:
+    for folder in undecided:
         yield infer_test(folder, stated, neighbours=neighbours)
 
 
@@ -389,101 +384,109 @@ def infer_test(
     -------
     The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
-    contents, name = read_folder(folder), safe_name(folder.resolve().name)
-    neighbours = neighbours or neighbours_in(folder.resolve().parent)
-    named = {role: file_names(stated[role]) for role in ROLES if role in stated}
-    fits = _fits(folder, contents, stated, named, neighbours)
-    fit = fits[0] if len(fits) == 1 else None
-    unclear = {role: fit.files[role] for fit in fits for role in fit.unclear - named.keys()}
-    exports = {x: y for x, y in contents.exports.items() if x.name not in sum(unclear.values(), ())}
-    facts, contradictory = combine_facts(_facts(folder, exports))
-    facts = {key: facts[key] for key in _FACT_KEYS if key in facts and key not in stated}
-    values = {"test": name} | ({"protocol": fit.protocol.name} if fit else {})
+    folder_name = folder.resolve().name
+    contents, name = read_folder(folder), safe_name(folder_name)
+    if neighbours is None:
+        neighbours = read_neighbours(folder.resolve().parent)
+    stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
+    matches = _match(folder, contents, stated, stated_files, neighbours)
+    match = matches[0] if len(matches) == 1 else None
+    ambiguous = {
+        role: candidate.files[role]
+        for candidate in matches
+        for role in sorted(candidate.ambiguous_roles - stated_files.keys())
+    }
+    exports = {
+        path: export
+        for path, export in contents.exports.items()
+        if all(path.name not in names for names in ambiguous.values())
+    }
+    facts, contradictions = combine_facts(_collect_facts(folder, exports))
+    facts = {key: facts[key] for key in _COPIED_FACTS if key in facts and key not in stated}
+    values = {"test": name} | ({"protocol": match.protocol.name} if match else {})
     values |= {key: fact.value for key, fact in facts.items()} | dict(stated)
-    inferred = _files(contents, fits)
-    files = inferred | named
-    needed = ["protocol", "type", "spool", "sample"]
-    needed += ["span"] if fit and needs_span(fit.protocol) else []
-    open_roles = sorted(fits[0].unclear - files.keys()) if fits else []
-    open_keys = [key for key in needed if not values.get(key)]
-    open_keys += open_roles or ([] if files else ["files"])
+    inferred_files = _assign_files(contents, matches)
+    files = inferred_files | stated_files
+    required = ["protocol", "type", "spool", "sample"]
+    required += ["span"] if match and results_needing_span(match.protocol) else []
+    open_keys = [key for key in required if not values.get(key)]
+    open_keys += sorted(ambiguous) or ([] if files else ["files"])
 
-    remarks = [*_about_protocol(contents, fits)] if "protocol" not in stated else []
+    remarks = [] if "protocol" in stated else [_describe_match(contents, matches)]
     readers = {path.name: export.reader for path, export in contents.exports.items()}
     roles = [
-        f"{role}: {', '.join(f'{_printable(x)} ({readers[x]})' for x in names)}"
-        for role, names in inferred.items()
-        if role not in named
+        f"{role}: {', '.join(f'{_escape(file)} ({readers[file]})' for file in names)}"
+        for role, names in inferred_files.items()
+        if role not in stated_files
     ]
     remarks += ["; ".join(roles)] if roles else []
-    for role in open_roles:
-        possible = ", ".join(map(_printable, unclear[role]))
-        remarks.append(format_sentence("process.role_unclear", role=role, names=possible))
-    for where in dict.fromkeys(fact.where for fact in facts.values()):
-        statements = [_statement(fact) for fact in facts.values() if fact.where == where]
-        remarks.append(
-            format_sentence("process.facts_from", facts=", ".join(statements), where=where)
-        )
-    if "test" not in stated and name != folder.resolve().name:
+    for role, candidates in sorted(ambiguous.items()):
+        names = ", ".join(map(_escape, candidates))
+        remarks.append(format_sentence("process.role_ambiguous", role=role, names=names))
+    for source in dict.fromkeys(fact.source for fact in facts.values()):
+        listed = ", ".join(f"{x.key} {x.value}" for x in facts.values() if x.source == source)
+        remarks.append(format_sentence("process.facts_from", facts=listed, source=source))
+    if "test" not in stated and name != folder_name:
         remarks.append(format_sentence("process.test_renamed", name=name))
-    remarks += [text for key, text in contradictory.items() if key not in stated]
-    if fit is not None and not fit.unclear and "protocol" not in stated:
-        remarks += [format_sentence("process.look", fault=fault) for fault in fit.faults[:3]]
-    remarks += _other_names(folder.resolve().name, exports)
-    used = {x for names in (*files.values(), *(unclear[r] for r in open_roles)) for x in names}
-    remarks += _unused(folder, contents, used)
+    remarks += [text for key, text in contradictions.items() if key not in stated]
+    if match is not None and not match.ambiguous_roles and "protocol" not in stated:
+        remarks += [format_sentence("process.look", fault=fault) for fault in match.faults[:3]]
+    remarks += _find_other_names(folder_name, exports)
+    used = {file for names in (*files.values(), *ambiguous.values()) for file in names}
+    remarks += _describe_unused(folder, contents, used)
     return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
 
 
-def _fits(
+def _match(
     folder: Path,
     contents: FolderContents,
     stated: Mapping[str, str],
-    named: Mapping[str, tuple[str, ...]],
+    stated_files: Mapping[str, tuple[str, ...]],
     neighbours: Neighbours,
-) -> list[Fit]:
+) -> list[ProtocolMatch]:
     """Find the protocols that fit best, by exports, names and the other tests."""
-    of_folder = _named(folder) | dict(stated)
-    kind = of_folder.get("type", "")
-    of_type = [neighbours.protocols_beside(folder, kind)] if kind else []
+    values = _values_in_name(folder) | dict(stated)
+    specimen_type = values.get("type", "")
+    counts = [count_protocols(neighbours, folder, specimen_type)] if specimen_type else []
     return match_protocols(
         contents.exports,
-        _candidates(stated, folder),
-        names=(folder.name, kind, *(path.stem for path in contents.exports)),
-        length=_metres(of_folder.get("length", "")),
-        siblings=[*of_type, neighbours.protocols_beside(folder)],
-        roles=named,
+        _load_candidates(stated, folder),
+        names=(folder.name, specimen_type, *(path.stem for path in contents.exports)),
+        length=_parse_metres(values.get("length", "")),
+        siblings=[*counts, count_protocols(neighbours, folder)],
+        stated_files=stated_files,
     )
 
 
-def _candidates(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
-    """Return the candidate protocols: all, or the one that the user named."""
+def _load_candidates(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
+    """Load the protocol that the user stated, or else all protocols."""
     if "protocol" not in stated:
-        return all_protocols()
+        return load_all_protocols()
     path = find_protocol(stated["protocol"], beside=folder)
     with suppress(LabpipeError):  # a wrong or missing one is reported when the sheet is written
         return [] if isinstance(path, Fault) else [load_protocol(path)]
     return []
 
 
-def _facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
+def _collect_facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
     """Collect facts; the lab chose the name of the folder, which has priority over exports."""
-    facts = list(facts_of_folder(folder.name))
-    known = {*(fact.key for fact in facts), "take"}
+    facts = list(parse_folder_name(folder.name))
+    named_keys = {*(fact.key for fact in facts), "take"}
     for path, recording in exports.items():
-        for fact in facts_of_export(path.name, recording):
-            key = "sample" if fact.key == "specimen" else fact.key
-            facts += [] if key in known else [replace(fact, key=key)]
+        export_facts = collect_export_facts(path.name, recording)
+        facts += [fact for fact in export_facts if fact.key not in named_keys]
     return facts
 
 
-def _files(contents: FolderContents, fits: Sequence[Fit]) -> dict[str, tuple[str, ...]]:
-    """Return exports by role: those on which all protocols that fit agree, or by format."""
-    if fits:
+def _assign_files(
+    contents: FolderContents, matches: Sequence[ProtocolMatch]
+) -> dict[str, tuple[str, ...]]:
+    """Return exports by role: those on which all matching protocols agree, or else by format."""
+    if matches:
         return {
             role: names
-            for role, names in fits[0].files.items()
-            if all(fit.files.get(role) == names and role not in fit.unclear for fit in fits)
+            for role, names in matches[0].files.items()
+            if all(x.files.get(role) == names and role not in x.ambiguous_roles for x in matches)
         }
     files: dict[str, tuple[str, ...]] = {}
     for path, export in contents.exports.items():
@@ -493,52 +496,42 @@ def _files(contents: FolderContents, fits: Sequence[Fit]) -> dict[str, tuple[str
     return files
 
 
-def _about_protocol(contents: FolderContents, fits: Sequence[Fit]) -> Iterator[str]:
-    if len(fits) == 1:
-        name = fits[0].protocol.name
-        signs = "; ".join(text for text, weight in fits[0].signs if weight > 0)
-        signs = signs or "no other one takes these exports as well"
-        yield format_sentence("process.protocol_chosen", name=name, signs=signs)
-    elif fits:
-        listed = [f"{fit.protocol.name}: {fit.protocol.about}" for fit in fits]
-        yield format_sentence(
-            "process.protocols_alike", count=len(fits), names="\n    ".join(listed)
+def _describe_match(contents: FolderContents, matches: Sequence[ProtocolMatch]) -> str:
+    if not matches:
+        return format_sentence(
+            "process.protocol_none" if contents.exports else "process.no_exports"
         )
-    else:
-        yield format_sentence("process.protocol_none" if contents.exports else "process.no_exports")
+    if len(matches) > 1:
+        listed = [f"{match.protocol.name}: {match.protocol.about}" for match in matches]
+        names = "\n    ".join(listed)
+        return format_sentence("process.protocols_alike", count=len(matches), names=names)
+    (match,) = matches
+    reason = match.reason or format_sentence("process.reason_only_one")
+    return format_sentence("process.protocol_chosen", name=match.protocol.name, reason=reason)
 
 
-def _statement(fact: Fact) -> str:
-    is_named = fact.where.startswith((FOLDER, "the name of"))
-    is_plain = fact.written.startswith(fact.value) or not fact.written or is_named
-    return f"{fact.key} {fact.value}" + ("" if is_plain else f" ({fact.written!r})")
-
-
-def _other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[str]:
+def _find_other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[str]:
     """Yield a sentence for each export that was recorded under the name of another test."""
     for path, export in exports.items():
-        for fact in facts_of_export(path.name, export):
-            if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
-                other = fact.value
+        for fact in collect_export_facts(path.name, export):
+            if fact.key == "take" and fact.value != name and parse_folder_name(fact.value):
                 yield format_sentence(
-                    "process.look_other_name", file=path.name, name=other, folder=name
+                    "process.look_other_name", file=path.name, name=fact.value, folder=name
                 )
 
 
-def _unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
-    """Yield a sentence for each file that is not used, or is not there."""
+def _describe_unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
+    """Yield a sentence for each file that is not used, or that is named but missing."""
     kinds = {path.name: export.reader for path, export in contents.exports.items()}
     for name, kind in (kinds | contents.unread | contents.others).items():
         if name not in used:
-            yield format_sentence(
-                "process.not_used", name=_printable(name), kind=kind.splitlines()[0]
-            )
+            yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
     for name in sorted(used):
         if not (folder / name).exists():
-            yield format_sentence("process.not_there_yet", names=_printable(name))
+            yield format_sentence("process.not_there_yet", names=_escape(name))
 
 
-def file_names(text: str) -> tuple[str, ...]:
+def split_file_names(text: str) -> tuple[str, ...]:
     """Split the exports of a role, as a table or an option writes them.
 
     Parameters
@@ -547,13 +540,13 @@ def file_names(text: str) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> file_names("a.csv; b.csv"), file_names("")
+    >>> split_file_names("a.csv; b.csv"), split_file_names("")
     (('a.csv', 'b.csv'), ())
     """
     return tuple(part.strip() for part in text.split(";")) if text else ()
 
 
-def _metres(text: str) -> float | None:
+def _parse_metres(text: str) -> float | None:
     with suppress(ValueError):
         return parse_quantity(text, "m") if text else None
     return None
@@ -571,11 +564,12 @@ def safe_name(name: str) -> str:
     >>> safe_name("Run 4, (2)"), safe_name("A2-085-1")
     ('Run-4-2', 'A2-085-1')
     """
-    if is_name_of_a_test(name):
+    if is_test_name(name):
         return name
     plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
-    return plain if is_name_of_a_test(plain) else f"test-{plain}"[:100]
+    return plain if is_test_name(plain) else f"test-{plain}"[:100]
 
 
-def _printable(name: str) -> str:
+def _escape(name: str) -> str:
+    """Escape the characters of a file name that cannot be printed."""
     return name if name.isprintable() else repr(name)[1:-1]

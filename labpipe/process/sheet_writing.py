@@ -6,47 +6,48 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from labpipe.errors import Fault, ReadError, UsageError, format_error, sort_by_likeness
 from labpipe.messages import format_sentence
 from labpipe.process.sheet_inference import (
     InferredTest,
-    file_names,
-    folders_of_tests,
     infer_test,
     infer_tests,
+    list_test_folders,
+    split_file_names,
 )
 from labpipe.protocol.load import find_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
-_OPTIONAL_TOP_LEVEL_COLUMNS = ("date", "operator")
-_NEEDED = ("test", "protocol", "type", "spool", "sample")
+_REQUIRED = ("test", "protocol", "type", "spool", "sample")
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
 BUNDLE_KEY_BY_COLUMN = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
 """Columns of a harness bundle and their keys in its block."""
-WORDS = ("labels", "observed")
-"""Blocks of the specimen whose words have columns such as ``labels.cured``."""
-COLUMNS = (
-    *_NEEDED,
-    *_OPTIONAL_TOP_LEVEL_COLUMNS,
-    *DIMENSIONS,
-    *BUNDLE_KEY_BY_COLUMN,
-    *ROLES,
-    "because",
+_KEY_PATHS = (
+    {key: (key,) for key in ("test", "protocol")}
+    | {key: ("specimen", key) for key in ("type", "spool", "sample", *DIMENSIONS)}
+    | {column: ("specimen", "bundle", key) for column, key in BUNDLE_KEY_BY_COLUMN.items()}
+    | {key: (key,) for key in ("date", "operator")}
+    | {role: ("files", role) for role in ROLES}
 )
-"""Columns of a campaign table, in addition to dotted keys of the protocol and labels."""
+"""Place of each column in a test sheet, in the order of the sheet."""
+TEXT_BLOCKS = ("labels", "observed")
+"""Blocks of the specimen whose texts have columns such as ``labels.cured``."""
+COLUMNS = (*_KEY_PATHS, "because")
+"""Columns of a campaign table, in addition to labels and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenSheet:
-    """A test sheet of a row of a campaign table, or inferred from the folder of the test.
+    """A test sheet that was written or kept.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def write_inferred_sheets(
     ----------
     folder : of a test, or of a campaign
     stated : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
-        protocol; they have priority over inferred values
+        protocol; it has priority over inferred values
     overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
 
     Yields
@@ -85,17 +86,18 @@ def write_inferred_sheets(
     StoreError
         If the file cannot be written.
     """
-    _raise_if_any(UsageError, (x for name in stated for x in _unknown(name, name, folder, name)))
-    below = folders_of_tests(folder)
-    existing = [path for path in below or [folder] if (path / SHEET_NAME).exists()]
+    faults = [x for column in stated for x in _unknown_column(column, column, folder, column)]
+    _raise_if_any(UsageError, faults)
+    test_folders = list_test_folders(folder)
+    existing = [path for path in test_folders or [folder] if (path / SHEET_NAME).exists()]
     if existing == [folder] and not overwrite:
         raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
-    if not below:
+    if not test_folders:
         yield write_inferred_sheet(infer_test(folder, stated))
         return
     kept = [] if overwrite else existing
     yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
-    for test in infer_tests([path for path in below if path not in kept], stated):
+    for test in infer_tests([path for path in test_folders if path not in kept], stated):
         yield write_inferred_sheet(test)
 
 
@@ -113,32 +115,19 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     StoreError
         If the file cannot be written.
     """
-    path, data = test.folder / SHEET_NAME, _inferred_data(test)
-    _raise_if_any(UsageError, _faults(test.values, {}, data, path, left_open=test.open))
+    path = test.folder / SHEET_NAME
+    open_values = {column: None for column in test.open if column in _KEY_PATHS}
+    data = _arrange({**test.values, **test.files, **open_values})
+    plan_specimen: dict[str, Any] = dict(test.blocks.get("specimen", {}))
+    specimen = data["specimen"]
+    if labels := {**plan_specimen.pop("labels", {}), **specimen.pop("labels", {})}:
+        specimen["labels"] = labels
+    data["specimen"] = plan_specimen | specimen
+    if overrides := test.blocks.get("overrides"):
+        data["overrides"] = overrides
+    _raise_if_any(UsageError, _describe_faults(test.values, {}, data, path, open_keys=test.open))
     _write(path, data)
     return WrittenSheet(path, False, test.remarks, test.open)
-
-
-def _raise_if_any(error: type[UsageError | ReadError], faults: Iterator[str]) -> None:
-    if texts := list(faults):
-        raise error("\n".join(texts))
-
-
-def _inferred_data(test: InferredTest) -> dict[str, object]:
-    """Arrange inferred values into the blocks of a test sheet; None for those to be filled in."""
-    open_values = dict.fromkeys(key for key in test.open if key in (*_NEEDED, *DIMENSIONS))
-    files = {role: test.files.get(role) for role in ROLES if role in {*test.files, *test.open}}
-    data = _sheet_data({**test.values, **open_values}, files)
-    shared, own = test.blocks.get("specimen", {}), _block(data, "specimen")
-    words = {name: _block(shared, name) | _block(own, name) for name in WORDS}
-    data["specimen"] = {**shared, **own} | {name: block for name, block in words.items() if block}
-    overrides = test.blocks.get("overrides")
-    return data | ({"overrides": overrides} if overrides else {})
-
-
-def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
-    block = data.get(key)
-    return dict(block) if isinstance(block, Mapping) else {}
 
 
 def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
@@ -164,57 +153,96 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
         If a file cannot be written.
     """
     table = read_campaign_sheet(sheet)
-    columns = [_column(cell.text) for cell in table.heading]
+    columns = [_parse_heading(cell.text) for cell in table.heading]
     _raise_if_any(ReadError, _heading_faults(table.heading, [name for name, _ in columns], sheet))
-    faults, tests, names = list[str](), [], set[str]()
+    faults, rows, names = list[str](), [], set[str]()
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
-        values = {name: _with_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
+        values = {name: _add_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
         places = {name: cell.place for name, _, cell in cells}
-        files = {role: file_names(values[role]) for role in ROLES if role in values}
-        data, test = _sheet_data(values, files), values.get("test", "")
-        faults += _faults(values, places, data, sheet, beside=folder / test)
+        files = {role: split_file_names(values[role]) for role in ROLES if role in values}
+        data, test = _arrange({**values, **files}), values.get("test", "")
+        faults += _describe_faults(values, places, data, sheet, test_folder=folder / test)
         if test and test.casefold() in names:  # some file systems take A1 and a1 for one folder
             faults.append(
                 str(ReadError.about("process.row_twice", sheet, places["test"], test=test))
             )
         names.add(test.casefold())
-        tests.append((folder / test / SHEET_NAME, data, files))
-    _raise_if_any(ReadError, iter(faults))
+        rows.append((folder / test, data, [name for several in files.values() for name in several]))
+    _raise_if_any(ReadError, faults)
     sheets = []
-    for path, data, files in tests:
-        kept = path.exists() and not overwrite
-        missing = [x for names in files.values() for x in names if not (path.parent / x).exists()]
+    for test_folder, data, exports in rows:
+        path = test_folder / SHEET_NAME
+        if path.exists() and not overwrite:
+            sheets.append(WrittenSheet(path, kept=True))
+            continue
+        missing = [name for name in exports if not (test_folder / name).exists()]
         remark = format_sentence("process.not_there_yet", names=", ".join(missing))
-        if not kept:
-            _write(path, data)
-        sheets.append(WrittenSheet(path, kept, (remark,) if missing and not kept else ()))
+        _write(path, data)
+        sheets.append(WrittenSheet(path, remarks=(remark,) if missing else ()))
     return sheets
 
 
-def _column(heading: str) -> tuple[str, str]:
+def _parse_heading(heading: str) -> tuple[str, str]:
     """Split a heading into the name of the column and the unit of its numbers."""
     match = _UNIT_IN_HEADING.fullmatch(heading)
     name, unit = (match[1].strip(), match[2]) if match else (heading, "")
     return (name if "." in name else name.casefold()), unit
 
 
-def _with_unit(text: str, unit: str) -> str:
+def _add_unit(text: str, unit: str) -> str:
+    """Add the unit of a heading to a number without one."""
     is_number = re.fullmatch(r"[-+0-9.eE]+", text) is not None
     return f"{text} {unit}" if unit and is_number else text
 
 
+def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
+    """Arrange values into the blocks of a test sheet.
+
+    Parameters
+    ----------
+    values : text by column, names of exports by role; None for what is to be filled in
+    """
+    paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
+    dotted = [column for column in values if "." in column]
+    paths |= {
+        column: ("specimen", block, key)
+        for column in dotted
+        for block, _, key in [column.partition(".")]
+        if block in TEXT_BLOCKS
+    }
+    data: dict[str, Any] = {}
+    for column, (*blocks, key) in paths.items():
+        block = data
+        for name in blocks:
+            block = block.setdefault(name, {})
+        value = values[column]
+        if isinstance(value, tuple):
+            value = value[0] if len(value) == 1 else list(value)
+        block[key] = value
+    data.setdefault("specimen", {})
+    data.setdefault("files", None)
+    because = {"because": values["because"]} if "because" in values else {}
+    overrides = {x: {"value": values[x]} | because for x in dotted if x not in paths}
+    return data | ({"overrides": overrides} if overrides else {})
+
+
+def _raise_if_any(error: type[UsageError | ReadError], faults: Iterator[str] | list[str]) -> None:
+    if texts := list(faults):
+        raise error("\n".join(texts))
+
+
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) -> Iterator[str]:
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        yield from _unknown(name, cell.text, sheet, cell.place)
+        yield from _unknown_column(name, cell.text, sheet, cell.place)
         if name in names[:number]:
             yield str(ReadError.about("process.column_twice", sheet, cell.place, name=name))
-    for name in _NEEDED:
+    for name in _REQUIRED:
         if name not in names:
             yield str(ReadError.about("process.column_missing", sheet, heading[0].place, name=name))
 
 
-def _unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
+def _unknown_column(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
         columns = sort_by_likeness(written, list(COLUMNS))
@@ -226,69 +254,51 @@ def _unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
         )
 
 
-def _faults(
+def _describe_faults(
     values: Mapping[str, str],
     places: Mapping[str, str],
     data: Mapping[str, object],
     file: Path,
     *,
-    beside: Path | None = None,
-    left_open: Sequence[str] = (),
+    test_folder: Path | None = None,
+    open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
-    """Describe the faults of one test, each with its cell or option, except open values."""
+    """Describe the faults of one test, each with its cell or option.
+
+    Parameters
+    ----------
+    values, data : by column, and arranged as a test sheet
+    places : cell of each column; empty if the values are options
+    file : the table, or the test sheet to be written
+    test_folder : in which to look for protocols; that of `file` if None
+    open_keys : keys to be filled in, whose faults are not reported
+    """
     faults = [
-        fault for fault in test_sheet_faults(data) if not set(map(str, fault.path)) & set(left_open)
+        fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
     ]
     protocol = values.get("protocol")
-    path = find_protocol(protocol, beside=beside or file.parent) if protocol else None
-    for fault in [*faults, path] if isinstance(path, Fault) else faults:
-        column = _column_of(fault)
+    found = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
+    for fault in [*faults, found] if isinstance(found, Fault) else faults:
+        column = _column_of_fault(fault)
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column
-        expected, found, remedy = fault.expected, fault.found, fault.remedy
+        expected, actual, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
-            expected, found, remedy = f"a value for {column!r}", "none", "Fill it in."
-        yield format_error(file, place, expected=expected, found=found, remedy=remedy).rstrip()
+            expected, actual, remedy = f"a value for {column!r}", "none", "Fill it in."
+        yield format_error(file, place, expected=expected, found=actual, remedy=remedy).rstrip()
 
 
-def _column_of(fault: Fault) -> str:
-    path = [str(part) for part in fault.path]
-    if path[:2] == ["specimen", "bundle"]:
-        key = fault.missing or path[2]
-        return next(column for column, filled in BUNDLE_KEY_BY_COLUMN.items() if filled == key)
+def _column_of_fault(fault: Fault) -> str:
+    """Return the column whose value is at fault or missing."""
+    path = tuple(str(part) for part in (*fault.path, fault.missing) if part != "")
+    for column, column_path in _KEY_PATHS.items():
+        if path[: len(column_path)] == column_path:
+            return column
     if fault.missing:
         return fault.missing
-    if path[0] == "specimen" and path[1] in WORDS:
+    if path[0] == "specimen" and len(path) > 2 and path[1] in TEXT_BLOCKS:
         return f"{path[1]}.{path[2]}"
-    return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]
-
-
-def _sheet_data(
-    values: Mapping[str, str | None], files: Mapping[str, Sequence[str] | None]
-) -> dict[str, object]:
-    """Arrange values by column and files by role into the blocks of a test sheet."""
-
-    def block(columns: Mapping[str, str]) -> dict[str, object]:
-        return {key: values[column] for column, key in columns.items() if column in values}
-
-    words = {
-        name: {key: key.partition(".")[2] for key in values if key.startswith(f"{name}.")}
-        for name in WORDS
-    }
-    because = block({"because": "because"})
-    overridden = [key for key in values if "." in key and key.partition(".")[0] not in WORDS]
-    specimen = block({key: key for key in (*_NEEDED[2:], *DIMENSIONS)})
-    blocks = {"bundle": block(BUNDLE_KEY_BY_COLUMN)}
-    blocks |= {name: block(columns) for name, columns in words.items()}
-    data = block({key: key for key in _NEEDED[:2]})
-    data["specimen"] = specimen | {key: inner for key, inner in blocks.items() if inner}
-    data |= block({key: key for key in _OPTIONAL_TOP_LEVEL_COLUMNS})
-    data["files"] = {
-        role: names[0] if names is not None and len(names) == 1 else names and list(names)
-        for role, names in files.items()
-    } or None
-    overrides = {key: {"value": values[key]} | because for key in overridden}
-    return data | ({"overrides": overrides} if overrides else {})
+    return path[1] if path[0] == "overrides" and len(path) > 1 else path[-1]
 
 
 def _write(path: Path, data: Mapping[str, object]) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 from labpipe.errors import ProcessingError, format_overrides
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared
-from labpipe.process.motion import with_rising_force
+from labpipe.process.motion import orient_force
 from labpipe.process.zeros import (
     MIN_SAMPLES_NOISE_KNOWN,
     MIN_SAMPLES_NOISE_UNKNOWN,
-    line_zero,
-    mean_level,
+    average_level,
+    measure_moving_zero,
     required_samples,
 )
 from labpipe.protocol.schema import Protocol, Rig
@@ -76,7 +76,7 @@ def travel_from_speed(
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
-    force, duration = with_rising_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
+    force, duration = orient_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
     corner = _turn(force, step)
     start, speed = corner.time - duration, rig.crosshead_speed
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
@@ -165,7 +165,7 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
 
     Parameters
     ----------
-    prepared, step, protocol : as for `take_step`
+    prepared, step, protocol : as for `apply_step`
 
     Raises
     ------
@@ -173,7 +173,7 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
         If the step cannot be run on the data.
     """
     try:
-        return take_step(prepared, step, protocol)
+        return apply_step(prepared, step, protocol)
     except ValueError as error:
         remedy = format_sentence("process.step_remedy")
         if isinstance(error, ShortStretchError):
@@ -182,7 +182,7 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
         raise ProcessingError(message) from error
 
 
-def take_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
+def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
     """Run one step.
 
     Parameters
@@ -221,21 +221,21 @@ def _take_marker_step(
 ) -> Stepped:
     # Tests without markers do not load these modules.
     from labpipe.process.camera_steps import (
-        bend_between_supports,
-        fit_shapes,
-        repair,
-        turn_into_specimen,
+        find_specimen_axes,
+        fit_specimen_shapes,
+        fit_three_point_shape,
+        repair_marker_tracks,
     )
 
     match step:
         case RepairMarkers():
-            return repair(prepared, step, protocol.markers)
+            return repair_marker_tracks(prepared, step, protocol.markers)
         case SpecimenFrame():
-            return turn_into_specimen(prepared, step, protocol.markers)
+            return find_specimen_axes(prepared, step, protocol.markers)
         case FitShape():
-            return fit_shapes(prepared, step, protocol.markers)
+            return fit_specimen_shapes(prepared, step, protocol.markers)
         case ThreePointShape():
-            return bend_between_supports(prepared, step, protocol)
+            return fit_three_point_shape(prepared, step, protocol)
 
 
 def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
@@ -274,14 +274,14 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
-        level, error = mean_level(finite, other_values)
+        level, error = average_level(finite, other_values)
         method = f"the mean over {duration:.4g} s"
     else:
         signals = replace(
             signals, moving_zero_stretches={**signals.moving_zero_stretches, **stretch}
         )
         values = finite if step.at == "start" else finite[::-1]
-        level, error, rest_samples = line_zero(values, other_values)
+        level, error, rest_samples = measure_moving_zero(values, other_values)
         rest_time = duration * rest_samples / len(values)
         method = f"the outer end of a line over {duration:.4g} s"
         method = (

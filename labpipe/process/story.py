@@ -27,18 +27,18 @@ from labpipe.process.curve_corrections import (
     build_curve,
     correct_curve,
 )
-from labpipe.process.motion import Motion, branches_between, strokes_of
+from labpipe.process.motion import Motion, find_motion_strokes, split_at_turns
 from labpipe.process.sanity_checks import (
     check_answers,
-    check_begin,
-    check_due,
+    check_calibration_due,
     check_mid_span,
     check_rest,
     check_rig,
     check_signs,
-    file_is_cut,
+    check_start,
     find_cut_ends,
     find_holds,
+    is_file_cut,
     is_full_stroke,
 )
 from labpipe.process.steps import run_steps
@@ -58,7 +58,7 @@ from labpipe.uncertainty.intervals import Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReductionOfTest:
+class Reduction:
     """The reduction of a test.
 
     Parameters
@@ -79,7 +79,7 @@ def reduce_recordings(
     *,
     tested: date | None = None,
     specimen: Specimen | None = None,
-) -> ReductionOfTest:
+) -> Reduction:
     """Reduce the recordings of one test to stages and results.
 
     Parameters
@@ -96,24 +96,24 @@ def reduce_recordings(
     """
     prepared, new_findings = calibrate(recordings, protocol)
     findings = Findings() + new_findings + check_channels(prepared.signals, protocol)
-    findings += check_due(protocol, tested)
+    findings += check_calibration_due(protocol, tested)
     findings += check_answers(protocol, {} if specimen is None else specimen.observed)
     labels = {} if specimen is None else specimen.labels
     prepared, new_findings = run_steps(prepared, protocol)
     findings += new_findings
     if protocol.curve is None or protocol.branches is None:
-        return with_results(_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol)
-    seed = seed_of(recordings)
+        return add_results(_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol)
+    seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
     prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
     findings += new_findings
     findings = check_signals(prepared, motion, protocol, findings)
     test = replace(_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed)
-    return with_results(with_curve(test, motion, protocol, protocol.curve), protocol)
+    return add_results(add_curve(test, motion, protocol, protocol.curve), protocol)
 
 
-def seed_of(recordings: Mapping[str, Recording]) -> bytes:
+def make_seed(recordings: Mapping[str, Recording]) -> bytes:
     """Make a random seed from the recordings, so that results are reproducible.
 
     Parameters
@@ -143,10 +143,10 @@ def split_motion(
     """
     signals = prepared.signals
     motion = signals.raw[block.channel]
-    strokes, findings = strokes_of(motion, block)
+    strokes, findings = find_motion_strokes(motion, block)
     fit, turns, new_findings = join_clocks(signals, protocol.align, motion, strokes)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
-    branches = branches_between(motion, strokes, turns)
+    branches = split_at_turns(motion, strokes, turns)
     findings += new_findings
     if prepared.span is not None:
         from labpipe.process.camera_steps import align_cameras  # only these tests load it
@@ -190,7 +190,7 @@ def check_signals(
     return findings + reversed_signs
 
 
-def with_curve(
+def add_curve(
     test: ReducedTest, motion: Motion, protocol: Protocol, block: CurveBlock
 ) -> ReducedTest:
     """Build the curve of a test and correct it.
@@ -206,7 +206,7 @@ def with_curve(
         test.signals,
         motion,
         is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
-        is_cut_file=file_is_cut(test.findings),
+        is_cut_file=is_file_cut(test.findings),
         limits=protocol.limits,
     )
     test = replace(test, cut_at=ends)
@@ -222,7 +222,7 @@ def with_curve(
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
-    findings += check_begin(test.signals, motion, has_slack=has_slack)
+    findings += check_start(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
         findings += check_break(test.signals.force, test.curve, test.failure, protocol.limits)
     return replace(test, findings=findings)
@@ -273,10 +273,10 @@ def _uncertainties(protocol: Protocol) -> dict[str, float]:
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return of_results | (stated.stated if stated is not None else {})
+    return of_results | (stated.by_key if stated is not None else {})
 
 
-def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
+def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
     """Compute the results of a protocol.
 
     Parameters
@@ -285,9 +285,9 @@ def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
     protocol : with its results in order
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
-        from labpipe.results.moment_curvature import measured  # only these tests load it
+        from labpipe.results.moment_curvature import measure_replicates  # only these tests load it
 
-        bending, bending_findings = measured(test)
+        bending, bending_findings = measure_replicates(test)
         test = replace(test, bending=bending, findings=test.findings + bending_findings)
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
@@ -299,7 +299,7 @@ def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
             stiffnesses={**test.stiffnesses, **computed.stiffnesses},
             findings=test.findings + computed.findings,
         )
-    return ReductionOfTest(test, tuple(results), tuple(lines))
+    return Reduction(test, tuple(results), tuple(lines))
 
 
 def _with_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:

@@ -34,15 +34,16 @@ def required_samples(other_values: Floats) -> int:
     Notes
     -----
     Three samples suffice if the rest of the record has at least 100. With 3 to 6 samples, the 95 %
-    intervals of `mean_level` and `end_level` then cover the true value in 94 to 96 % of cases, in
-    white noise and in noise with a correlation length of ten samples. If the rest has only 25
-    samples, the coverage is the same for a correlation length of two samples and 73 % for one of
-    ten, because so short a record does not separate such noise from its curve.
+    intervals of `average_level` and `fit_end_level` then cover the true value in 94 to 96 % of
+    cases, in white noise and in noise with a correlation length of ten samples. If the rest of the
+    record has only 25 samples, the coverage is the same for a correlation length of two samples. It
+    is 73 % for one of ten samples, because so short a record does not separate such noise from its
+    curve.
     """
     return MIN_SAMPLES_NOISE_KNOWN if _noise_stretches(other_values) else MIN_SAMPLES_NOISE_UNKNOWN
 
 
-def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
+def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     """Return the mean of a stretch and its standard error.
 
     Parameters
@@ -60,12 +61,12 @@ def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     return float(values.mean()), error
 
 
-def end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
+def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     """Return the first value of a line through a stretch and its standard error.
 
     Parameters
     ----------
-    values, other_values : as for `mean_level`
+    values, other_values : as for `average_level`
     """
     blocks = _blocks(values)
     size = len(values) // len(blocks)
@@ -77,12 +78,12 @@ def end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     return float(fit.coefficients[0]), interval.standard_error
 
 
-def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
+def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
     """Return the level before a machine moved, from a stretch in which it moves.
 
     Parameters
     ----------
-    values, other_values : as for `mean_level`; the stretch begins at its outer end
+    values, other_values : as for `average_level`; the stretch begins at its outer end
 
     Returns
     -------
@@ -92,13 +93,13 @@ def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
     """
     rest_samples = count_rest_samples(values)
     if rest_samples >= required_samples(other_values):
-        return *mean_level(
+        return *average_level(
             values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
         ), rest_samples
     moving = (
         values[rest_samples:] if len(values) - rest_samples >= MIN_SAMPLES_NOISE_UNKNOWN else values
     )
-    return *end_level(moving, other_values), 0
+    return *fit_end_level(moving, other_values), 0
 
 
 def _stretches_beside_short_one(values: Floats, other_values: Floats) -> Sequence[Floats]:
@@ -153,7 +154,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
         inside = (raw.time >= rest[0]) & (raw.time <= rest[1])
         rest_values = raw.values[inside & ~np.isnan(raw.values)]
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
-            level, error = mean_level(rest_values, raw.values[~inside])
+            level, error = average_level(rest_values, raw.values[~inside])
             zeroed = {**signals.zero_stretches, name: rest}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
             duration, stated = rest[1] - rest[0], stop - start

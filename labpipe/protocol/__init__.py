@@ -1,1 +1,1 @@
-"""Protocols and test sheets: YAML in, validated models with SI values out."""
+"""Protocols and test sheets: from YAML files to validated models with SI values."""

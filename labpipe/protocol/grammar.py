@@ -1,7 +1,8 @@
-"""Blocks of keys in protocols and test sheets, and how settings declared as plain data become them.
+"""Blocks: the pydantic models of YAML files, and the models built from plain settings.
 
-Types with the markers of `labpipe.records.declarations` mean the same in a `Block` and in a plain
-frozen dataclass: here, and only here, they turn into what pydantic validates, writes and describes.
+The fields of a `Block`, and of a plain frozen dataclass such as a step, are declared with the
+markers of `labpipe.records.declarations`. This module alone converts these markers into pydantic's
+validators, serializers and JSON schemas.
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ from pydantic_core import CoreSchema, core_schema
 from labpipe.errors import Fault
 from labpipe.protocol.limit_cards import read_limit_card
 from labpipe.protocol.values import (
-    OrShort,
     QuantityText,
+    ShortForm,
+    format_span,
+    parse_pattern_text,
     parse_span,
-    parse_whole,
-    parse_word,
-    written_span,
+    parse_whole_number,
 )
-from labpipe.protocol.yaml_text import FaultsError, Values, faults_of, refused
+from labpipe.protocol.yaml_text import FaultsError, Values, convert_errors, refused
 from labpipe.records.declarations import (
     FromCard,
     Key,
@@ -65,37 +66,46 @@ from labpipe.records.declarations import (
     WholeNumber,
 )
 
-_SPAN = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+_SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
 
 
 class Block(BaseModel):
-    """A frozen block of keys that refuses unknown keys, with faults in plain language."""
+    """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
 
-    # Built when first used: a test uses a protocol and a sheet, not each block on its own.
+    # Pydantic builds a model on first use: most commands use few of them.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Replace the markers by validators before pydantic reads the types."""
+        """Replace the markers of the fields before pydantic reads their types."""
         super().__init_subclass__(**options)
         hints = inspect.get_annotations(cls, eval_str=True)
-        cls.__annotations__ = {name: validated(hint) for name, hint in hints.items()}
+        cls.__annotations__ = {name: build_pydantic_type(hint) for name, hint in hints.items()}
 
     @classmethod
-    def keys(cls) -> list[str]:
-        """List the keys as YAML writes them."""
+    def list_keys(cls) -> list[str]:
+        """List the keys of the block as written in YAML."""
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
     def read(cls, data: object) -> Self | list[Fault]:
-        """Validate plain values, or find all that is wrong with them."""
+        """Validate plain values.
+
+        Parameters
+        ----------
+        data : the content of the YAML block; anything but a block is a fault
+
+        Returns
+        -------
+        The block, or all faults of its values.
+        """
         try:
             return cls.model_validate(data)
         except ValidationError as error:
-            return faults_of(error, data)
+            return convert_errors(error, data)
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - blocks that check use it
-        """Check one part of the block against another, whether or not each part is valid.
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:  # noqa: ARG003 - subclasses use it
+        """Find contradictions between keys, even if other keys are invalid.
 
         Parameters
         ----------
@@ -103,34 +113,35 @@ class Block(BaseModel):
 
         Returns
         -------
-        The faults, with their paths in `data`.
+        The faults, with their paths in `data`; by default none.
         """
         return ()
 
     @model_validator(mode="wrap")
     @classmethod
     def _collect_faults(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Collect the faults of the parts and between them; the first at a place is reported.
+        """Raise the faults of single values together with the contradictions.
 
-        Of an unknown key, only the key is reported, not its value.
+        A contradiction is omitted where the value itself is invalid. Of an unknown key, only the
+        key is reported.
         """
-        cross_faults = list(cls.between(data)) if isinstance(data, Mapping) else []
-        within: list[Fault] = []
+        contradictions = list(cls.find_contradictions(data)) if isinstance(data, Mapping) else []
+        faults: list[Fault] = []
         try:
             block = handler(data)
         except ValidationError as error:
-            within = faults_of(error, data, cls.keys())
+            faults = convert_errors(error, data, cls.list_keys())
         else:
-            if not cross_faults:
+            if not contradictions:
                 return block
-        misspelt = {fault.path for fault in cross_faults if fault.at == "key"}
-        within = [fault for fault in within if fault.path not in misspelt]
-        places = {fault.path for fault in within}
-        raise FaultsError(*within, *(x for x in cross_faults if x.path not in places))
+        misspelt = {fault.path for fault in contradictions if fault.at == "key"}
+        faults = [fault for fault in faults if fault.path not in misspelt]
+        paths = {fault.path for fault in faults}
+        raise FaultsError(*faults, *(x for x in contradictions if x.path not in paths))
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit keys that are None by default."""
+        """Omit keys with the value None, if None is their default."""
         fields = type(self).model_fields
         unset = {field.alias or name for name, field in fields.items() if field.default is None}
         return {
@@ -140,99 +151,102 @@ class Block(BaseModel):
         }
 
 
-def validated(hint: Any) -> Any:
-    """Replace the markers in a type by what pydantic validates with.
+def build_pydantic_type(hint: Any) -> Any:
+    """Convert the type of a field into one that pydantic validates.
 
     Parameters
     ----------
-    hint : type of a field; a plain dataclass in it is read as a block of its settings
+    hint : type with markers; a plain dataclass in it is read from a block of its settings
 
     Returns
     -------
-    The type for pydantic, whose values are those of `hint`.
+    The type with validators in place of the markers. Validated values are of the type `hint`.
     """
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _annotated(parts[0], parts[1:])
+        return _replace_markers(parts[0], parts[1:])
     if origin in (Union, UnionType):
-        return Union[tuple(validated(part) for part in parts)]  # noqa: UP007 - of a list
+        return Union[tuple(build_pydantic_type(part) for part in parts)]  # noqa: UP007 - of a list
     if origin in (tuple, list, dict):
-        return origin[tuple(validated(part) for part in parts)]
+        return origin[tuple(build_pydantic_type(part) for part in parts)]
     if hint is Span:
-        write = PlainSerializer(written_span)
-        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(_SPAN)]
-    return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
+        serializer = PlainSerializer(format_span)
+        return Annotated[Span, PlainValidator(parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)]
+    return Annotated[hint, _ReadAsBlock(hint)] if is_dataclass(hint) else hint
 
 
-def _annotated(inner: Any, markers: tuple[Any, ...]) -> Any:
-    """Return a type with validators in place of its markers."""
+def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
+    """Convert an annotated type into one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
+            kinds = (Annotated[arg, _ReadAsBlock(arg, marker.key)] for arg in get_args(inner))
             return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-    annotations = [part for marker in markers for part in _annotations_of(marker, markers)]
-    return Annotated[(validated(inner), *annotations)]
+    annotations = [part for marker in markers for part in _convert_marker(marker, markers)]
+    return Annotated[(build_pydantic_type(inner), *annotations)]
 
 
-def _annotations_of(marker: object, markers: tuple[Any, ...]) -> list[Any]:
-    """Return what pydantic takes for one of several markers; a text is the description."""
-    part: Any = marker
+def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
+    """Convert one of the markers of a type for pydantic; a text is the description."""
     match marker:
         case Quantity():
             text = QuantityText(marker)
-            written = PlainSerializer(text.written)
-            return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
+            serializer = PlainSerializer(text.format)
+            return [PlainValidator(text.parse), serializer, WithJsonSchema(text.schema)]
         case WholeNumber():
             schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
-            return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
+            return [PlainValidator(partial(parse_whole_number, marker)), WithJsonSchema(schema)]
         case PatternText():
-            return [BeforeValidator(partial(parse_word, marker))]
+            converted: Any = BeforeValidator(partial(parse_pattern_text, marker))
         case FromCard():
-            return [OrShort(read_limit_card, {"type": "string"})]
+            converted = ShortForm(read_limit_card, {"type": "string"})
         case LargerThan():
             quantity = next(other for other in markers if isinstance(other, Quantity))
-            return [AfterValidator(partial(_larger, marker, QuantityText(quantity)))]
+            converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
         case Key():
-            part = Field(alias=marker.name)
+            converted = Field(alias=marker.name)
         case str():
-            part = Field(description=marker)
-    return [part]
+            converted = Field(description=marker)
+        case _:
+            converted = marker
+    return [converted]
 
 
-def _larger(than: LargerThan, text: QuantityText, value: float, info: ValidationInfo) -> float:
-    """Refuse a value that is not above that of a field before it."""
-    least = info.data.get(than.field)
+def _check_larger(
+    bound: LargerThan, text: QuantityText, value: float, info: ValidationInfo
+) -> float:
+    """Refuse a value that is not above that of an earlier field."""
+    least = info.data.get(bound.field)
     if least is not None and value <= least:
-        least_text, found = text.written(least), text.written(value)
-        raise refused("protocol.not_larger", found=found, key=than.key, least=least_text)
+        least_text, found = text.format(least), text.format(value)
+        raise refused("protocol.not_larger", found=found, key=bound.key, least=least_text)
     return value
 
 
 class _SettingsBlock(Block):
-    """A block that is generated from plain settings."""
+    """A block that `build_block` derives from a plain dataclass."""
 
-    settings_kind: ClassVar[Any]
+    settings_class: ClassVar[Any]
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:
-        """Check one setting against another, if the settings define a check."""
-        check = getattr(cls.settings_kind, "between", None)
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+        """Find contradictions by the static method of the dataclass, if it has one."""
+        check = getattr(cls.settings_class, "find_contradictions", None)
         return () if check is None else check(data)
 
 
 @cache
-def block_of(kind: Any, tag: str = "") -> type[Block]:
-    """Make the block that reads a plain dataclass.
+def build_block(kind: Any, tag: str = "") -> type[Block]:
+    """Build the block whose keys are the fields of a plain dataclass.
 
     Parameters
     ----------
-    kind : frozen dataclass; its fields are the keys, except those with ``compare=False``, which are
-        not settings. A static method ``between`` finds faults between them in the block as written.
-    tag : key that distinguishes the kind from others of its list, and class variable with its value
+    kind : frozen dataclass; fields with ``compare=False`` are no settings and have no key. It may
+        have a static method ``find_contradictions``, as `Block` has.
+    tag : key that distinguishes the kinds of a list, and class variable of `kind` with its value
 
     Returns
     -------
-    The block, of the same name and docstring.
+    The class of the block, with the name and docstring of `kind`.
     """
     hints = get_type_hints(kind, include_extras=True)
     keys: dict[str, Any] = {tag: (Literal[getattr(kind, tag)], ...)} if tag else {}
@@ -241,13 +255,13 @@ def block_of(kind: Any, tag: str = "") -> type[Block]:
             default = ... if field.default is MISSING else field.default
             keys[field.name] = (hints[field.name], default)
     block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
-    block.settings_kind = kind
+    block.settings_class = kind
     return block
 
 
 @dataclass(frozen=True, slots=True)
-class _Settings:
-    """Annotation of a plain dataclass that YAML writes as a block."""
+class _ReadAsBlock:
+    """Annotation of a plain dataclass that is read from a block, and written as one."""
 
     kind: Any
     tag: str = ""
@@ -255,20 +269,20 @@ class _Settings:
     def __get_pydantic_core_schema__(
         self, _source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        block = block_of(self.kind, self.tag)
+        block = build_block(self.kind, self.tag)
         names = list(block.model_fields)
 
-        def plain(block_value: Block) -> object:
+        def to_settings(validated: Block) -> object:
             return self.kind(
-                **{name: getattr(block_value, name) for name in names if name != self.tag}
+                **{name: getattr(validated, name) for name in names if name != self.tag}
             )
 
-        def written(settings: object, write: SerializerFunctionWrapHandler) -> object:
+        def to_yaml(settings: object, serialize: SerializerFunctionWrapHandler) -> object:
             values = {name: getattr(settings, name) for name in names}
-            return write(block.model_construct(**values))
+            return serialize(block.model_construct(**values))
 
         return core_schema.no_info_after_validator_function(
-            plain,
+            to_settings,
             handler.generate_schema(block),
-            serialization=core_schema.wrap_serializer_function_ser_schema(written),
+            serialization=core_schema.wrap_serializer_function_ser_schema(to_yaml),
         )

@@ -1,9 +1,8 @@
-"""The grammar of a harness YAML: one line between its clips, and what moves it.
+"""Harness files: one line (a wire, a bundle or a chain), its boundaries, and its motion.
 
-A line has a length, a section and a rest shape. Boundaries hold it (clips, pins, grips on paths,
-rings, strings), loads pull it, a plane carries it. Time is counted in steps: a row of equilibria
-that begins with the shape at rest. One line is all there is as yet; the key of another would stand
-beside ``line``, and a boundary would say which one it holds.
+A line has a length, a section and a shape without load. Clips, pins, grips, rings and strings hold
+it, loads pull it, and planes support it. Time is counted in steps; each step is an equilibrium, and
+step 0 is the start.
 """
 
 from __future__ import annotations
@@ -19,13 +18,20 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.cross_checks import plausible_faults
+from labpipe.protocol.cross_checks import find_implausible_sizes
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible
-from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text, in_si, quantity_remedy, row_of
-from labpipe.protocol.yaml_text import Values, block_in, list_in, refused, same_names
+from labpipe.protocol.values import (
+    QuantityText,
+    Remark,
+    SingleLine,
+    Text,
+    build_row_validator,
+    parse_or_none,
+    suggest_quantity,
+)
+from labpipe.protocol.yaml_text import Values, find_repeated_names, get_block, get_list, refused
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -42,7 +48,7 @@ MAX_EQUILIBRIA = 2000
 MAX_ELEMENTS = 2000
 MIN_ELEMENTS = 4
 START, END = 0.0, math.inf
-"""Places on a line that have a word; any other is a length from its start, m."""
+"""Lengths from the start of a line, m, that YAML writes as ``start`` and ``end``."""
 
 Vector3: TypeAlias = tuple[float, float, float]
 Coordinate: TypeAlias = Annotated[float, Quantity("m", "mm", "120 mm")]
@@ -51,7 +57,7 @@ LoadComponent: TypeAlias = Annotated[float, Quantity("N", "N", "-2 N")]
 AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "-9.81 m/s^2")]
 
 
-def _of_unit_length(vector: Vector3) -> Vector3:
+def _normalise(vector: Vector3) -> Vector3:
     x, y, z = vector
     size = math.hypot(x, y, z)
     if size == 0.0:
@@ -60,42 +66,44 @@ def _of_unit_length(vector: Vector3) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    tuple[Coordinate, Coordinate, Coordinate], row_of(3, "[120 mm, 0 mm, 0 mm]")
+    tuple[Coordinate, Coordinate, Coordinate], build_row_validator(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
     tuple[Component, Component, Component],
-    row_of(3, "[1, 0, 0]"),
-    AfterValidator(_of_unit_length),
+    build_row_validator(3, "[1, 0, 0]"),
+    AfterValidator(_normalise),
 ]
 ForceVector: TypeAlias = Annotated[
-    tuple[LoadComponent, LoadComponent, LoadComponent], row_of(3, "[0 N, 0 N, -2 N]")
+    tuple[LoadComponent, LoadComponent, LoadComponent], build_row_validator(3, "[0 N, 0 N, -2 N]")
 ]
 Acceleration: TypeAlias = Annotated[
     tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
-    row_of(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+    build_row_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
 ]
 
-_ALONG = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
-_WORDS = {"start": START, "end": END}
+_LENGTH_FROM_START = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
+_NAMED_PLACES = {"start": START, "end": END}
 
 
-def _place(value: object) -> float:
+def _parse_place(value: object) -> float:
     word = str(value)
-    if word in _WORDS:
-        return _WORDS[word]
+    if word in _NAMED_PLACES:
+        return _NAMED_PLACES[word]
     try:
-        return _ALONG.parse(value)
+        return _LENGTH_FROM_START.parse(value)
     except ValueError as error:
-        remedy = quantity_remedy(value, "m", "120 mm")
+        remedy = suggest_quantity(value, "m", "120 mm")
         raise refused("protocol.no_place", found=value, remedy=remedy) from error
 
 
-def _written_place(place: float) -> str:
-    """Name a place on the line, m from its start, as YAML does."""
-    return {at: word for word, at in _WORDS.items()}.get(place) or _ALONG.written(place)
+def _format_place(place: float) -> str:
+    """Format a place on the line, m from its start, for YAML."""
+    return {at: word for word, at in _NAMED_PLACES.items()}.get(place) or _LENGTH_FROM_START.format(
+        place
+    )
 
 
-Place: TypeAlias = Annotated[float, PlainValidator(_place), PlainSerializer(_written_place)]
+Place: TypeAlias = Annotated[float, PlainValidator(_parse_place), PlainSerializer(_format_place)]
 Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_EQUILIBRIA)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 BendingStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
@@ -105,8 +113,8 @@ TorsionalStiffness: TypeAlias = Annotated[
 AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
 Scatter: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "0.5 1/m", minimum=0.0)]
 
-_KINDS = ("wire", "sliders", "bending_stiffness")
-_OWN_KEYS = {
+_SECTION_KINDS = ("wire", "sliders", "bending_stiffness")
+_SECTION_KEYS = {
     "wire": ("sheet", "calibration"),
     "sliders": ("diameter", "axial_stiffness"),
     "bending_stiffness": (
@@ -114,43 +122,43 @@ _OWN_KEYS = {
         *("mass_per_length", "diameter"),
     ),
 }
-_DIAMETER = {"diameter": "Add it: the allowed bend radius goes by it."}
-_NEEDED: dict[str, dict[str, str]] = {
+_DIAMETER = {"diameter": "Add it: the allowed bend radius depends on it."}
+_REQUIRED_KEYS: dict[str, dict[str, str]] = {
     "wire": {},
     "sliders": _DIAMETER,
     "bending_stiffness": _DIAMETER
     | {
-        "largest_curvature": "A law needs a range: add the largest curvature that was tested.",
+        "largest_curvature": "Add the largest tested curvature: the law is valid up to it.",
         "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
     },
 }
-"""Keys that each source of the law needs, and why."""
+"""Keys that each source of the bending law needs, with the remedy if one is missing."""
 
 
 class SectionBlock(Block):
-    """What the line is made of: a wire of a sheet, a deck of sliders, or two stiffnesses."""
+    """Section of the line: a wire of a wire sheet, a deck of sliders, or constant stiffnesses."""
 
     wire: Text | None = Field(None, description="Name of a wire of the sheet")
     sheet: Text | None = Field(
-        None, description="Wire sheet; else wires.xlsx beside this file, or what --wire names"
+        None, description="Wire sheet; else wires.xlsx beside this file, or the sheet of --wire"
     )
     calibration: Text | None = Field(
-        None, description="calibration.json whose numbers replace those of the sheet, with bands"
+        None, description="calibration.json that replaces parameters of the sheet, with bands"
     )
     sliders: Text | None = Field(
         None, description="Deck <wire>.sliders.json that `labpipe model` wrote"
     )
     bending_stiffness: BendingStiffness | None = Field(
-        None, description="EI, constant; of a chain next to nothing, such as 0.01 N*mm^2"
+        None, description="EI, constant; for a chain nearly zero, such as 0.01 N*mm^2"
     )
     torsional_stiffness: TorsionalStiffness | None = Field(None, description="GJ")
     axial_stiffness: AxialStiffness | None = Field(
-        None, description="EA; else that of the wire, or a line that does not stretch"
+        None, description="EA; else that of the wire, or infinite"
     )
-    mass_per_length: LinearMass | None = Field(None, description="Else that of the wire, or none")
+    mass_per_length: LinearMass | None = Field(None, description="Else that of the wire, or zero")
     diameter: Length | None = Field(None, description="Over the insulation or the tape")
     largest_curvature: Curvature | None = Field(
-        None, description="Up to which the bending stiffness was found; doubtful beyond"
+        None, description="Largest curvature with this bending stiffness; doubtful beyond"
     )
     stiffness_uncertainty: Uncertainty | None = Field(
         None, description="Standard uncertainty of the bending stiffness, for bands"
@@ -158,176 +166,183 @@ class SectionBlock(Block):
 
     @property
     def kind(self) -> str:
-        """Return what the law comes from: ``wire``, ``sliders`` or ``bending_stiffness``."""
-        return next(name for name in _KINDS if getattr(self, name) is not None)
+        """Return the source of the bending law: ``wire``, ``sliders`` or ``bending_stiffness``."""
+        return next(name for name in _SECTION_KINDS if getattr(self, name) is not None)
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Ask for one source of the law, all that it needs, and nothing that it does not take."""
-        kinds = [name for name in _KINDS if data.get(name) is not None]
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find several sources or none, missing keys, and keys of other sources."""
+        kinds = [name for name in _SECTION_KINDS if data.get(name) is not None]
         if len(kinds) != 1:
             found = " and ".join(map(repr, kinds)) or "none of them"
             yield Fault.of("protocol.no_one_section", found=found)
             return
-        kind, own = kinds[0], _OWN_KEYS[kinds[0]]
-        for key, why in _NEEDED[kind].items():
+        kind, own_keys = kinds[0], _SECTION_KEYS[kinds[0]]
+        for key, remedy in _REQUIRED_KEYS[kind].items():
             if data.get(key) is None:
-                yield Fault.of("protocol.no_section_key", missing=key, key=key, kind=kind, why=why)
-        for key in sorted({key for keys in _OWN_KEYS.values() for key in keys} & {*data} - {*own}):
-            valid = ", ".join(map(repr, own))
-            yield Fault.of(
-                "protocol.other_section", (key,), at="key", key=key, kind=kind, own=valid
-            )
+                yield Fault.of(
+                    "protocol.no_section_key", missing=key, key=key, kind=kind, remedy=remedy
+                )
+        valid = ", ".join(map(repr, own_keys))
+        all_keys = {key for keys in _SECTION_KEYS.values() for key in keys}
+        for key in sorted(all_keys & {*data} - {*own_keys}):
+            path = (key,)
+            yield Fault.of("protocol.other_section", path, at="key", key=key, kind=kind, own=valid)
 
 
 class Spool(Block):
-    """The curl that a spool left: the line is curved where nothing holds it."""
+    """Curl of a line from a spool: it is curved without load."""
 
-    curvature: Curvature = Field(description="One over the radius of the curl")
-    towards: Direction = Field((0.0, 0.0, -1.0), description="Side to which it curls at the start")
-    spread: Scatter = Field(0.0, description="Standard deviation from piece to piece, for bands")
+    curvature: Curvature = Field(description="1 / radius of the curl")
+    towards: Direction = Field((0.0, 0.0, -1.0), description="Direction of the curl at the start")
+    spread: Scatter = Field(0.0, description="Standard deviation between pieces, for bands")
 
 
 class LineBlock(Block):
-    """The line: length, section, rest shape, and where it lies at the start."""
+    """The line: length, section, shape without load, and initial position."""
 
     length: Length = Field(description="From one end to the other, unstretched")
     elements: Annotated[int, WholeNumber(MIN_ELEMENTS, MAX_ELEMENTS)] = Field(
-        40, description="Pieces that it is divided into"
+        40, description="Number of finite elements"
     )
     section: SectionBlock
-    spool: Spool | None = Field(None, description="None for a line that is straight at rest")
+    spool: Spool | None = Field(
+        None, description="Curl of the line; straight without load if left out"
+    )
     start: Position | None = Field(
-        None, description="Of the end that 'start' names; else where the clip or pin there is"
+        None, description="Initial position of its start; else that of the clip or pin there"
     )
     direction: Direction | None = Field(
-        None, description="In which it lies from there; else that of the clip there, or along x"
+        None, description="Initial direction; else that of the clip at the start, or x"
     )
 
 
 class Clip(Block):
-    """Holds the line in position and direction; the line is brought there first."""
+    """Holds the position and direction of a place of the line, after moving the line there."""
 
     kind: Literal["clip"]
-    name: TextLine
+    name: SingleLine
     at: Place
     position: Position
     direction: Direction | None = Field(
-        None, description="Of the line in it; as at the start where left out"
+        None, description="Of the line in the clip; else its initial direction"
     )
-    turn: Angle = Field(0.0, description="About that direction, which twists the line")
-    by: Step | None = Field(None, description="Step at which the line is there; else the last")
-    release: Step | None = Field(None, description="Step from which it lets go")
+    turn: Angle = Field(0.0, description="Rotation about that direction, which twists the line")
+    by: Step | None = Field(None, description="Step at which the line arrives; else the last")
+    release: Step | None = Field(None, description="Step from which the line is free")
 
 
 class Pin(Block):
-    """Holds the line in position alone; the line is brought there first."""
+    """Holds the position of a place of the line, after moving the line there."""
 
     kind: Literal["pin"]
-    name: TextLine
+    name: SingleLine
     at: Place
     position: Position
-    by: Step | None = Field(None, description="Step at which the line is there; else the last")
-    release: Step | None = Field(None, description="Step from which it lets go")
+    by: Step | None = Field(None, description="Step at which the line arrives; else the last")
+    release: Step | None = Field(None, description="Step from which the line is free")
 
 
 class Waypoint(Block):
-    """A pose of a grip, reached in a straight line from the one before."""
+    """A pose on the path of a grip, which is straight from the previous one."""
 
     step: Step
-    position: Position | None = Field(None, description="As before where left out")
-    direction: Direction | None = Field(None, description="As before where left out")
-    turn: Angle | None = Field(None, description="About the direction; as before where left out")
+    position: Position | None = Field(None, description="Else that of the previous pose")
+    direction: Direction | None = Field(None, description="Else that of the previous pose")
+    turn: Angle | None = Field(
+        None, description="Rotation about the direction; else that of the previous pose"
+    )
 
 
 class Grip(Block):
-    """Holds the line and moves it along a path."""
+    """Holds a place of the line and moves it along a path."""
 
     kind: Literal["grip"]
-    name: TextLine
+    name: SingleLine
     at: Place
-    path: tuple[Waypoint, ...] = Field((), description="From where the line lies at the start")
+    path: tuple[Waypoint, ...] = Field((), description="Poses after the initial one")
     holds: Literal["pose", "position"] = Field(
-        "pose", description="position: the line may turn in it"
+        "pose", description="pose: position and direction; position: the line may rotate"
     )
-    release: Step | None = Field(None, description="Step from which it lets go")
+    release: Step | None = Field(None, description="Step from which the line is free")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Ask for waypoints in order, and for none of a direction that is not held."""
-        points = [block_in(point) for point in list_in(data, "path")]
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find waypoints out of order, and directions of a grip that holds positions only."""
+        points = [get_block(point) for point in get_list(data, "path")]
         steps = [str(point.get("step")) for point in points]
-        for number, (one, other) in enumerate(pairwise(steps), start=1):
-            if one.isdecimal() and other.isdecimal() and int(other) <= int(one):
+        for number, (before, step) in enumerate(pairwise(steps), start=1):
+            if before.isdecimal() and step.isdecimal() and int(step) <= int(before):
                 path = ("path", number, "step")
-                yield Fault.of("protocol.step_not_after", path, before=one, found=other)
+                yield Fault.of("protocol.step_not_after", path, before=before, found=step)
         for number, point in enumerate(points if data.get("holds") == "position" else []):
-            for key in sorted(_OF_POSES & {*point}):
+            for key in sorted(_POSE_KEYS & {*point}):
                 yield Fault.of("protocol.turn_of_no_pose", ("path", number, key), at="key", key=key)
 
 
-_OF_POSES = {"direction", "turn"}
+_POSE_KEYS = {"direction", "turn"}
 
 
 class Ring(Block):
-    """A clip that the line slides through without friction; it is brought there with the line."""
+    """A clip in which the line slides without friction, after moving there with the line."""
 
     kind: Literal["ring"]
-    name: TextLine
+    name: SingleLine
     position: Position
-    direction: Direction = Field(description="Of its opening in the picture; the line turns in it")
-    by: Step | None = Field(None, description="Step at which it is there; else the last")
+    direction: Direction = Field(description="Of its opening in figures; the line may rotate in it")
+    by: Step | None = Field(None, description="Step at which the ring arrives; else the last")
 
 
 class String(Block):
-    """A thread that ties a place of the line to an anchor; it pulls and never pushes."""
+    """A string between a place of the line and an anchor; it carries tension only."""
 
     kind: Literal["string"]
-    name: TextLine
+    name: SingleLine
     at: Place
     anchor: Position
     length: Length
     by: Step | None = Field(
-        None, description="Step at which the anchor is there, if it is too far at the start"
+        None,
+        description="Step at which an anchor beyond the length of the string arrives",
     )
 
 
 class Load(Block):
-    """A force that keeps its direction; it grows from nothing."""
+    """A force of constant direction that increases from zero."""
 
     kind: Literal["load"]
-    name: TextLine
+    name: SingleLine
     at: Place
     force: ForceVector
-    by: Step | None = Field(None, description="Step at which it is whole; else the last")
+    by: Step | None = Field(None, description="Step of the full force; else the last")
 
 
 class Plane(Block):
-    """A table or a wall: the line lies on it, its axis half its diameter above."""
+    """A table or a wall; the axis of the line stays half its diameter away from it."""
 
     kind: Literal["plane"]
-    name: TextLine
+    name: SingleLine
     point: Position
     normal: Direction = (0.0, 0.0, 1.0)
     friction: Ratio = Field(0.0, description="Coefficient of Coulomb friction")
 
 
 Boundary: TypeAlias = Clip | Pin | Grip | Ring | String | Load | Plane
-Held: TypeAlias = Clip | Pin | Grip
-HELD = (Clip, Pin, Grip)
-"""Kinds of boundaries that hold one place of the line."""
-_HELD_KINDS = ("clip", "pin", "grip")
-_HOLDING = (*_HELD_KINDS, "string")
+Holder: TypeAlias = Clip | Pin | Grip
+HOLDERS = (Clip, Pin, Grip)
+"""Kinds of boundaries that hold the position of one place of the line."""
+_HOLDER_KINDS = ("clip", "pin", "grip")
+_HOLDING_KINDS = (*_HOLDER_KINDS, "string")
 
 
 class Sweep(Block):
-    """The same harness for several lengths of the line: slack against bend radius."""
+    """Further lengths of the line for the same harness, to choose its slack."""
 
     length: tuple[Length, ...] = Field(max_length=50, json_schema_extra={"minItems": 2})
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Ask for more than one length."""
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find a sweep of fewer than two lengths."""
         lengths = data.get("length")
         if isinstance(lengths, list) and len(lengths) < 2:
             yield Fault.of("protocol.one_length", ("length",), found=len(lengths))
@@ -337,57 +352,63 @@ class HarnessFile(Block):
     """One line between its boundaries."""
 
     version: Version
-    about: Remark = Field("", description="What it is, in one line")
+    about: Remark = Field("", description="Purpose, in one line")
     line: LineBlock
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
         json_schema_extra={"minItems": 1}
     )
     steps: Annotated[int, WholeNumber(1, MAX_EQUILIBRIA)] = Field(
-        40, description="Equilibria after the start; more where a path is hard to follow"
+        40, description="Number of equilibria after the start; more if the solver does not converge"
     )
     gravity: Acceleration = Field((0.0, 0.0, -GRAVITY), description="Three zeros for none")
     allowed_bend_radius: Length | None = Field(
-        None, description="Else 5 times the outer diameter, an assumption that the results name"
+        None, description="Else 5 times the outer diameter, which the results report as assumed"
     )
-    show: tuple[Step, ...] = Field((), description="Steps in shape.csv and figure beside the last")
-    sweep: Sweep | None = Field(None, description="Lengths that are computed beside the line's own")
-    plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
+    show: tuple[Step, ...] = Field(
+        (), description="Steps in shape.csv and in the figure, with the last one"
+    )
+    sweep: Sweep | None = Field(
+        None, description="Lengths to compute in addition to that of the line"
+    )
+    plausible: Plausible = Field(
+        {}, description="Ranges by kind of dimension; else the shipped ones"
+    )
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Check steps, names and places against the whole, and that something holds the line."""
-        yield from plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)
-        boundaries = [block_in(boundary) for boundary in list_in(data, "boundaries")]
-        yield from _late_steps(data, boundaries)
-        yield from same_names(boundaries, "boundaries", "boundary")
-        yield from _same_places(boundaries)
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find late steps, repeated names and places, and a line that nothing holds."""
+        yield from find_implausible_sizes(data, ("line", "boundaries", "sweep"), in_file=True)
+        boundaries = [get_block(boundary) for boundary in get_list(data, "boundaries")]
+        yield from _find_late_steps(data, boundaries)
+        yield from find_repeated_names(boundaries, "boundaries", "boundary")
+        yield from _find_shared_places(boundaries)
         kinds = {boundary.get("kind") for boundary in boundaries}
-        if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING, None}:
+        if isinstance(data.get("boundaries"), list) and not kinds & {*_HOLDING_KINDS, None}:
             yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
-def _late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
+def _find_late_steps(data: Values, boundaries: Sequence[Values]) -> Iterator[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
     steps: dict[KeyPath, object] = {
-        ("show", i): step for i, step in enumerate(list_in(data, "show"))
+        ("show", i): step for i, step in enumerate(get_list(data, "show"))
     }
     for number, boundary in enumerate(boundaries):
         steps |= {("boundaries", number, key): boundary.get(key) for key in ("by", "release")}
-        for i, point in enumerate(list_in(boundary, "path")):
-            steps["boundaries", number, "path", i, "step"] = block_in(point).get("step")
+        for i, point in enumerate(get_list(boundary, "path")):
+            steps["boundaries", number, "path", i, "step"] = get_block(point).get("step")
     for path, step in steps.items():
         if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last):
             yield Fault.of("protocol.late_step", path, last=last, found=step)
 
 
-def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
-    """Find two boundaries that hold one place of the line."""
+def _find_shared_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
+    """Find boundaries that hold the same place of the line."""
     first: dict[object, object] = {}
     for number, boundary in enumerate(boundaries):
         at = str(boundary.get("at"))
-        place = at if at in _WORDS else in_si(at, "m")
-        if boundary.get("kind") not in _HELD_KINDS or place is None:
+        place = at if at in _NAMED_PLACES else parse_or_none(at, "m")
+        if boundary.get("kind") not in _HOLDER_KINDS or place is None:
             continue
         if place in first:
             path = ("boundaries", number, "at")
@@ -396,11 +417,11 @@ def _same_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
 
 
 REACH_FACTOR = 1.0 + 1e-9
-"""On the length, so that a line may be straight between two clips."""
+"""Tolerance of lengths: a line may be straight between two clips."""
 
 
-def file_beside(name: str, path: Path) -> Path:
-    """Find a file that a harness names: beside it, or else from the working folder.
+def find_named_file(name: str, path: Path) -> Path:
+    """Resolve a file name of a harness: beside its YAML, or else in the working folder.
 
     Parameters
     ----------
@@ -411,32 +432,33 @@ def file_beside(name: str, path: Path) -> Path:
     return beside if beside.exists() else Path(name)
 
 
-def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
-    """Find files that a harness names and that are not there.
+def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
+    """Find files that a harness names and that do not exist.
 
     Parameters
     ----------
-    harness : whose parts are valid
+    harness : validated
     path : of its YAML
     """
     for key in ("sheet", "calibration", "sliders"):
         name = getattr(harness.line.section, key)
-        if name is not None and not file_beside(name, path).is_file():
+        if name is not None and not find_named_file(name, path).is_file():
             here, place = path.parent / name, ("line", "section", key)
             yield Fault.of(
                 "protocol.no_harness_file", place, name=name, here=here, there=Path(name)
             )
 
 
-def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
-    """Where the line begins at the start, m, and in which direction it lies.
+def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
+    """Find the initial position (m) of the start of the line, and its initial direction.
 
     Parameters
     ----------
-    harness : whose line may leave both to the clip at its start
+    harness : if its line states neither, they are those of the clip or pin at its start, or else
+        the origin and x
     """
     line = harness.line
-    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HELD))
+    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
     first = next((boundary for boundary in held if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
@@ -446,14 +468,15 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     return position, direction or (1.0, 0.0, 0.0)
 
 
-def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int) -> Floats:
-    """Find where something that holds the line is in each step, straight from pose to pose.
+def compute_path(boundary: Holder | String, start: Sequence[float] | Floats, steps: int) -> Floats:
+    """Compute the position of a boundary in each step; it moves in straight lines.
 
     Parameters
     ----------
-    boundary : clip, pin, grip, or a string, whose anchor goes from as far as the string is long
-    start : m, where the line lies at the start
-    steps : of the harness
+    boundary : clip, pin, grip, or a string, for which the path is that of its anchor; the anchor
+        starts at most the length of the string away from the line
+    start : initial position of the place on the line, m
+    steps : number of steps of the harness
 
     Returns
     -------
@@ -476,35 +499,37 @@ def path_of(boundary: Held | String, start: Sequence[float] | Floats, steps: int
     return np.column_stack([np.interp(rows, at, axis) for axis in np.array(corners).T])
 
 
-def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find what the line is too short for, and what else cannot be.
+def find_unreachable_places(harness: HarnessFile) -> Iterator[Fault]:
+    """Find boundaries that the line cannot reach, and motions that the steps cannot resolve.
 
     Parameters
     ----------
-    harness : whose parts are valid
+    harness : validated
 
     Yields
     ------
-    A fault for each two boundaries that are too far apart, with the step and the distance; those
-    of a sweep for the shortest line of it that is too short. One for each that holds the line
-    nearer to a plane than half the diameter that the file states; that of a wire sheet is not
-    known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    and for a curl that elements are too long for.
+    A fault for each place beyond the end of the line and for each two boundaries that are too far
+    apart, of a sweep for its shortest such line; for each boundary that holds the axis nearer to a
+    plane than half the diameter in the file; for each rotation of 180 deg or more per step, which
+    is ambiguous; and for a curl of more than 90 deg per element.
     """
-    yield from _in_planes(harness)
-    yield from _turned_too_far(harness)
-    yield from _curled_too_far(harness)
+    yield from _find_places_in_planes(harness)
+    yield from _find_large_turns(harness)
+    yield from _find_large_curl(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
-    lengths += sorted((run, ("sweep", "length", i)) for i, run in enumerate(swept))
+    lengths += sorted((length, ("sweep", "length", i)) for i, length in enumerate(swept))
     for length, path in lengths:
-        faults = [*_off_the_line(harness, length, path), *_too_far(harness, length, path)]
+        faults = [
+            *_find_places_off_line(harness, length, path),
+            *_find_distant_places(harness, length, path),
+        ]
         if faults:
             yield from faults
             return
 
 
-def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+def _find_places_off_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
@@ -512,10 +537,10 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
             yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=1e3 * place)
 
 
-def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
+def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
     radius = 0.5 * (harness.line.section.diameter or 0.0)
-    first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
-    places = _places(harness, harness.line.length, Clip, Pin, Grip)
+    first = 0 if harness.line.spool is None else 1  # the initial shape of a curled line is unknown
+    places = _list_places(harness, harness.line.length, Clip, Pin, Grip)
     planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
     for plane, place in product(planes, places):
         heights = (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
@@ -530,18 +555,17 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
             )
 
 
-def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
-    # A path is a row of frames, in which a turn and one 360 deg less are the same.
+def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
     for number, boundary in enumerate(harness.boundaries):
-        for key, start, end, turn in _turns_of(boundary, harness.steps):
+        for key, start, end, turn in _list_turns(boundary, harness.steps):
             per_step = math.degrees(abs(turn)) / (end - start)
             if per_step >= 180.0:
                 path = ("boundaries", number, *key)
                 yield Fault.of("protocol.turn", path, found=per_step, start=start, end=end)
 
 
-def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
-    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+def _list_turns(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
+    """List the rotations of a boundary: key path, first and last step, angle in rad."""
     if isinstance(boundary, Clip):
         yield ("turn",), 0, boundary.by or steps, boundary.turn
     elif isinstance(boundary, Grip):
@@ -552,63 +576,63 @@ def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, in
             at, before = point.step, turn
 
 
-def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
-    # deg per element. Elements are straight; one that turns by more than half a turn turns the
-    # other way.
-    most = 90.0
+def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
+    max_curl = 90.0  # deg per element; elements are straight
     line, swept = harness.line, harness.sweep.length if harness.sweep else ()
     element = max([line.length, *swept]) / line.elements
     curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
-    if curl > most:
+    if curl > max_curl:
         path = ("line", "spool", "curvature")
-        yield Fault.of("protocol.curl", path, most=most, element=1e3 * element, found=curl)
+        yield Fault.of("protocol.curl", path, most=max_curl, element=1e3 * element, found=curl)
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """A place of the line and where a boundary holds it.
+class _HeldPlace:
+    """A place of the line that a boundary or a string holds.
 
     Parameters
     ----------
     number, name : of the boundary
-    along : m, from the start of the line
-    path : m, where it is in each step up to the last in which it holds
-    thread : m, length of the string that ties the line to it; 0 for what holds it
+    along : length from the start of the line, m
+    path : position of the boundary in each step until its release, shape (steps, 3), m
+    string_length : length of the string to the boundary, m; 0 for other boundaries
     """
 
     number: int
     name: str
     along: float
     path: Floats
-    thread: float
+    string_length: float
 
 
-def _places(harness: HarnessFile, length: float, *kinds: type[Held | String]) -> list[_Place]:
-    start, direction = map(np.array, start_of(harness))
+def _list_places(
+    harness: HarnessFile, length: float, *kinds: type[Holder | String]
+) -> list[_HeldPlace]:
+    start, direction = map(np.array, find_line_start(harness))
     places = []
     for number, boundary in enumerate(harness.boundaries):
         if isinstance(boundary, kinds):
             along = min(boundary.at, length)
-            path = path_of(boundary, start + along * direction, harness.steps)
+            path = compute_path(boundary, start + along * direction, harness.steps)
             path = path[: getattr(boundary, "release", None) or harness.steps + 1]
-            thread = boundary.length if isinstance(boundary, String) else 0.0
-            places.append(_Place(number, boundary.name, along, path, thread))
+            string_length = boundary.length if isinstance(boundary, String) else 0.0
+            places.append(_HeldPlace(number, boundary.name, along, path, string_length))
     return sorted(places, key=lambda place: place.along)
 
 
-def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    places = _places(harness, length, Clip, Pin, Grip, String)
-    for one, other in combinations(places, 2):
-        reach = other.along - one.along + one.thread + other.thread
-        rows = min(len(one.path), len(other.path))
-        distances = np.linalg.norm(one.path[:rows] - other.path[:rows], axis=1)
+def _find_distant_places(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    places = _list_places(harness, length, Clip, Pin, Grip, String)
+    for first, second in combinations(places, 2):
+        reach = second.along - first.along + first.string_length + second.string_length
+        rows = min(len(first.path), len(second.path))
+        distances = np.linalg.norm(first.path[:rows] - second.path[:rows], axis=1)
         if distances.max() > reach * REACH_FACTOR:
             yield Fault.of(
                 "protocol.too_far",
-                path or ("boundaries", max(one.number, other.number)),
+                path or ("boundaries", max(first.number, second.number)),
                 reach=1e3 * reach,
-                one=one.name,
-                other=other.name,
+                one=first.name,
+                other=second.name,
                 found=1e3 * distances.max(),
                 step=distances.argmax(),
             )

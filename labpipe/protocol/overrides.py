@@ -1,4 +1,4 @@
-"""What a test sheet changes in its protocol, by its values and by the exports that it names."""
+"""Changes of a protocol for one test: overrides in the test sheet, and absent optional exports."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from pathlib import Path
 from typing import Final
 
 from labpipe.errors import Fault, KeyPath
-from labpipe.protocol.cross_checks import result_names
+from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
-from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document, Spot, block_in, did_you_mean, list_in
+from labpipe.protocol.sheet_grammar import COPY_REMEDY, TestSheet
+from labpipe.protocol.yaml_text import Document, Location, get_block, get_list, suggest_word
 from labpipe.records.declarations import Step, TravelFromSpeed
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
-_LISTS = (("steps",), ("results",))
-"""Blocks that a protocol may leave out and that are lists."""
+_LIST_BLOCKS = (("steps",), ("results",))
+"""Optional blocks of a protocol that are lists."""
 
 
-def with_overrides(protocol: Document, sheet: Document) -> None:
-    """Apply the overrides of a test sheet to the protocol.
+def apply_overrides(protocol: Document, sheet: Document) -> None:
+    """Apply the overrides of a test sheet to a protocol.
 
-    Changed values get the positions of the sheet; overrides of unknown keys become faults. An item
-    of a list that is overridden with nothing is removed, a result also from those that the report
-    shows first.
+    Changed values get the locations in the sheet. Overrides of unknown keys are added to the faults
+    of the protocol. An override with null removes an item of a list; a result is then also removed
+    from ``groups.main``.
 
     Parameters
     ----------
-    protocol : the protocol as written, which is changed
+    protocol : as written; it is modified
     sheet : a valid test sheet as written
     """
     removed: dict[KeyPath, object] = {}
-    specimen, overrides = block_in(sheet.data, "specimen"), block_in(sheet.data, "overrides")
+    specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
     own: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key) for key in SHEET_DIMENSIONS if specimen.get(key)
     }
-    for key in block_in(specimen, "uncertainty"):
+    for key in get_block(specimen, "uncertainty"):
         own[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
     changes = {**own}
     for key in overrides:
@@ -48,7 +48,7 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
             here, there = sheet.at(path), sheet.at(own[key])
             twice = Fault.of("protocol.override_twice", path, key=key, here=here, there=there)
             protocol.faults.append(sheet.place(twice))
-        elif key == FOLLOW:
+        elif key == FOLLOW_LINKS:
             fixed = Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
             protocol.faults.append(sheet.place(fixed))
         else:
@@ -63,116 +63,119 @@ def with_overrides(protocol: Document, sheet: Document) -> None:
 
 
 def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
-    """Remove items from their lists; the spots of the others keep their numbers as written."""
-    names = {name for item in removed.values() for name in _names(item)}
-    shown_first: list[KeyPath] = [
+    """Remove items from their lists; locations of the other items keep their written numbers."""
+    names = {name for item in removed.values() for name in _list_names(item)}
+    main_paths: list[KeyPath] = [
         ("groups", "main", number)
-        for number, name in enumerate(list_in(merged.data, "groups", "main"))
+        for number, name in enumerate(get_list(merged.data, "groups", "main"))
         if str(name).partition(".")[0] in names
     ]
-    for path in sorted({*removed, *shown_first}, key=lambda path: path[-1], reverse=True):
-        spot, _ = merged.spot_at(path[:-1])
+    for path in sorted({*removed, *main_paths}, key=lambda path: path[-1], reverse=True):
+        location, _ = merged.find_location(path[:-1])
         del merged.at(path[:-1])[path[-1]]
-        left = [inner for number, inner in spot.inner.items() if number != path[-1]]
-        spot.inner = dict(enumerate(left))
+        left = [inner for number, inner in location.inner.items() if number != path[-1]]
+        location.inner = dict(enumerate(left))
 
 
 def _set_value(
     merged: Document, dotted: str, sheet: Document, source: KeyPath, removed: dict[KeyPath, object]
 ) -> Fault | None:
-    """Set the value at a dotted key to the value at a path of the sheet, if there is such a key.
+    """Set the value at a dotted key to the value at a path of the sheet.
 
-    An item of a list that is set to nothing goes into `removed`, as it was.
+    If the new value of an item of a list is null, the old item is added to `removed`. The fault is
+    that of an unknown key.
     """
-    value, (value_spot, _) = sheet.at(source), sheet.spot_at(source)
-    key_spot, _ = sheet.spot_at(source[:2])
-    node, spot = merged.data, merged.spot
+    value, (value_location, _) = sheet.at(source), sheet.find_location(source)
+    key_location, _ = sheet.find_location(source[:2])
+    node, location = merged.data, merged.location
     path: KeyPath = ()
     parts = dotted.split(".")
     for part in parts:
-        found = _key_in(node, part)
-        if found is None:
-            return _unknown_key(node, part, source[:2])
-        key, path = found, (*path, found)
+        found_key = _find_key(node, part)
+        if found_key is None:
+            return _build_key_fault(node, part, source[:2])
+        key, path = found_key, (*path, found_key)
         if len(path) == len(parts):
             break
         if isinstance(node, dict) and node.get(key) is None:
-            if path in _LISTS:
+            if path in _LIST_BLOCKS:
                 return Fault.of(
                     "protocol.override_of_no_list", source[:2], at="key", key=dotted, block=key
                 )
-            node[key] = {}  # a block that the protocol leaves out
-            spot.inner[key] = Spot(key_spot.file, key, key_spot.key, value_spot.value)
-        node, spot = node[key], spot.inner[key]
+            node[key] = {}  # the protocol has no such block
+            location.inner[key] = Location(
+                key_location.file, key, key_location.key, value_location.value
+            )
+        node, location = node[key], location.inner[key]
     if isinstance(key, int) and value is None:
         removed[path] = node[key]
     node[key] = copy.deepcopy(value)
-    written = spot.inner[key].name if key in spot.inner else key
-    spot.inner[key] = replace(value_spot, name=written, key=key_spot.key)
+    name = location.inner[key].name if key in location.inner else key
+    location.inner[key] = replace(value_location, name=name, key=key_location.key)
     return None
 
 
-def _key_in(node: object, part: str) -> str | int | None:
+def _find_key(node: object, part: str) -> str | int | None:
     """Resolve a part of a dotted key: a key, or an item by number, name or kind."""
     if isinstance(node, dict):
         return part
     if not isinstance(node, list):
         return None
-    number = whole_number(part)
+    number = parse_count(part)
     if number is not None:
         return number if number < len(node) else None
-    # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
-    for words_of in (_names, _tags):
-        matches = [i for i, item in enumerate(node) if part in words_of(item)]
+    # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
+    for list_words in (_list_names, _list_kinds):
+        matches = [i for i, item in enumerate(node) if part in list_words(item)]
         if len(matches) == 1:
             return matches[0]
     return None
 
 
-def _tags(item: object) -> list[str]:
-    """List the tags of a step or result."""
-    tags = (block_in(item).get(tag) for tag in ("step", "result"))
-    return [tag for tag in tags if isinstance(tag, str)]
+def _list_kinds(item: object) -> list[str]:
+    """List the kinds of an item, as a step or a result."""
+    kinds = (get_block(item).get(key) for key in ("step", "result"))
+    return [kind for kind in kinds if isinstance(kind, str)]
 
 
-def _names(item: object) -> list[str]:
-    """List the names of the results of an item, without cycle numbers."""
-    block = block_in(item)
-    return [name.partition(".")[0] for name in result_names(str(block.get("result")), block)]
+def _list_names(item: object) -> list[str]:
+    """List the names of the numbers that a result gives, without numbers of cycles."""
+    block = get_block(item)
+    return [name.partition(".")[0] for name in list_result_names(str(block.get("result")), block)]
 
 
-def _unknown_key(node: object, part: str, path: KeyPath) -> Fault:
-    """Make the fault of an unknown dotted key."""
+def _build_key_fault(node: object, part: str, path: KeyPath) -> Fault:
+    """Build the fault of an unknown part of a dotted key."""
     if not isinstance(node, list):
         return Fault.of("protocol.below_a_value", path, at="key", key=part)
-    valid = [word for item in node for word in dict.fromkeys([*_tags(item), *_names(item)])]
-    remedy = "Use its number." if valid.count(part) > 1 else did_you_mean(part, valid)
+    valid = [word for item in node for word in {*_list_kinds(item), *_list_names(item)}]
+    remedy = "Use its number." if valid.count(part) > 1 else suggest_word(part, valid)
     last = len(node) - 1
     return Fault.of("protocol.no_item", path, at="key", key=part, last=last, remedy=remedy)
 
 
-FOLLOW: Final = "follow_links"
-"""Key of a protocol whose exports may be links into a store elsewhere."""
+FOLLOW_LINKS: Final = "follow_links"
+"""Key of a protocol that allows exports to be links out of the folder of the test."""
 
 
-def are_followed(protocol: Document) -> bool:
+def allows_links(protocol: Document) -> bool:
     """Return whether a protocol allows exports that are links out of the folder of the test.
 
     Parameters
     ----------
-    protocol : without what a test changes in it: a test folder from elsewhere must not decide this
+    protocol : without overrides; a test folder from elsewhere must not allow this itself
     """
-    return str(protocol.block.get(FOLLOW)).lower() == "true"
+    return str(protocol.block.get(FOLLOW_LINKS)).lower() == "true"
 
 
-def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
-    """Find exports that a link takes out of the folder of the test, or nowhere.
+def find_link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
+    """Find exports that are links out of the folder of the test, or links to themselves.
 
     Parameters
     ----------
-    sheet : names the exports
+    sheet : the test sheet
     folder : of the test
-    followed : whether links may lead out of it
+    followed : whether links out of it are allowed
 
     Returns
     -------
@@ -183,30 +186,29 @@ def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[F
         path: KeyPath = ("files", role)
         try:
             is_inside = (folder / name).resolve().is_relative_to(home)
-        except (OSError, RuntimeError):  # Python 3.12 and before call a loop a RuntimeError
+        except (OSError, RuntimeError):  # a loop is a RuntimeError up to Python 3.12
             yield Fault.of("protocol.link_to_itself", path, name=name)
             continue
         if not (is_inside or followed):
-            yield Fault.of("protocol.link_out", path, name=name, copy=COPY_IT)
+            yield Fault.of("protocol.link_out", path, name=name, copy=COPY_REMEDY)
 
 
 _MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
 """Figures that need a source of marker tracks."""
 
 
-def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
-    """Take out of a protocol what a test without an optional export cannot have.
+def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
+    """Remove absent optional sources from a protocol, and everything that needs them.
 
     Parameters
     ----------
     protocol : as loaded
-    roles : of the files that the test has
+    roles : of the files of the test
 
     Returns
     -------
-    The protocol of this test: without the sources that are optional and absent, without the steps,
-    results and figures that only these make possible, and without a ``travel-from-speed`` whose
-    channel a source of the test measures.
+    The protocol of this test: without absent optional sources, without the steps, results and
+    figures that need them, and without a ``travel-from-speed`` whose channel a source measures.
     """
     sources = {
         role: source
@@ -215,35 +217,39 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     }
     reduced = protocol.model_copy(update={"sources": sources})
     no_markers = "markers" in protocol.sources and "markers" not in sources
-    one_clock = _is_made_from_speed(reduced)
+    has_one_clock = _has_travel_from_speed(reduced)
     results = tuple(
         result
         for result in reduced.results
-        if not (result.needs.shape and no_markers) and not (result.needs.clocks and one_clock)
+        if not (result.needs.shape and no_markers) and not (result.needs.clocks and has_one_clock)
     )
-    removed_names = _result_names(protocol.results) - _result_names(results)
+    removed_names = _list_all_names(protocol.results) - _list_all_names(results)
     main = tuple(name for name in reduced.groups.main if name not in removed_names)
     update: dict[str, object] = {
-        "steps": tuple(_kept_steps(reduced, set(protocol.channels) - set(reduced.channels))),
+        "steps": tuple(
+            _list_possible_steps(reduced, set(protocol.channels) - set(reduced.channels))
+        ),
         "results": results,
         "groups": reduced.groups.model_copy(update={"main": main}),
     }
-    if one_clock:
+    if has_one_clock:
         update["align"] = AlignNone()
     if no_markers:
-        figures = tuple(x for x in reduced.report.figures if x not in _MARKER_FIGURES)
+        figures = tuple(
+            figure for figure in reduced.report.figures if figure not in _MARKER_FIGURES
+        )
         update["report"] = reduced.report.model_copy(update={"figures": figures})
         update["markers"] = None
     return reduced.model_copy(update=update)
 
 
-def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
-    """Find what a test cannot do without, although its source is optional.
+def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
+    """Find channels of absent optional sources without which there is no curve.
 
     Parameters
     ----------
-    protocol : as `without_absent` gives it
-    full_protocol : the same with all its sources
+    protocol : from `remove_absent_sources`
+    full_protocol : the same with all sources
 
     Returns
     -------
@@ -253,7 +259,7 @@ def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault
     for role, source in full_protocol.sources.items():
         names = sorted(source.all_channels) if role not in protocol.sources else ()
         for name in names:
-            if name in _needed(protocol) - from_speed:
+            if name in _list_curve_channels(protocol) - from_speed:
                 yield Fault.of("protocol.no_needed_file", ("files",), role=role, channel=name)
             for key in ("crosshead_speed", "stroke") if name in from_speed else ():
                 if getattr(protocol.rig, key) is None:
@@ -262,8 +268,8 @@ def absent_faults(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault
                     )
 
 
-def _needed(protocol: Protocol) -> set[str]:
-    """Return the channels without which there is no curve."""
+def _list_curve_channels(protocol: Protocol) -> set[str]:
+    """List the channels without which there is no curve."""
     names = set()
     if protocol.curve is not None:
         names |= {protocol.curve.force, protocol.curve.displacement}
@@ -274,8 +280,8 @@ def _needed(protocol: Protocol) -> set[str]:
     return names
 
 
-def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """Return the steps whose channel exists; one made from speed exists after its step."""
+def _list_possible_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
+    """List the steps whose channels exist; `lost` are those of absent sources."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
@@ -287,13 +293,13 @@ def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
             yield step
 
 
-def _is_made_from_speed(protocol: Protocol) -> bool:
-    """Return whether the displacement of the curve is made on the clock of the force."""
+def _has_travel_from_speed(protocol: Protocol) -> bool:
+    """Return whether the displacement of the curve is computed on the clock of the force."""
     if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
     step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     return protocol.curve.displacement in step_channels
 
 
-def _result_names(entries: tuple[ResultEntry, ...]) -> set[str]:
-    return {name for entry in entries for name in result_names(entry.result, asdict(entry))}
+def _list_all_names(entries: tuple[ResultEntry, ...]) -> set[str]:
+    return {name for entry in entries for name in list_result_names(entry.result, asdict(entry))}

@@ -1,9 +1,9 @@
-"""Plans: which parameters a calibration fits, and how exports become the tests of a campaign.
+"""Plans of calibrations (which parameters are fitted) and campaigns (which exports form a test).
 
-Patterns of the names of exports and folders, such as ``{type}-{length mm}-{sample}_force.mat``:
-``{name}`` stands for a word, ``{length mm}`` for a number whose unit is not in the name, ``{date}``
-for a day with the year first, ``*`` for anything; all else for itself, in capitals or not. A word
-takes as much as it can, from the left. A slash separates folders.
+A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
+pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
+year first, and ``*`` anything; other characters match themselves, in either case. Fields match as
+much as possible, from the left. A slash separates folders.
 """
 
 from __future__ import annotations
@@ -22,75 +22,75 @@ from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
 from labpipe.protocol.source import Role
-from labpipe.protocol.values import Remark, Text, file_inside, in_si
+from labpipe.protocol.values import Remark, Text, build_path_validator, parse_or_none
 from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
-    block_in,
-    list_in,
+    find_repeated_names,
+    get_block,
+    get_list,
     refused,
-    same_names,
 )
 from labpipe.records.declarations import Duration, Length, Quantity, WholeNumber
 
 
-def _unit_like(si_unit: str, value: object) -> str:
-    if in_si(f"1 {value}", si_unit) is None:
+def _parse_unit(si_unit: str, value: object) -> str:
+    if parse_or_none(f"1 {value}", si_unit) is None:
         raise refused("protocol.no_unit_like", found=value, si_unit=si_unit)
     return str(value)
 
 
-def _sign(value: object) -> int:
+def _parse_sign(value: object) -> int:
     if str(value) not in ("1", "+1", "-1"):
         raise refused("protocol.no_sign", found=value)
     return int(str(value))
 
 
-COPY_IT = "Copy the curve into the folder of the plan and name it from there."
+COPY_REMEDY = "Copy the curve into the folder of the plan and name it from there."
 
-LengthUnit = Annotated[str, BeforeValidator(partial(_unit_like, "m")), Field(examples=["mm"])]
-ForceUnit = Annotated[str, BeforeValidator(partial(_unit_like, "N")), Field(examples=["N"])]
-Sign = Annotated[Literal[1, -1], BeforeValidator(_sign)]
+LengthUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "m")), Field(examples=["mm"])]
+ForceUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "N")), Field(examples=["N"])]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
 
 
 class _Column(Block):
-    """Where one of two quantities stands."""
+    """One of the two columns of a curve."""
 
     column: Text | None = Field(
-        None, description="Its name, or its number counted from 1; else 'deflection' or 'force'"
+        None, description="Its name, or its number from 1; else 'deflection' or 'force'"
     )
-    sign: Sign = Field(1, description="-1 where the file counts against the direction of bending")
+    sign: Sign = Field(1, description="-1 if the values decrease in the direction of bending")
 
 
 class DeflectionColumn(_Column):
     """The deflection of the tip."""
 
-    unit: LengthUnit | None = Field(None, description="Where the heading does not say it")
+    unit: LengthUnit | None = Field(None, description="Needed if the heading has no unit")
 
 
 class ForceColumn(_Column):
     """The force at the tip."""
 
-    unit: ForceUnit | None = Field(None, description="Where the heading does not say it")
+    unit: ForceUnit | None = Field(None, description="Needed if the heading has no unit")
 
 
 class Comparison(Block):
-    """A curve from elsewhere: finite elements, a digitised figure, another lab."""
+    """An external curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
-    file: Annotated[str, file_inside("the folder of the plan", COPY_IT)] = Field(
+    file: Annotated[str, build_path_validator("the folder of the plan", COPY_REMEDY)] = Field(
         description="csv or xlsx in the folder of the plan, or below it"
     )
-    wire: Text = Field(description="Wire of the sheet that it is of")
+    wire: Text = Field(description="Name of the wire in the wire sheet")
     length: Length = Field(description="Free length")
     load: Literal["as tested", "normal"] = Field(
         "as tested",
-        description="as tested: pulled by the string of the tests; normal: a force that stays "
-        "normal to the undeformed axis, as in most finite-element models",
+        description="as tested: by the string of the tests; normal: normal to the undeformed axis, "
+        "as in most finite-element models",
     )
     deflection: DeflectionColumn = DeflectionColumn()
     force: ForceColumn = ForceColumn()
-    because: Text = Field(description="Where it comes from")
+    because: Text = Field(description="Origin of the curve")
 
 
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
@@ -101,19 +101,19 @@ Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
 
 class _Parameter(Block):
-    """How one parameter enters."""
+    """How a calibration treats one parameter."""
 
     enters: Literal["free", "fixed", "prior"] = Field(
-        "free", description="fitted; held at its value; fitted with a log-normal prior about it"
+        "free", description="free: fitted; fixed: constant; prior: fitted with a log-normal prior"
     )
     factor: Factor | None = Field(
-        None, description="Of a prior: 95 % between value / factor and value x factor"
+        None, description="Of a prior: its 95 % interval is value / factor to value x factor"
     )
-    because: Remark = Field("", description="Where a prior or a fixed value comes from")
+    because: Remark = Field("", description="Origin of a prior or a fixed value")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Ask of a prior what it needs, and of the others that they do not have it."""
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find missing keys of a prior or fixed value, and a factor without a prior."""
         enters, stated = data.get("enters", "free"), {key for key in data if data[key]}
         needed = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
         for key in needed.get(str(enters), ()):
@@ -124,13 +124,13 @@ class _Parameter(Block):
 
 
 class RadialFriction(_Parameter):
-    """phi = F_rad (mu_s + mu_p)."""
+    """Radial friction phi = F_rad (mu_s + mu_p)."""
 
     value: Friction | None = None
 
 
 class InsulationModulus(_Parameter):
-    """E of the insulation."""
+    """Young's modulus of the insulation."""
 
     value: Modulus | None = None
 
@@ -142,7 +142,7 @@ class CopperScale(_Parameter):
 
 
 class Parameters(Block):
-    """All that is calibrated."""
+    """Parameters of a calibration."""
 
     radial_friction: RadialFriction = RadialFriction()
     insulation_modulus: InsulationModulus = InsulationModulus()
@@ -150,11 +150,11 @@ class Parameters(Block):
 
 
 class CalibrationPlan(Block):
-    """What is asked of a calibration."""
+    """Plan of a calibration: its parameters, tests and external curves."""
 
     version: Version
     wire: Text | None = Field(
-        None, description="Specimen type whose tests calibrate; the others are predicted"
+        None, description="Specimen type whose tests are fitted; other types are predicted"
     )
     parameters: Parameters = Parameters()
     scatter: Scatter | None = Field(
@@ -163,35 +163,35 @@ class CalibrationPlan(Block):
     points: Annotated[int, WholeNumber(20, 5000)] = Field(272, description="Points of each curve")
     up_to: Length | None = Field(None, description="Largest deflection that is used")
     comparisons: tuple[Comparison, ...] = Field(
-        (), description="Curves from elsewhere that tests and model are compared with"
+        (), description="External curves to compare with tests and model"
     )
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:
-        """Ask each comparison for a name of its own."""
-        return same_names(list_in(data, "comparisons"), "comparisons", "comparison")
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+        """Find comparisons with the name of another one."""
+        return find_repeated_names(get_list(data, "comparisons"), "comparisons", "comparison")
 
 
-WORDS = ("test", "type", "spool", "sample", "operator", "date")
-"""Fields without a unit; besides them, every dimension with its unit, and ``labels.NAME``."""
-_PART = re.compile(r"\{([^{}]*)\}|(\*)|([{}])")
-_DIMENSION = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
-_LABEL = re.compile(r"labels\.[a-z][a-z0-9_]*")
-_WORD, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
+TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
+"""Fields without a unit; others are dimensions with a unit, and ``labels.NAME``."""
+_PATTERN_PART = re.compile(r"\{([^{}]*)\}|(\*)|([{}])")
+_DIMENSION_FIELD = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
+_LABEL_FIELD = re.compile(r"labels\.[a-z][a-z0-9_]*")
+_TEXT, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
 MAX_PATTERN_LENGTH = 300
-"""Characters of a pattern, and of a name that is compared."""
+"""Largest number of characters of a pattern, and of a name to match."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamePattern:
-    """A pattern that was read.
+    """A parsed name pattern.
 
     Parameters
     ----------
     text : as written
-    fields : names of its fields in their order, each once
+    fields : names of its fields in order, without repeats
     units : unit of each field that is a number
-    compiled : what a name is compared with
+    compiled : regular expression with a group ``f<index>`` per field
     """
 
     text: str
@@ -200,7 +200,7 @@ class NamePattern:
     compiled: re.Pattern[str]
 
     def match(self, name: str) -> dict[str, str] | None:
-        """Split a name into its fields.
+        """Match a name with the pattern.
 
         Parameters
         ----------
@@ -208,7 +208,7 @@ class NamePattern:
 
         Returns
         -------
-        Text by field, a number with its unit; None if the name is not of this pattern.
+        Text by field, for numbers with their unit; None if the name does not match.
 
         Examples
         --------
@@ -218,15 +218,15 @@ class NamePattern:
         match = self.compiled.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
         if match is None:
             return None
-        texts = {field: match[f"f{place}"] for place, field in enumerate(self.fields)}
-        return {field: self._value(field, text) for field, text in texts.items()}
+        texts = {field: match[f"f{index}"] for index, field in enumerate(self.fields)}
+        return {field: self._format_value(field, text) for field, text in texts.items()}
 
     def stem(self, name: str) -> str:
-        """Return the part of a name up to its last field, without its folders.
+        """Return the part of a name up to its last field, without folders.
 
         Parameters
         ----------
-        name : of this pattern
+        name : if it does not match the pattern, it is returned without folders
 
         Examples
         --------
@@ -234,10 +234,10 @@ class NamePattern:
         'A2-1'
         """
         match = self.compiled.fullmatch(name)
-        ends = [match.end(f"f{place}") for place in range(len(self.fields))] if match else []
+        ends = [match.end(f"f{index}") for index in range(len(self.fields))] if match else []
         return name[: max(ends, default=len(name))].rpartition("/")[2]
 
-    def _value(self, field: str, text: str) -> str:
+    def _format_value(self, field: str, text: str) -> str:
         if field in self.units:
             number = float(text.replace(",", "."))
             return f"{number:g} {self.units[field]}"
@@ -247,11 +247,11 @@ class NamePattern:
 
 
 def parse_name_pattern(text: str) -> NamePattern:
-    """Read a pattern.
+    """Parse a name pattern.
 
     Parameters
     ----------
-    text : as a campaign YAML has it
+    text : as written in a campaign YAML
 
     Raises
     ------
@@ -263,17 +263,17 @@ def parse_name_pattern(text: str) -> NamePattern:
     units: dict[str, str] = {}
     fields: list[str] = []
     parts, end = [], 0
-    for field_match in _PART.finditer(text):
+    for field_match in _PATTERN_PART.finditer(text):
         parts.append(re.escape(text[end : field_match.start()]))
         end = field_match.end()
         if field_match[2]:
             parts.append(r"[^/\\]*")
             continue
-        name, unit = _field("{" if field_match[1] is None else field_match[1])
+        name, unit = _parse_field("{" if field_match[1] is None else field_match[1])
         if name in fields:
             parts.append(f"(?P=f{fields.index(name)})")
             continue
-        kind = _NUMBER if unit else _DAY if name == "date" else _WORD
+        kind = _NUMBER if unit else _DAY if name == "date" else _TEXT
         parts.append(f"(?P<f{len(fields)}>{kind})")
         fields.append(name)
         units |= {name: unit} if unit else {}
@@ -282,16 +282,16 @@ def parse_name_pattern(text: str) -> NamePattern:
     return NamePattern(text, tuple(fields), MappingProxyType(units), compiled)
 
 
-def _field(written: str) -> tuple[str, str]:
-    """Return name and unit of the field between braces."""
+def _parse_field(written: str) -> tuple[str, str]:
+    """Parse name and unit of the field between braces."""
     name = written.strip()
-    if name in WORDS or _LABEL.fullmatch(name):
+    if name in TEXT_FIELDS or _LABEL_FIELD.fullmatch(name):
         return name, ""
-    match = _DIMENSION.fullmatch(name)
-    if match is None or match[1] in WORDS:
-        fields = ", ".join(f"{{{word}}}" for word in WORDS)
+    match = _DIMENSION_FIELD.fullmatch(name)
+    if match is None or match[1] in TEXT_FIELDS:
+        fields = ", ".join(f"{{{word}}}" for word in TEXT_FIELDS)
         raise refused("protocol.no_field", found=f"{{{written}}}", fields=fields)
-    if in_si(f"1 {match[2]}", "m") is None:
+    if parse_or_none(f"1 {match[2]}", "m") is None:
         raise refused("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
     return match[1], match[2]
 
@@ -300,103 +300,103 @@ PLAN_NAME = "campaign.yaml"
 _EXAMPLE = "{type}-{length mm}-{sample}_force.mat"
 
 
-def _pattern(value: object) -> str:
+def _parse_pattern(value: object) -> str:
     return parse_name_pattern(str(value)).text
 
 
-Pattern = Annotated[str, BeforeValidator(_pattern), Field(examples=[_EXAMPLE])]
+Pattern = Annotated[str, BeforeValidator(_parse_pattern), Field(examples=[_EXAMPLE])]
 
 
 class ByFolder(Block):
-    """One folder per test; what the exports are for is known by their content."""
+    """Pairing by folder: one folder per test; labpipe infers the roles from the content."""
 
     by: Literal["folder"] = "folder"
     name: Pattern | None = Field(
-        None, description="Of the folder of a test; else as type-length-sample, such as A2-085-1"
+        None, description="Of the folder of a test; else type-length-sample, such as A2-085-1"
     )
 
     @property
     def pattern(self) -> NamePattern | None:
-        """Return the pattern of the folders, read."""
+        """Return the parsed pattern of the folders; None if the plan has none."""
         return None if self.name is None else parse_name_pattern(self.name)
 
 
 class ByName(Block):
-    """The exports of all tests in one place; each gets a copy in the folder of its test."""
+    """Pairing by file name: labpipe copies each export into the folder of its test."""
 
     by: Literal["name"]
     source: Text = Field(
-        ".", alias="from", description="Where the exports come to: a folder, from that of the plan"
+        ".", alias="from", description="Folder of the exports, relative to that of the plan"
     )
-    exports: dict[Role, Pattern] = Field(min_length=1, description="By role: what it is called")
+    exports: dict[Role, Pattern] = Field(min_length=1, description="By role: pattern of its name")
 
     @property
     def patterns(self) -> dict[str, NamePattern]:
-        """Return the patterns by role, read."""
+        """Return the parsed patterns by role."""
         return {role: parse_name_pattern(text) for role, text in self.exports.items()}
 
     @field_validator("exports")
     @classmethod
-    def _have_the_same_fields(cls, exports: dict[Role, str]) -> dict[Role, str]:
-        """Ask the patterns of all roles for the same fields: by these, exports are paired."""
+    def _check_fields(cls, exports: dict[Role, str]) -> dict[Role, str]:
+        """Refuse patterns with different fields, because exports are paired by their fields."""
         fields = {role: sorted(parse_name_pattern(text).fields) for role, text in exports.items()}
         (first, first_fields), *_ = fields.items()
         faults = [
             Fault.of("protocol.no_fields", (role,))
-            if not own
+            if not own_fields
             else Fault.of(
                 "protocol.other_fields",
                 (role,),
                 other=first,
                 expected=", ".join(first_fields),
-                found=", ".join(own),
+                found=", ".join(own_fields),
             )
-            for role, own in fields.items()
-            if own != first_fields or not own
+            for role, own_fields in fields.items()
+            if own_fields != first_fields or not own_fields
         ]
         if faults:
             raise FaultsError(*faults)
         return exports
 
 
-def _by(value: object) -> object:
-    """Take `by: folder` where it is left out."""
+def _fill_in_pairing(value: object) -> object:
+    """Add the default `by: folder`."""
     return {"by": "folder"} | dict(value) if isinstance(value, Mapping) else value
 
 
-def _each_once(roles: tuple[str, ...]) -> tuple[str, ...]:
+def _remove_repeats(roles: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(roles))
 
 
 class CampaignPlan(Block):
-    """How exports become the tests of a campaign, and what a watch waits for."""
+    """Plan of a campaign: which exports form a test, and when a watch starts a test."""
 
     version: Version
-    about: Remark = Field("", description="What the campaign is for, in one line")
+    about: Remark = Field("", description="Purpose of the campaign, in one line")
     protocol: Text | None = Field(
         None, description="Of every test; else the one that fits its exports best"
     )
     pair: Annotated[
-        Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_by)
+        Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_fill_in_pairing)
     ] = ByFolder()
-    specimen: dict[str, Any] = Field({}, description="What all specimens share, as in a test.yaml")
+    specimen: dict[str, Any] = Field(
+        {}, description="Shared properties of all specimens, as in a test.yaml"
+    )
     operator: Remark = Field("", description="Of every test")
     overrides: dict[str, Override] = Field({}, description="Of every test, as in a test.yaml")
-    wait_for: Annotated[tuple[Role, ...], AfterValidator(_each_once)] | None = Field(
-        None, description="Roles without which a test is not begun; else those the protocol needs"
+    wait_for: Annotated[tuple[Role, ...], AfterValidator(_remove_repeats)] | None = Field(
+        None, description="Roles that a test needs before it starts; else those of the protocol"
     )
-    patience: Duration = Field(
-        60.0, description="How long an export that the protocol can do without is waited for"
-    )
+    patience: Duration = Field(60.0, description="Longest wait for an optional export")
     still_for: Duration = Field(
-        1.0, description="How long a file must stand still before it counts as whole"
+        1.0, description="Time without changes after which a file is complete"
     )
-    look_every: Duration = Field(0.25, description="How often a watch looks")
+    look_every: Duration = Field(0.25, description="Interval between two looks of a watch")
 
     @classmethod
-    def between(cls, data: Values) -> Iterable[Fault]:
-        """Check what goes into every test sheet as the sheet would be checked."""
-        specimen = dict(block_in(data, "specimen"))
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+        """Find faults of the specimen and the overrides as in a test sheet."""
+        specimen = dict(get_block(data, "specimen"))
         sheet = {
             "test": "x",
             "protocol": "x",
@@ -404,6 +404,6 @@ class CampaignPlan(Block):
             "files": {"force": "x"},
             "overrides": data.get("overrides") or {},
         }
-        read = TestSheet.read(sheet)
-        faults = read if isinstance(read, list) else []
+        validated = TestSheet.read(sheet)
+        faults = validated if isinstance(validated, list) else []
         return [fault for fault in faults if fault.path[:1] in {("specimen",), ("overrides",)}]

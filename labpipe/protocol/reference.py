@@ -1,9 +1,8 @@
-"""What of the reference pages derives from the code: JSON Schemas, and tables between markers.
+"""Derived parts of the reference pages: JSON schemas for editors, and Markdown tables.
 
-``python -m labpipe.protocol.reference FOLDER`` writes them (``make reference``). With the schema
-named in its first line, an editor completes keys and marks faults while one types. A table of a
-page is between ``<!-- table: NAME -->`` and ``<!-- end of table -->``; the prose around it is
-written by hand.
+``python -m labpipe.protocol.reference FOLDER`` writes them (``make reference``). With a schema,
+an editor completes keys and marks faults. The tables replace those between ``<!-- table: NAME -->``
+and ``<!-- end of table -->``; all other text of a page is written by hand.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from labpipe.messages import list_rooms, read_templates
-from labpipe.protocol.grammar import Block, block_of
+from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.source import KEYS, PLAUSIBLE
+from labpipe.protocol.source import DIMENSION_KINDS, PLAUSIBLE_RANGES
 from labpipe.records.declarations import Limits, Needs, list_references
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS
@@ -46,16 +45,19 @@ ORIGINS = {
     "mechanics.rod": "wires",
     "mechanics.studies": "wires",
 }
-"""Who makes the notes of a room, if their template has no ``origin``; else ``processing``."""
+"""Origin of the notes of a room if their template states none; for others ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")
-"""Pages that hold tables which derive from the code."""
+"""Pages with derived tables."""
 
 
 class _Schemas(GenerateJsonSchema):
-    """Takes unquoted numbers for texts, and anything where labpipe itself reads the text."""
+    """Generator of schemas that accept unquoted numbers as text.
+
+    Values that labpipe parses itself are not restricted.
+    """
 
     def str_schema(self, schema: core_schema.StringSchema) -> JsonSchemaValue:
-        """Accept what other YAML readers make of text such as 1."""
+        """Accept a text, or the number that other YAML readers make of it."""
         return super().str_schema(schema) | {"type": ["string", "number"]}
 
     def function_plain_schema(self, schema: object) -> JsonSchemaValue:  # noqa: ARG002
@@ -63,8 +65,8 @@ class _Schemas(GenerateJsonSchema):
         return {}
 
 
-def json_schema(model: type[Block]) -> str:
-    """Write the JSON Schema of a block as text.
+def format_json_schema(model: type[Block]) -> str:
+    """Format the JSON schema of a block.
 
     Parameters
     ----------
@@ -76,16 +78,16 @@ def json_schema(model: type[Block]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class KindOfNote:
-    """What quality notes of one code mean.
+class NoteKind:
+    """Kind of quality notes: one code of one origin.
 
     Parameters
     ----------
-    origin : who makes them: ``readers``, ``processing``, ``groups``, ``wires`` ...
+    origin : rooms that make the notes: ``readers``, ``processing``, ``groups``, ``wires`` ...
     code : of the notes
-    severities : that they can have; several where that depends on the recording
-    meaning : in one phrase
-    doubts : what they make doubtful; empty for nothing
+    severities : possible severities
+    meaning : one phrase
+    doubts : results that the note makes doubtful; may be empty
     """
 
     origin: str
@@ -95,12 +97,12 @@ class KindOfNote:
     doubts: str = ""
 
 
-def kinds_of_notes() -> tuple[KindOfNote, ...]:
-    """Read every kind of quality note: from ``quality_notes.toml`` and the rooms' templates.
+def list_note_kinds() -> tuple[NoteKind, ...]:
+    """List all kinds of quality notes, from ``quality_notes.toml`` and the rooms' templates.
 
     Returns
     -------
-    By origin and code; a code that two origins use comes once for each.
+    The kinds, sorted by origin and code; a code of two origins is listed for each.
     """
     text = (files("labpipe.records") / "quality_notes.toml").read_text(encoding="utf-8")
     kinds = [
@@ -114,82 +116,91 @@ def kinds_of_notes() -> tuple[KindOfNote, ...]:
         if "meaning" in template
     ]
     return tuple(
-        KindOfNote(origin, code, _severities(entry), entry["meaning"], entry.get("doubts", ""))
+        NoteKind(origin, code, _parse_severities(entry), entry["meaning"], entry.get("doubts", ""))
         for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])
     )
 
 
-def _severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
+def _parse_severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
     severity = entry["severity"]
     names = severity.split(" or ") if isinstance(severity, str) else severity
     return tuple(map(Severity, names))
 
 
-def tables() -> dict[str, str]:
-    """Write every derived table in Markdown, by name: one for each origin of notes, and others."""
-    notes = kinds_of_notes()
+def format_tables() -> dict[str, str]:
+    """Format all derived tables in Markdown, by name; notes have one table per origin."""
+    notes = list_note_kinds()
     origins = dict.fromkeys(note.origin for note in notes)
     written = {
-        origin: table_of_notes([note for note in notes if note.origin == origin])
+        origin: format_note_table([note for note in notes if note.origin == origin])
         for origin in origins
     }
     return written | {
-        "results": table_of_results(KINDS),
-        "plausible": table_of_ranges(),
-        "limits": table_of_limits(),
+        "results": format_result_table(KINDS),
+        "plausible": format_range_table(),
+        "limits": format_limit_table(),
     }
 
 
-def table_of_notes(notes: Sequence[KindOfNote]) -> str:
-    """Write the table of quality notes of one origin.
+def format_note_table(notes: Sequence[NoteKind]) -> str:
+    """Format the table of the notes of one origin.
 
     Parameters
     ----------
-    notes : what they make doubtful has a column of its own where there is any
+    notes : if any makes a result doubtful, the table has a column for it
     """
     columns = 4 if any(note.doubts for note in notes) else 3
     rows = [
         (f"`{note.code}`", ", ".join(note.severities), note.meaning, note.doubts) for note in notes
     ]
-    return _table([row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]])
+    return _format_table(
+        [row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]]
+    )
 
 
-def table_of_ranges() -> str:
-    """Write the table of the plausible ranges: kind of dimension, keys that are one, ends."""
+def format_range_table() -> str:
+    """Format the table of plausible ranges: kind of dimension, its keys, and both ends."""
     rows = [("kind", "keys that are, or end with", "from", "to")]
-    for kind, (_, lowest, highest) in PLAUSIBLE.items():
-        keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
+    for kind, (_, lowest, highest) in PLAUSIBLE_RANGES.items():
+        keys = ", ".join(
+            f"`{key}`" for key, its_kind in DIMENSION_KINDS.items() if its_kind == kind
+        )
         rows.append((f"`{kind}`", keys or "other lengths of a specimen", lowest, highest))
-    return _table(rows)
+    return _format_table(rows)
 
 
-def table_of_limits() -> str:
-    """Write the table of the lab's limits: key, default, and what is doubtful beyond it."""
-    defaults = block_of(Limits)().model_dump(mode="json")
+def format_limit_table() -> str:
+    """Format the table of the limits: key, default and description."""
+    defaults = build_block(Limits)().model_dump(mode="json")
     hints = get_type_hints(Limits, include_extras=True)
     rows = [
         (f"`{key}`", value, next(part for part in get_args(hints[key]) if isinstance(part, str)))
         for key, value in defaults.items()
     ]
-    return _table([("key", "default", "of what"), *rows])
+    return _format_table([("key", "default", "of what"), *rows])
 
 
-def table_of_results(kinds: Iterable[type[Kind]]) -> str:
-    """Write the table of the kinds of results: word in YAML, numbers, meaning, needs.
+def format_result_table(kinds: Iterable[type[Kind]]) -> str:
+    """Format the table of the kinds of results: key, numbers, meaning and needs.
 
     Parameters
     ----------
-    kinds : the first line of each docstring gives the meaning, behind names and a colon
+    kinds : the first line of each docstring has the meaning after a colon
     """
     rows = [
-        (f"`{kind.result}`", ", ".join(_numbers(kind)), _meaning(kind), ", ".join(_needs(kind)))
+        (
+            f"`{kind.result}`",
+            ", ".join(_list_numbers(kind)),
+            _read_meaning(kind),
+            ", ".join(_list_needs(kind)),
+        )
         for kind in kinds
     ]
-    return _table([("asked for by", "numbers", "meaning", "read from"), *rows])
+    return _format_table([("asked for by", "numbers", "meaning", "read from"), *rows])
 
 
-def _numbers(kind: type[Kind]) -> Iterable[str]:
-    """Link each number to its section, with its unit."""
+def _list_numbers(kind: type[Kind]) -> Iterable[str]:
+    """List the numbers of a result with their units, each as a link to its section."""
     for output in kind.outputs:
         stem, _, first = output.name_in(kind, {"of": "<stiffness>"}).partition(".")
         index = "n" if stem.startswith("slip_") else "cycle"
@@ -198,13 +209,13 @@ def _numbers(kind: type[Kind]) -> Iterable[str]:
         yield f"[`{name}`](#{anchor}) ({output.unit.replace('*', ' ')})"
 
 
-def _meaning(kind: type[Kind]) -> str:
+def _read_meaning(kind: type[Kind]) -> str:
     first = str(kind.__doc__).partition("\n")[0].removesuffix(".")
     return first.partition(": ")[2].replace("``", "`")
 
 
-def _needs(kind: Any) -> Iterable[str]:
-    """Describe the data of a test that a kind of result needs."""
+def _list_needs(kind: Any) -> Iterable[str]:
+    """List the data of a test that a kind of result needs."""
     needs: Needs = kind.needs
     descriptions = {
         "the curve": needs.branches,
@@ -214,15 +225,15 @@ def _needs(kind: Any) -> Iterable[str]:
         "a clamped end": needs.clamp,
         "the stiffness `of`": list_references(kind, "stiffness"),
     }
-    return [word for word, is_needed in descriptions.items() if is_needed]
+    return [text for text, is_needed in descriptions.items() if is_needed]
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
+def _format_table(rows: Sequence[Sequence[str]]) -> str:
     head, *body = ["".join(f"| {cell} " if cell else "| " for cell in row) + "|" for row in rows]
     return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
 
 
-def with_tables(page: str) -> str:
+def replace_tables(page: str) -> str:
     """Replace the derived tables of a page.
 
     Parameters
@@ -231,14 +242,14 @@ def with_tables(page: str) -> str:
 
     Returns
     -------
-    The page with all else as it is.
+    The page; its other text is unchanged.
 
     Raises
     ------
     KeyError
-        A marker names no table that derives from the code.
+        If a marker names an unknown table.
     """
-    table_by_name = tables()
+    table_by_name = format_tables()
     return re.sub(
         r"(?<=<!-- table: )(\w+) -->\n.*?(?=<!-- end of table -->)",
         lambda match: f"{match[1]} -->\n{table_by_name[match[1]]}\n",
@@ -248,17 +259,17 @@ def with_tables(page: str) -> str:
 
 
 def write_reference(folder: Path) -> None:
-    """Write the JSON Schemas into a folder, and update the tables of its pages.
+    """Write the JSON schemas into a folder, and update the tables of its pages.
 
     Parameters
     ----------
-    folder : made if it is not there; pages that it does not hold are not made
+    folder : created if necessary; missing pages are not created
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, model in SCHEMAS.items():
-        (folder / name).write_text(json_schema(model), encoding="utf-8")
+        (folder / name).write_text(format_json_schema(model), encoding="utf-8")
     for path in filter(Path.is_file, map(folder.joinpath, PAGES)):
-        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+        path.write_text(replace_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

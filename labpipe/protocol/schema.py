@@ -1,4 +1,4 @@
-"""The grammar of a protocol: rig, specimen, markers, clocks, curve and report, and the whole."""
+"""Protocols: the blocks of a protocol file (specimen, rig, clocks, curve, report) and the file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic import (
 )
 
 from labpipe.errors import Fault
-from labpipe.protocol.cross_checks import cross_faults
+from labpipe.protocol.cross_checks import find_cross_faults
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import (
     ChannelSource,
@@ -24,7 +24,7 @@ from labpipe.protocol.source import (
     SizeUncertainties,
     Source,
 )
-from labpipe.protocol.values import FileStem, OrShort, Remark, Text
+from labpipe.protocol.values import FileStem, Remark, ShortForm, Text
 from labpipe.protocol.yaml_text import FaultsError, Values, refused
 from labpipe.records.declarations import (
     LIMITS,
@@ -64,27 +64,28 @@ else:
 class SpecimenBlock(Block):
     """Dimensions that all specimens of the protocol share."""
 
-    length: Length | None = Field(None, description="Free length; a test sheet can give its own")
+    length: Length | None = Field(None, description="Free length; a test sheet overrides it")
     gauge_length: Length | None = Field(
         None, description="Of the extensometer whose channel is the displacement of the curve"
     )
-    span: Length | None = Field(None, description="Distance of the supports")
+    span: Length | None = Field(None, description="Distance between the supports")
     mass_per_length: LinearMass | None = Field(
-        None, description="Bends a cantilever by its weight; left out where it is not given"
+        None, description="For the deflection of a cantilever by its weight, which is else ignored"
     )
     section: Section | None = None
     uncertainty: SizeUncertainties | None = Field(
-        None, description="Standard uncertainties of these sizes; a test sheet can give its own"
+        None, description="Standard uncertainties of these dimensions; a test sheet overrides them"
     )
 
     @field_validator("uncertainty")
     @classmethod
-    def _is_less_than_the_size(cls, sizes: Any, info: ValidationInfo) -> Any:
-        known = {**vars(info.data.get("section") or Section()), **info.data}
+    def _check_uncertainties(cls, sizes: Any, info: ValidationInfo) -> Any:
+        """Refuse uncertainties that are not below the dimension."""
+        dimensions = {**vars(info.data.get("section") or Section()), **info.data}
         faults = [
             Fault.of("protocol.size_unknown", (key,), key=key)
-            for key, uncertainty in (sizes.stated if sizes else {}).items()
-            if uncertainty >= (known.get(key) or math.inf)
+            for key, uncertainty in (sizes.by_key if sizes else {}).items()
+            if uncertainty >= (dimensions.get(key) or math.inf)
         ]
         if faults:
             raise FaultsError(*faults)
@@ -95,14 +96,14 @@ class LoadString(Block):
     """The string between specimen and load cell."""
 
     length: Length
-    counterweight: Mass = Field(0.0, description="Hangs at the tip")
+    counterweight: Mass = Field(0.0, description="Mass that hangs at the tip")
     at_rest: Literal["by-data", "taut", "slack"] = Field(
         "by-data", description="Whether the string carried the counterweight before the test"
     )
 
 
 class Rig(Block):
-    """What the machine was told to do; a check on the recordings, never a measurement."""
+    """Settings of the machine. They check the recordings and replace no measurement."""
 
     crosshead_speed: Speed | None = None
     stroke: Length | None = None
@@ -110,7 +111,7 @@ class Rig(Block):
     string: LoadString | None = None
 
 
-def _all_or_names(value: object) -> object:
+def _parse_marker_names(value: object) -> object:
     if value == "all":
         return value
     names = value if isinstance(value, list | tuple) else [value]
@@ -119,73 +120,81 @@ def _all_or_names(value: object) -> object:
     return tuple(names)
 
 
-Along: TypeAlias = Annotated[
+MarkerNames: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    OrShort(_all_or_names, {"type": "string"}),
+    ShortForm(_parse_marker_names, {"type": "string"}),
 ]
 
 
 class Markers(Block):
-    """Positions of the markers of a take on the specimen."""
+    """Where the markers of a take are on the specimen."""
 
     clamp: Text | None = Field(description="Rigid body at the clamped end; null if there is none")
-    along: Along = Field(
+    along: MarkerNames = Field(
         "all", description="Markers along the specimen: all, or a list of names and patterns"
     )
     rings: Literal["none", "by-body"] = Field(
-        "none", description="by-body: markers of one body stand for the centre of their ring"
+        "none", description="by-body: the markers of one body give the centre of their ring"
     )
-    grip_offset: Offset = Field(0.0, description="Pivot of the clamp to the clamped end")
-    pull_offset: Distance = Field(0.0, description="Last marker to the string, along the specimen")
-    centre_offset: Offset = Field(0.0, description="Axis to marker centre, towards the pull")
+    grip_offset: Offset = Field(0.0, description="From the pivot of the clamp to the clamped end")
+    pull_offset: Distance = Field(
+        0.0, description="From the last marker to the string, along the specimen"
+    )
+    centre_offset: Offset = Field(
+        0.0, description="From the axis to the centre of a marker, towards the pull"
+    )
     offset_uncertainty: Distance = Field(
-        0.0, description="Standard uncertainty of grip_offset, and that of pull_offset"
+        0.0, description="Standard uncertainty of each of grip_offset and pull_offset"
     )
     centre_uncertainty: Distance = Field(0.0, description="Standard uncertainty of centre_offset")
 
 
 class AlignNone(Block):
-    """One clock: nothing to align."""
+    """All channels have one clock."""
 
     method: Literal["none"] = "none"
 
 
 class AlignTurningPoints(Block):
-    """Two clocks, joined at the turning points that both saw."""
+    """Two clocks, aligned by turning points that both recordings show."""
 
     method: Literal["turning-points"]
     channel: Snake = Field(description="Channel whose corners mark the turning points")
     motion_window: Duration = Field(description="On each side of a turning point of the clamp")
     force_window: Duration = Field(description="On each side of a corner of the channel")
-    max_residual: Duration = Field(description="Doubtful above")
-    max_drift: Ratio = Field(description="Doubtful above")
+    max_residual: Duration = Field(description="Larger residuals are doubtful")
+    max_drift: Ratio = Field(description="A larger drift is doubtful")
 
 
 class AlignCommonStart(Block):
-    """Two recorders that were started together; the force's corner at the turn checks it."""
+    """Two recorders that started together; a corner of the force at a turning point checks it."""
 
     method: Literal["common-start"]
-    channel: Snake = Field(description="Channel whose corner marks the turn")
-    max_offset: Duration = Field(description="The later recorder starts no later than this")
-    max_drift: Ratio = Field(1e-4, description="How far the clocks may differ in rate")
-    motion_window: Duration = Field(10.0, description="On each side of a turn of the motion")
+    channel: Snake = Field(description="Channel whose corner marks the turning point")
+    max_offset: Duration = Field(description="Largest delay of the later recorder")
+    max_drift: Ratio = Field(1e-4, description="Largest relative difference of the clock rates")
+    motion_window: Duration = Field(
+        10.0, description="On each side of a turning point of the motion"
+    )
     force_window: Duration = Field(1.0, description="On each side of a corner of the channel")
 
 
 class AlignStated(Block):
-    """Clocks that somebody has compared: force time = offset + (1 + drift) x motion time."""
+    """A stated relation of the clocks: force time = offset + (1 + drift) x motion time."""
 
     method: Literal["stated"]
     channel: Snake | None = Field(
-        None, description="A channel on the clock of the force; that of the curve if left out"
+        None, description="A channel on the clock of the force; else the force of the curve"
     )
-    offset: Moment = Field(description="Time of the force at time zero of the motion")
-    drift: Drift = Field(0.0, description="By how much the clock of the force runs faster")
+    offset: Moment = Field(description="Force time at motion time zero")
+    drift: Drift = Field(0.0, description="Relative excess of the rate of the force clock")
     uncertainty: Duration | None = Field(
-        None, description="Standard uncertainty of the offset; one sample if left out"
+        None, description="Standard uncertainty of the offset; else one sample"
     )
-    because: Text = Field(description="Where the offset comes from")
-    motion_window: Duration = Field(10.0, description="On each side of a turn of the motion")
+    because: Text = Field(description="Source of the offset")
+    motion_window: Duration = Field(
+        10.0, description="On each side of a turning point of the motion"
+    )
 
 
 Align: TypeAlias = Annotated[
@@ -194,7 +203,7 @@ Align: TypeAlias = Annotated[
 
 
 class MachineCompliance(Block):
-    """How far frame and grips give way; times the force, it is taken off the displacement."""
+    """Compliance of frame and grips; times the force, it is subtracted from the displacement."""
 
     value: Compliance = Field(description="From a test of a stiff bar, protocol stiff-bar")
     uncertainty: Uncertainty = Field(
@@ -203,12 +212,12 @@ class MachineCompliance(Block):
 
 
 class Failure(Block):
-    """When a specimen counts as broken: the force is lost at once and does not come back."""
+    """Criterion of failure: the force drops suddenly and does not recover."""
 
     force_below: Share = Field(description="Share of the largest force, such as 50 %")
-    loss: Share = Field(0.1, description="Share of the largest force that the loss takes at least")
+    loss: Share = Field(0.1, description="Smallest drop, as a share of the largest force")
     within: Duration = Field(
-        0.05, description="In this time, or in one step between samples where that is longer"
+        0.05, description="Longest duration of the drop; one sample step if that is longer"
     )
     at_end_below: Share | None = Field(
         None,
@@ -217,16 +226,16 @@ class Failure(Block):
 
 
 class Slips(Block):
-    """What is done where the specimen slides in its grips."""
+    """What labpipe does where the specimen slips in its grips."""
 
     decision: Literal["marked", "repaired", "cut"] = Field(
-        description="marked: noted; repaired: the lost force is added back; cut: the curve ends"
+        description="marked: noted; repaired: the lost force is added; cut: the curve ends there"
     )
-    min_drop: Force = Field(description="Smaller losses of force are ignored")
+    min_drop: Force = Field(description="Smaller drops of force are ignored")
 
 
 class Slack(Block):
-    """Toe compensation: where a line through the steep part meets zero force, travel begins."""
+    """Toe compensation: displacement starts where a line through the steep part has zero force."""
 
     start: Annotated[Share, Key("from"), "Of the largest force, such as 10 %"]
     stop: Annotated[
@@ -234,15 +243,15 @@ class Slack(Block):
     ]
 
 
-def _words_once(value: object) -> object:
-    words = value if isinstance(value, list | tuple) else [None]
-    if any(words.count(word) > 1 or word not in ("force", "displacement") for word in words):
+def _parse_reverse(value: object) -> object:
+    names = value if isinstance(value, list | tuple) else [None]
+    if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
         raise refused("protocol.no_reverse", found=value)
-    return tuple(words)
+    return tuple(names)
 
 
 Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...], BeforeValidator(_words_once)
+    tuple[Literal["force", "displacement"], ...], BeforeValidator(_parse_reverse)
 ]
 
 
@@ -265,14 +274,14 @@ class ElasticLine(Block):
 
 
 class CurveBlock(Block):
-    """Which channels make the curve, and how it is corrected: in the order of the keys."""
+    """Channels of the curve, and its corrections in the order of the keys."""
 
     force: Snake
     displacement: Snake
     reverse: Reverse | None = Field(
         None,
-        description="force, displacement: channels that count down as the specimen is loaded; an "
-        "empty list says that their signs are meant",
+        description="force, displacement: channels that decrease as the specimen is loaded; an "
+        "empty list confirms their signs",
     )
     compliance: MachineCompliance | None = None
     failure: Failure | None = None
@@ -282,10 +291,10 @@ class CurveBlock(Block):
 
 
 class Branches(Block):
-    """How the curve is cut into loading and unloading."""
+    """How the curve is split into loading and unloading branches."""
 
-    channel: Snake = Field(description="Channel whose turning points part the branches")
-    min_stroke: Length = Field(description="Smaller movements back and forth are noise")
+    channel: Snake = Field(description="Channel whose turning points separate the branches")
+    min_stroke: Length = Field(description="Smaller reversals are noise")
 
 
 FigureName: TypeAlias = Literal[
@@ -300,12 +309,12 @@ FigureName: TypeAlias = Literal[
 
 
 class Report(Block):
-    """What people get to see."""
+    """Units and figures of the report."""
 
     display: dict[str, Text] = Field({}, description="Unit of each quantity, such as force: mN")
     figures: tuple[FigureName, ...] = ()
     style: Literal["page", "journal"] = Field(
-        "page", description="Look of figures: as the page, or with serif letters for a journal"
+        "page", description="Style of figures: as on the page, or with a serif font for a journal"
     )
 
 
@@ -313,45 +322,47 @@ LotShare: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, m
 
 
 class Groups(Block):
-    """How `labpipe report` puts the samples of one type together."""
+    """How `labpipe report` groups the samples of one type."""
 
     main: tuple[Text, ...] = Field(
         (),
-        description="Results that are shown first; the first of them answers how groups differ",
+        description="Results that are shown first; groups are compared by the first of them",
     )
-    scaled: bool = Field(False, description="Also draw force / peak force of each sample")
-    min_p: Share = Field(0.05, description="Spools that differ with a smaller p are never pooled")
+    scaled: bool = Field(False, description="Also plot force / peak force of each sample")
+    min_p: Share = Field(
+        0.05, description="Spools that differ with a smaller p-value are never pooled"
+    )
     max_spool_share: Share = Field(
         0.1,
-        description="Pool spools only when their share of the variance is surely below",
+        description="Spools are pooled only if their share of the variance is significantly below",
     )
     coverage: LotShare = Field(
         LotRule().coverage, description="Share of a lot that must reach its force-limit"
     )
     confidence: LotShare = Field(LotRule().confidence, description="With which it must do so")
     margin: Share | None = Field(
-        None, description="Difference of two groups that does not matter, as a share of the first"
+        None, description="Irrelevant difference of two groups, as a share of the first"
     )
 
 
-def _known_version(value: object) -> int:
-    """Take the version of a file, if this labpipe knows it."""
+def _parse_version(value: object) -> int:
+    """Accept the only known version of the file format."""
     if str(value) != "1":
         raise refused("protocol.unknown_version", found=value)
     return 1
 
 
-Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_known_version)]
+Version: TypeAlias = Annotated[Literal[1], BeforeValidator(_parse_version)]
 
 
 class Protocol(Block):
     """How one kind of test is processed, from its exports to its results."""
 
     version: Version
-    name: FileStem = Field(description="As the file is called, without .yaml")
-    about: Remark = Field("", description="What it is for, in one line")
+    name: FileStem = Field(description="Name of the file without .yaml")
+    about: Remark = Field("", description="Purpose, in one line")
     follow_links: bool = Field(
-        False, description="Whether exports may be links out of the folder of the test"
+        False, description="Whether exports may be links to files outside the folder of the test"
     )
     sources: dict[Role, Source] = Field(min_length=1)
     specimen: SpecimenBlock = SpecimenBlock()
@@ -368,26 +379,30 @@ class Protocol(Block):
     results: tuple[ResultEntry, ...] = Field((), description="In the order of the summary")
     report: Report = Report()
     groups: Groups = Groups()
-    plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
-    limits: Limits = Field(LIMITS, description="Differences beyond which a number is doubtful")
+    plausible: Plausible = Field(
+        {}, description="Ranges by kind of dimension; else the shipped ones"
+    )
+    limits: Limits = Field(LIMITS, description="Differences beyond which a result is doubtful")
 
     @property
     def channels(self) -> dict[str, ChannelSource]:
         """Return the channels of all sources by name."""
-        named = (source.all_channels for source in self.sources.values())
-        return {name: channel for channels in named for name, channel in channels.items()}
+        sources = self.sources.values()
+        return {
+            name: channel for source in sources for name, channel in source.all_channels.items()
+        }
 
     @field_validator("sources")
     @classmethod
-    def _know_their_roles(cls, sources: dict[Role, Source]) -> dict[Role, Source]:
-        return {role: source.in_role(role) for role, source in sources.items()}
+    def _set_roles(cls, sources: dict[Role, Source]) -> dict[Role, Source]:
+        return {role: source.with_role(role) for role, source in sources.items()}
 
     @field_validator("steps")
     @classmethod
-    def _know_their_numbers(cls, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    def _set_numbers(cls, steps: tuple[Step, ...]) -> tuple[Step, ...]:
         return tuple(step.numbered(number) for number, step in enumerate(steps))
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
-        """Check one part of the protocol against another."""
-        return cross_faults(data)
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find contradictions between the blocks of the protocol."""
+        return find_cross_faults(data)

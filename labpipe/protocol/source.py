@@ -1,4 +1,4 @@
-"""Sources of a protocol: exports, channels and their units; sizes, and what is plausible."""
+"""Sources of a protocol: exports, channels, calibrations; plausible ranges of dimensions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pydantic import (
 
 from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import SI_UNITS, Day, OrShort, Text, listed, si_unit_like
+from labpipe.protocol.values import SI_UNITS, Day, ShortForm, Text, find_si_unit, wrap_in_list
 from labpipe.protocol.yaml_text import FaultsError, refused
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
@@ -28,15 +28,15 @@ from labpipe.units import parse_quantity
 
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
-"""What an export can be for."""
+"""Roles of the exports of a test."""
 READERS: Final = tuple(export_format.name for export_format in EXPORT_FORMATS)
-"""The readers a protocol can name."""
+"""Readers that a protocol can name."""
 MARKER_READERS: Final = frozenset(
     export_format.name for export_format in EXPORT_FORMATS if export_format.has_markers
 )
-"""Those whose exports hold marker tracks rather than channels."""
+"""Readers of marker tracks; the others read channels."""
 
-PLAUSIBLE: Final = MappingProxyType(
+PLAUSIBLE_RANGES: Final = MappingProxyType(
     {
         "length": ("m", "1 mm", "10 m"),
         "span": ("m", "1 mm", "10 m"),
@@ -52,8 +52,8 @@ PLAUSIBLE: Final = MappingProxyType(
         "mass_per_length": ("kg/m", "0.01 g/m", "20 kg/m"),
     }
 )
-"""SI unit, least and largest plausible value of each kind of dimension."""
-KEYS: Final = MappingProxyType(
+"""SI unit, smallest and largest plausible value of each kind of dimension."""
+DIMENSION_KINDS: Final = MappingProxyType(
     {
         **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
         **{kind: kind for kind in ("offset", "speed", "mass_per_length")},
@@ -70,21 +70,21 @@ if TYPE_CHECKING:
     _Kind = str
 else:
     _ReaderName = Literal[READERS]
-    _Kind = Literal[tuple(PLAUSIBLE)]
+    _Kind = Literal[tuple(PLAUSIBLE_RANGES)]
 
-Readers = Annotated[
+ReaderNames = Annotated[
     tuple[_ReaderName, ...],
-    OrShort(listed, {"enum": list(READERS)}),
+    ShortForm(wrap_in_list, {"enum": list(READERS)}),
     Field(min_length=1),
 ]
 
-Names = Annotated[
+ChannelNames = Annotated[
     tuple[Text, ...],
-    OrShort(listed, {"type": ["string", "number"], "minLength": 1}),
+    ShortForm(wrap_in_list, {"type": ["string", "number"], "minLength": 1}),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
-"""One name, or several of which the first that the export has counts."""
+"""Names of a channel; the first one that the export has counts."""
 
 
 AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
@@ -102,7 +102,7 @@ class Section(Block):
 
 
 class SizeUncertainties(Block):
-    """Standard uncertainties of the specimen's sizes; what is left out is taken as exact."""
+    """Standard uncertainties of the specimen's dimensions; others count as exact."""
 
     length: Distance | None = None
     gauge_length: Distance | None = None
@@ -115,23 +115,23 @@ class SizeUncertainties(Block):
     area: AreaUncertainty | None = None
 
     @property
-    def stated(self) -> dict[str, float]:
-        """Those that are given, by key, m (of the area m^2)."""
+    def by_key(self) -> dict[str, float]:
+        """Return the given uncertainties by key, m (m^2 for the area)."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
 class PlausibleRange(Block):
-    """Least and largest plausible value."""
+    """Smallest and largest plausible value."""
 
     start: Text = Field(alias="from", description="Such as 20 N")
     stop: Text = Field(alias="to", description="Such as 2 kN")
 
 
-def filled_ranges(stated: object) -> Any:
-    """Put the shipped ranges, and ends of ranges, where some are left out."""
+def complete_ranges(stated: object) -> Any:
+    """Fill in the shipped ranges and ends of ranges that a file leaves out."""
     if not isinstance(stated, Mapping):
         return stated
-    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE.items()}
+    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE_RANGES.items()}
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
         for kind, ends in stated.items()
@@ -139,19 +139,21 @@ def filled_ranges(stated: object) -> Any:
     return shipped | ranges
 
 
-def _schema_of(low: str, high: str) -> dict[str, object]:
+def _build_range_schema(low: str, high: str) -> dict[str, object]:
     ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
     return {"type": "object", "properties": ends, "additionalProperties": False}
 
 
 Plausible: TypeAlias = Annotated[
     dict[_Kind, PlausibleRange],
-    BeforeValidator(filled_ranges),
+    BeforeValidator(complete_ranges),
     Field(validate_default=True),
     WithJsonSchema(
         {
             "type": "object",
-            "properties": {kind: _schema_of(*ends) for kind, (_, *ends) in PLAUSIBLE.items()},
+            "properties": {
+                kind: _build_range_schema(*ends) for kind, (_, *ends) in PLAUSIBLE_RANGES.items()
+            },
             "additionalProperties": False,
         }
     ),
@@ -162,12 +164,12 @@ CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=1
 
 
 class Certificate(Block):
-    """What the certificate of a calibration says of an instrument."""
+    """Certificate of the calibration of an instrument."""
 
     number: Text
     date: Day = Field(description="Of the calibration")
     due: Day | None = Field(
-        None, description="Of the next one; numbers of a later test that rest on it are doubtful"
+        None, description="Of the next calibration; results of a later test are doubtful"
     )
     uncertainty: Uncertainty | None = Field(
         None, description="Expanded, as certificates state it: k times the standard uncertainty"
@@ -176,25 +178,25 @@ class Certificate(Block):
 
     @field_validator("due")
     @classmethod
-    def _is_after_the_date(cls, due: Any, info: ValidationInfo) -> Any:
+    def _check_due_date(cls, due: Any, info: ValidationInfo) -> Any:
         calibrated = info.data.get("date")
         if due is not None and calibrated is not None and due <= calibrated:
             raise refused("protocol.due_too_early", found=due, calibrated=calibrated)
         return due
 
 
-def standard_uncertainty(certificate: Certificate | None) -> float | None:
-    """Of the scale that was calibrated, as a ratio; None where no certificate says one."""
+def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
+    """Return the standard uncertainty of the scale as a ratio; None if not certified."""
     if certificate is None or certificate.uncertainty is None:
         return None
     return certificate.uncertainty / certificate.k
 
 
-def _agrees_with_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
-    """Refuse an uncertainty that is not that of gain and scale, where these are stated, too."""
+def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
+    """Refuse a certified uncertainty that contradicts those stated for gain and scale."""
     calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
     together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
-    certified = standard_uncertainty(certificate)
+    certified = _find_standard_uncertainty(certificate)
     if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
         found = Fault.of(
             "protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together
@@ -203,7 +205,7 @@ def _agrees_with_scale(certificate: Certificate | None, info: ValidationInfo) ->
     return certificate
 
 
-AgreedCertificate = Annotated[Certificate, AfterValidator(_agrees_with_scale)]
+CheckedCertificate = Annotated[Certificate, AfterValidator(_check_against_scale)]
 
 
 class Calibration(Block):
@@ -219,28 +221,30 @@ class Calibration(Block):
 class ChannelSource(Block):
     """One channel of an export."""
 
-    channel: Names = Field(
-        description="Name or full path in the export, as `labpipe inspect` says; or a list of names"
+    channel: ChannelNames = Field(
+        description="Name or full path, as `labpipe inspect` shows it; or a list of names"
     )
-    unit: Text | None = Field(None, description="Unit in the export, where the export is silent")
+    unit: Text | None = Field(None, description="Unit in the export, where the export states none")
     wrong_unit_in_file: Text | None = Field(
-        None, description="The unit that the export states, where that is wrong and 'unit' is right"
+        None, description="Unit that the export states by mistake; 'unit' is the right one"
     )
     calibration: Calibration | None = None
-    quantity: Snake | None = Field(None, description="Needed where the name does not say it")
+    quantity: Snake | None = Field(
+        None, description="Needed if the name of the channel is not that of a quantity"
+    )
     plausible_peak: PlausibleRange | None = Field(
-        None, description="Of the largest absolute value; doubtful outside"
+        None, description="Range of the largest absolute value; doubtful outside"
     )
     scale_uncertainty: Uncertainty = Field(
-        0.0, description="Standard uncertainty of the scale, as the class of a load cell says"
+        0.0, description="Standard uncertainty of the scale, such as the class of a load cell"
     )
     zero_drift: Uncertainty | None = Field(
         None,
-        description="Of a force: standard uncertainty of how far its zero has moved by the end of "
-        "the test, as a share of the largest force; read it with the specimen out",
+        description="Of a force: standard uncertainty of the drift of its zero during the test, as "
+        "a share of the largest force; measure it without a specimen",
     )
-    certificate: AgreedCertificate | None = Field(
-        None, description="Of the calibration; its uncertainty is that of gain and scale together"
+    certificate: CheckedCertificate | None = Field(
+        None, description="Of the calibration; its uncertainty includes those of gain and scale"
     )
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
@@ -262,10 +266,10 @@ class ChannelSource(Block):
 
     @property
     def channel_unit(self) -> str | None:
-        """Return the SI unit before calibration; None if the export must state it."""
+        """Return the SI unit before calibration; None if the protocol states no unit."""
         if self.unit is None:
             return None
-        return self.target_unit if self.calibration is None else si_unit_like(self.unit)
+        return self.target_unit if self.calibration is None else find_si_unit(self.unit)
 
     @property
     def gain(self) -> float:
@@ -284,7 +288,7 @@ class ChannelSource(Block):
     @property
     def gain_uncertainty(self) -> float:
         """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
-        if (certified := standard_uncertainty(self.certificate)) is not None:
+        if (certified := _find_standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
         return hypot(gain, self.scale_uncertainty)
@@ -298,8 +302,8 @@ class ChannelSource(Block):
         lowest, highest = (parse_quantity(end, self.target_unit) for end in ends)
         return lowest, highest
 
-    def named(self, name: str, key: str) -> ChannelSource:
-        """Return the channel with its name in labpipe and its key."""
+    def with_name(self, name: str, key: str) -> ChannelSource:
+        """Return a copy with the name of the channel in labpipe, and its dotted key."""
         channel = self.model_copy()
         channel._name, channel._key = name, key
         return channel
@@ -308,58 +312,63 @@ class ChannelSource(Block):
 class Source(Block):
     """One export of a test, or several parts of one."""
 
-    reader: Readers = Field(description="The format, or the formats, that the export may have")
-    dialect: Names | None = Field(
-        None, description="Of a load frame: the card, or cards, that the export must fit"
+    reader: ReaderNames = Field(description="Format of the export, or a list of possible formats")
+    dialect: ChannelNames | None = Field(
+        None, description="Of a load frame: card, or cards, that the export must fit"
     )
     part: Text | None = Field(
-        None, description="Of a load frame: which specimen or sheet of an export that holds several"
+        None, description="Of a load frame: the specimen or sheet, if an export has several"
     )
     optional: bool = Field(
-        False, description="Whether a test may lack it; what only this source makes then falls away"
+        False,
+        description="Whether a test may lack it; steps and results that need it are then left out",
     )
-    channel: Names | None = Field(None, description="Short for one channel named like the role")
+    channel: ChannelNames | None = Field(
+        None, description="Short form for one channel with the name of the role"
+    )
     unit: Text | None = None
     wrong_unit_in_file: Text | None = None
     calibration: Calibration | None = None
     quantity: Snake | None = None
     plausible_peak: PlausibleRange | None = None
     scale_uncertainty: Uncertainty | None = Field(
-        None, description="Of one channel named like the role, or of the cameras"
+        None, description="Of one channel with the name of the role, or of the cameras"
     )
     zero_drift: Uncertainty | None = None
-    certificate: AgreedCertificate | None = Field(
-        None, description="Of one channel named like the role, or of the cameras"
+    certificate: CheckedCertificate | None = Field(
+        None, description="Of one channel with the name of the role, or of the cameras"
     )
     channels: dict[Snake, ChannelSource] | None = None
     _role: str = PrivateAttr("")
 
     @property
     def key(self) -> str:
-        """Return the dotted key of the source, as an override begins: ``sources.frame``."""
+        """Return the dotted key of the source for overrides: ``sources.frame``."""
         return f"sources.{self._role}"
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
-        """Return the channels by name, however they were written; empty for marker tracks."""
+        """Return the channels by name, from the short or the long form; empty for marker tracks."""
         key = self.key
         if self.channel is not None:
             stated = {name: getattr(self, name) for name in ChannelSource.model_fields}
             single = ChannelSource.model_construct(
                 **{name: value for name, value in stated.items() if value is not None}
             )
-            return {self._role: single.named(self._role, key)}
+            return {self._role: single.with_name(self._role, key)}
         several = (self.channels or {}).items()
-        return {name: channel.named(name, f"{key}.channels.{name}") for name, channel in several}
+        return {
+            name: channel.with_name(name, f"{key}.channels.{name}") for name, channel in several
+        }
 
     @property
     def camera_uncertainty(self) -> float:
         """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
-        certified = standard_uncertainty(self.certificate)
+        certified = _find_standard_uncertainty(self.certificate)
         return (self.scale_uncertainty or 0.0) if certified is None else certified
 
-    def in_role(self, role: str) -> Source:
-        """Return the source with its role."""
+    def with_role(self, role: str) -> Source:
+        """Return a copy with the role of the source."""
         source = self.model_copy()
         source._role = role
         return source

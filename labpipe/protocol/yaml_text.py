@@ -1,8 +1,8 @@
-"""Parse YAML text into plain values with their positions, and place faults in it.
+"""YAML text: plain values with line and column, and error messages that name them.
 
 Unquoted words remain text: YAML 1.1 would convert the test name ``0333`` to the number 333, and
-``no`` to *false*. The key decides the type of a value. Aliases, tags and repeated keys are refused,
-because people read protocols.
+``no`` to *false*. Validators convert the texts later. Aliases, tags and repeated keys are refused,
+because people misread them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Values: TypeAlias = Mapping[str, object]
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 16
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
-_KINDS = {
+_EXPECTED = {
     **{f"{kind}_type": "a block of keys with values" for kind in ("model", "dict")},
     **{f"{kind}_type": "a list" for kind in ("list", "tuple")},
     "model_attributes_type": "a block of keys with values",
@@ -39,25 +39,25 @@ _KINDS = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
-"""What pydantic expected, by the type of its error."""
+"""Expected content in messages, by pydantic's type of error."""
 
 
-def block_in(data: object, *path: str) -> Values:
-    """Return the block under a path; empty if there is none."""
+def get_block(data: object, *path: str) -> Values:
+    """Return the block at a path; an empty one if there is none."""
     for key in path:
         data = data.get(key) if isinstance(data, Mapping) else None
     return data if isinstance(data, Mapping) else {}
 
 
-def list_in(data: object, *path: str) -> Sequence[Any]:
-    """Return the list under a path; empty if there is none."""
+def get_list(data: object, *path: str) -> Sequence[Any]:
+    """Return the list at a path; an empty one if there is none."""
     *blocks, key = path
-    items = block_in(data, *blocks).get(key)
+    items = get_block(data, *blocks).get(key)
     return items if isinstance(items, list) else ()
 
 
-def shown(value: object) -> str:
-    """Name a value of a YAML file in a message."""
+def describe_value(value: object) -> str:
+    """Describe a value of a YAML file for a message; long texts are cut."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
@@ -68,56 +68,56 @@ def shown(value: object) -> str:
     return repr(text if len(text) <= max_shown else f"{text[:max_shown]}...")
 
 
-def one_of(word: str, valid: Iterable[str]) -> str:
-    """List at most six valid words, nearest first."""
+def list_nearest(word: str, valid: Iterable[str]) -> str:
+    """List at most six of the valid words, those most similar to a word first."""
     valid_words = sorted(set(valid))
     listed = sort_by_likeness(word, valid_words, limit=6)
     return ", ".join([*map(repr, listed), *["..."] * (len(valid_words) > len(listed))])
 
 
-def did_you_mean(word: str, valid: Iterable[str]) -> str:
-    """Suggest the most similar valid word; empty if there is none."""
+def suggest_word(word: str, valid: Iterable[str]) -> str:
+    """Suggest the most similar valid word; empty if none is similar."""
     best = sort_by_likeness(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
 
-def not_among(
-    path: KeyPath, word: object, valid: Iterable[str], what: str = "one of", *, remedy: str = ""
+def build_choice_fault(
+    path: KeyPath, word: object, valid: Iterable[str], expected: str = "one of", *, remedy: str = ""
 ) -> Fault:
-    """Make the fault of a word that is none of the valid ones.
+    """Build the fault of a word that is not among the valid ones.
 
     Parameters
     ----------
-    path : way to the word
-    word : the invalid one
-    valid : the valid ones
-    what : they are, such as ``one of the channels``
-    remedy : what to do if there are no valid ones
+    path : path of the word
+    word : the invalid word
+    valid : the valid words
+    expected : phrase before the valid words, such as ``one of the channels``
+    remedy : for a word to which no valid one is similar
     """
     words = sorted(set(valid))
-    remedy = did_you_mean(str(word), words) or remedy
-    return Fault(path, f"{what} {one_of(str(word), words)}", shown(word), remedy)
+    remedy = suggest_word(str(word), words) or remedy
+    return Fault(path, f"{expected} {list_nearest(str(word), words)}", describe_value(word), remedy)
 
 
-def same_names(blocks: Sequence[object], key: str, what: str) -> Iterator[Fault]:
-    """Find blocks of a list that are called as an earlier one.
+def find_repeated_names(blocks: Sequence[object], key: str, noun: str) -> Iterator[Fault]:
+    """Find blocks of a list that have the name of an earlier block.
 
     Parameters
     ----------
-    blocks : as written
+    blocks : items of the list as written
     key : of the list
-    what : they are, such as ``boundary``
+    noun : for an item in messages, such as ``boundary``
     """
-    names = [block_in(block).get("name") for block in blocks]
+    names = [get_block(block).get("name") for block in blocks]
     for number, name in enumerate(names):
         if isinstance(name, str) and (first := names.index(name)) < number:
             yield Fault.of(
-                "protocol.name_taken", (key, number, "name"), name=name, other=f"{what} {first + 1}"
+                "protocol.name_taken", (key, number, "name"), name=name, other=f"{noun} {first + 1}"
             )
 
 
 class FaultsError(ValueError):
-    """Faults of a value that its validator found; their paths begin at the value."""
+    """Faults that a validator found in a value; their paths begin at that value."""
 
     def __init__(self, *faults: Fault) -> None:
         self.faults = faults
@@ -127,74 +127,80 @@ class FaultsError(ValueError):
 
 
 def refused(name: str, /, *, found: object, **facts: Any) -> FaultsError:
-    """Make the error of a value that its validator refuses.
+    """Build the error of a validator that refuses a value.
 
     Parameters
     ----------
-    name, facts : of a template, see `Fault.of`
+    name, facts : name of a template and values of its fields, see `Fault.of`
     found : the value as written
     """
-    return FaultsError(Fault.of(name, found=shown(found), **facts))
+    return FaultsError(Fault.of(name, found=describe_value(found), **facts))
 
 
-def faults_of(error: ValidationError, data: object, keys: Iterable[str] = ()) -> list[Fault]:
-    """Convert the errors of a block; those of inner blocks are faults already.
+def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = ()) -> list[Fault]:
+    """Convert pydantic's errors of a block to faults.
 
     Parameters
     ----------
-    error : what pydantic found
-    data : the block as it was validated
-    keys : the valid keys of the block
+    error : raised by pydantic; inner blocks have already converted theirs
+    data : the block as written
+    keys : valid keys of the block
+
+    Returns
+    -------
+    The faults, with their paths in `data`.
     """
     valid_keys = list(keys)
     faults: list[Fault] = []
     for line in error.errors(include_url=False):
-        path, inner = _path_in(data, line["loc"]), line.get("ctx", {}).get("error")
+        path, inner = _strip_location(data, line["loc"]), line.get("ctx", {}).get("error")
         if isinstance(inner, FaultsError):
-            faults += [_moved(fault, path, data) for fault in inner.faults]
+            faults += [_move_fault(fault, path, data) for fault in inner.faults]
         else:
-            faults.append(_fault_of(line, path, valid_keys))
+            faults.append(_convert_error(line, path, valid_keys))
     return faults
 
 
-def _moved(fault: Fault, path: KeyPath, data: Any) -> Fault:
-    """Put a fault of a part at its path in the whole, but not into a value in its short form."""
+def _move_fault(fault: Fault, path: KeyPath, data: Any) -> Fault:
+    """Prefix the path of a fault; it ends at a value that is written in a short form."""
     full = (*path, *fault.path)
     for number, part in enumerate(full):
         if data is not _ABSENT and not isinstance(data, Mapping | list):
             return replace(fault, path=full[:number])
-        data = _part_of(data, part)
+        data = _get_part(data, part)
     return replace(fault, path=full)
 
 
-def _fault_of(line: ErrorDetails, path: KeyPath, keys: list[str]) -> Fault:
+def _convert_error(line: ErrorDetails, path: KeyPath, keys: list[str]) -> Fault:
     context = line.get("ctx", {})
     match line["type"]:
         case "missing" | "union_tag_not_found":
-            key = _quoted(context["discriminator"])[0] if context else str(line["loc"][-1])
+            key = _find_quoted(context["discriminator"])[0] if context else str(line["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
-            return replace(not_among(path, path[-1], keys, "one of the keys"), at="key")
+            return replace(build_choice_fault(path, path[-1], keys, "one of the keys"), at="key")
         case "union_tag_invalid":
-            path = (*path, _quoted(context["discriminator"])[0])
-            return not_among(path, context["tag"], _quoted(context["expected_tags"]))
+            path = (*path, _find_quoted(context["discriminator"])[0])
+            return build_choice_fault(path, context["tag"], _find_quoted(context["expected_tags"]))
         case "literal_error":
-            fault = not_among(path, line["input"], _quoted(context["expected"]))
+            fault = build_choice_fault(path, line["input"], _find_quoted(context["expected"]))
             return replace(fault, at="key" if line["loc"][-1] == "[key]" else "value")
         case other:
             remedy = "Fill it in." if line["input"] is None else ""
-            return Fault(path, _KINDS.get(other, line["msg"]), shown(line["input"]), remedy)
+            return Fault(
+                path, _EXPECTED.get(other, line["msg"]), describe_value(line["input"]), remedy
+            )
 
 
-def _quoted(text: str) -> list[str]:
+def _find_quoted(text: str) -> list[str]:
     return re.findall(r"'([^']*)'", text)
 
 
-def _path_in(data: Any, location: tuple[int | str, ...]) -> KeyPath:
-    """Strip parts of a pydantic location that are not in the YAML: union tags, missing keys."""
+def _strip_location(data: Any, location: tuple[int | str, ...]) -> KeyPath:
+    """Remove parts of a pydantic location that are not in the YAML: union tags, missing keys."""
     path: list[str | int] = []
     for part in location:
-        if (inner := _part_of(data, part)) is not _ABSENT:
+        if (inner := _get_part(data, part)) is not _ABSENT:
             data = inner
             path.append(part)
     return tuple(path)
@@ -203,28 +209,28 @@ def _path_in(data: Any, location: tuple[int | str, ...]) -> KeyPath:
 _ABSENT = object()
 
 
-def _part_of(data: Any, part: int | str) -> object:
+def _get_part(data: Any, part: int | str) -> object:
     is_item = isinstance(data, list) and isinstance(part, int) and part < len(data)
     return data[part] if is_item or (isinstance(data, Mapping) and part in data) else _ABSENT
 
 
 @dataclass(slots=True)
-class Spot:
-    """Where a value is written, and everything in it.
+class Location:
+    """Where a value is written.
 
     Parameters
     ----------
     file : name of the YAML file
-    name : key or number of an item, as written
-    key, value : beginning of each
-    inner : spots of the keys of a block, or of the items of a list by their number
+    name : key of the value, or its number in a list, as written
+    key, value : positions of the key and of the value
+    inner : locations in the value: of a block by key, of a list by number
     """
 
     file: str
     name: str | int
     key: Mark
     value: Mark
-    inner: dict[str | int, Spot] = field(default_factory=dict)
+    inner: dict[str | int, Location] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -233,52 +239,56 @@ class Document:
 
     Parameters
     ----------
-    spot : of the whole
+    location : of the whole content
     data : blocks as dict, lists as list, everything else as text or None
-    faults : of the YAML itself
+    faults : repeated keys, keys that are no words, and tags
     """
 
-    spot: Spot
+    location: Location
     data: Any = None
     faults: list[PlacedFault] = field(default_factory=list)
 
     @property
     def block(self) -> Values:
-        """Return the content; empty if it is no block of keys."""
-        return block_in(self.data)
+        """Return the content; an empty block if it is anything else."""
+        return get_block(self.data)
 
     def at(self, path: KeyPath) -> Any:
-        """Find the value under a path of a value that is there."""
+        """Return the value at a path that exists."""
         node = self.data
         for part in path:
             node = node[part]
         return node
 
-    def spot_at(self, path: KeyPath) -> tuple[Spot, KeyPath]:
-        """Find the spot under a path, or of the innermost block around it; the path as written."""
-        spot, written = self.spot, list[str | int]()
+    def find_location(self, path: KeyPath) -> tuple[Location, KeyPath]:
+        """Find the location at a path, or that of the innermost block around it.
+
+        The second item is the path with keys and numbers as written: overrides that remove items
+        of a list change the numbers in `data`.
+        """
+        location, written = self.location, list[str | int]()
         for number, part in enumerate(path):
-            if part not in spot.inner:
-                return spot, (*written, *path[number:])
-            spot = spot.inner[part]
-            written.append(spot.name)
-        return spot, tuple(written)
+            if part not in location.inner:
+                return location, (*written, *path[number:])
+            location = location.inner[part]
+            written.append(location.name)
+        return location, tuple(written)
 
     def place(self, fault: Fault, remark: str = "") -> PlacedFault:
-        """Add its position to a fault.
+        """Format a fault with its file, line and column.
 
         Parameters
         ----------
-        fault : a path that is not in the file means the block around it
-        remark : added to the end
+        fault : if its path is not in the file, the innermost block around it is named
+        remark : appended to the message
         """
-        spot, path = self.spot_at(fault.path)
-        mark = spot.key if fault.at == "key" else spot.value
-        return _placed(spot.file, mark, replace(fault, path=path), remark)
+        location, path = self.find_location(fault.path)
+        mark = location.key if fault.at == "key" else location.value
+        return _place_fault(location.file, mark, replace(fault, path=path), remark)
 
 
-def _placed(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
-    """Describe a fault with its line, column and dotted key."""
+def _place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
+    """Format a fault with its line, column and dotted key."""
     key = ".".join(str(part) for part in fault.path)
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
     remedy = f"{fault.remedy} {remark}".strip()
@@ -286,8 +296,8 @@ def _placed(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFaul
     return file, mark, text.rstrip()
 
 
-def error_of_faults(placed: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
-    """Make one error of all faults of a file, a line each, in the order of the file."""
+def build_error(placed: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
+    """Build one error of all faults, one line each, in the order of the file."""
     return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
 
 
@@ -301,7 +311,7 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ProtocolError
-        If there is no such file, or it is not text of at most 1 MB.
+        If the file does not exist, is not a plain file of at most 1 MB, or is not UTF-8 text.
     """
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
@@ -318,8 +328,8 @@ def read_text(path: Path) -> str:
 
 
 @lru_cache(maxsize=64)
-def _composed(text: str) -> yaml.Node | None:
-    """Compose the nodes of a text, cached for all tests of a protocol."""
+def _compose(text: str) -> yaml.Node | None:
+    """Compose the nodes of a text; cached, as many tests have one protocol."""
     return yaml.compose(text, Loader=_LOADER)
 
 
@@ -333,26 +343,26 @@ def parse_yaml(text: str, file: str) -> Document:
 
     Returns
     -------
-    The document, with faults that leave it readable, such as a repeated key.
+    The document; its `faults` are those that leave it readable, such as a repeated key.
 
     Raises
     ------
     ProtocolError
-        If the text is not YAML.
+        If the text is not YAML, has an alias, or has more than 16 levels.
     """
     try:
-        node = _composed(text)
+        node = _compose(text)
     except (yaml.YAMLError, UnicodeError, RecursionError) as error:
-        raise _syntax_error(error, text, file) from error
-    mark = (1, 1) if node is None else _mark(node)
-    document = Document(Spot(file, "", mark, mark))
+        raise _build_syntax_error(error, text, file) from error
+    mark = (1, 1) if node is None else _find_mark(node)
+    document = Document(Location(file, "", mark, mark))
     if node is not None:
-        document.data = _value(node, (), document, document.spot, set())
+        document.data = _convert_node(node, (), document, document.location, set())
     return document
 
 
-def _syntax_error(error: Exception, text: str, file: str) -> ProtocolError:
-    """Make the error of what the YAML library refuses."""
+def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError:
+    """Build the error of a text that the YAML library refuses."""
     mark = getattr(error, "problem_mark", None)
     if mark is not None:
         line, column = mark.line + 1, mark.column + 1
@@ -365,51 +375,59 @@ def _syntax_error(error: Exception, text: str, file: str) -> ProtocolError:
     return ProtocolError.about("protocol.no_yaml", file, place, found=found)
 
 
-def _value(node: yaml.Node, path: KeyPath, document: Document, spot: Spot, seen: set[int]) -> Any:
-    """Convert a node to plain values; fill in the spots of everything in it."""
+def _convert_node(
+    node: yaml.Node, path: KeyPath, document: Document, location: Location, converted: set[int]
+) -> Any:
+    """Convert a node to plain values; add the locations of its parts to `location`."""
     fault = None
-    if id(node) in seen:
+    if id(node) in converted:
         fault = Fault.of("protocol.alias", path)
     elif len(path) >= MAX_DEPTH:
         fault = Fault.of("protocol.too_deep", most=MAX_DEPTH)
     if fault is not None:
-        raise error_of_faults([_placed(spot.file, _mark(node), fault)])
-    seen.add(id(node))
+        raise build_error([_place_fault(location.file, _find_mark(node), fault)])
+    converted.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
-        document.faults.append(_placed(spot.file, _mark(node), fault))
+        document.faults.append(_place_fault(location.file, _find_mark(node), fault))
     if isinstance(node, yaml.MappingNode):
-        return _block(node, path, document, spot, seen)
+        return _convert_mapping(node, path, document, location, converted)
     if isinstance(node, yaml.SequenceNode):
         for number, item in enumerate(node.value):
-            spot.inner[number] = Spot(spot.file, number, _mark(item), _mark(item))
+            location.inner[number] = Location(
+                location.file, number, _find_mark(item), _find_mark(item)
+            )
         return [
-            _value(item, (*path, number), document, spot.inner[number], seen)
+            _convert_node(item, (*path, number), document, location.inner[number], converted)
             for number, item in enumerate(node.value)
         ]
     is_quoted = isinstance(node, yaml.ScalarNode) and node.style
     return node.value if is_quoted or node.value not in ("", "~", "null") else None
 
 
-def _block(
-    node: yaml.MappingNode, path: KeyPath, document: Document, spot: Spot, seen: set[int]
+def _convert_mapping(
+    node: yaml.MappingNode,
+    path: KeyPath,
+    document: Document,
+    location: Location,
+    converted: set[int],
 ) -> dict[str, object]:
     block: dict[str, object] = {}
     for key, value in node.value:
         name, fault = key.value, None
         if not isinstance(key, yaml.ScalarNode):
-            fault = Fault.of("protocol.no_word_as_key", path, found=shown(name))
+            fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
         elif name in block:
-            line = spot.inner[name].key[0]
+            line = location.inner[name].key[0]
             fault = Fault.of("protocol.key_again", (*path, name), key=name, line=line)
         if fault is not None:
-            document.faults.append(_placed(spot.file, _mark(key), fault))
+            document.faults.append(_place_fault(location.file, _find_mark(key), fault))
             continue
-        spot.inner[name] = Spot(spot.file, name, _mark(key), _mark(value))
-        block[name] = _value(value, (*path, name), document, spot.inner[name], seen)
+        location.inner[name] = Location(location.file, name, _find_mark(key), _find_mark(value))
+        block[name] = _convert_node(value, (*path, name), document, location.inner[name], converted)
     return block
 
 
-def _mark(node: yaml.Node) -> Mark:
+def _find_mark(node: yaml.Node) -> Mark:
     start = node.start_mark
     return (start.line + 1, start.column + 1) if start else (1, 1)

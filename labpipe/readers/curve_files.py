@@ -51,7 +51,7 @@ from labpipe.readers.text_cells import (
 )
 from labpipe.readers.workbooks import is_workbook, open_sheets, workbook_cells
 from labpipe.records.arrays import Floats
-from labpipe.units import si_factor, whole_number
+from labpipe.units import find_si_factor, parse_count
 
 __all__ = ["CurveColumn", "read_curve"]
 
@@ -245,7 +245,7 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     ]
     if len(matches) == 1:
         return matches[0]
-    number = whole_number(wanted.column or "")
+    number = parse_count(wanted.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
     near = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
@@ -284,8 +284,8 @@ def _unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
             raise ReadError.about(
                 "readers.unit_of_column", table.path, place, what=what, example=example, unit=text
             )
-    factor = si_factor(unit, wanted.si_unit)
-    if stated and not math.isclose(si_factor(stated, wanted.si_unit), factor):
+    factor = find_si_factor(unit, wanted.si_unit)
+    if stated and not math.isclose(find_si_factor(stated, wanted.si_unit), factor):
         raise ReadError.about("readers.other_unit", table.path, place, unit=unit, stated=stated)
     return factor
 

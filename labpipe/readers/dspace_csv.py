@@ -33,7 +33,7 @@ from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_content, read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 _SAMPLES_MARK = b"\ntrace_values"
 _NAMES = "trace_names"
@@ -85,7 +85,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
         first_line=above.count(b"\n") + 1,
         separator=",",
         decimal=".",
-        stated_rows=whole_number(properties.get("trace_size", [""])[0]),
+        stated_rows=parse_count(properties.get("trace_size", [""])[0]),
         as_exported=True,
     )
     samples, notes = read_columns(body, path)
@@ -129,7 +129,7 @@ def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
 
 def _reference_day(nanoseconds: str) -> date | None:
     """Return the day of ReferenceTime, ns since 1970 UTC."""
-    seconds = whole_number(nanoseconds[:-9])
+    seconds = parse_count(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:
         return None
     return datetime.fromtimestamp(seconds, tz=UTC).date()

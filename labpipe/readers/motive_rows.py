@@ -14,7 +14,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.motive_takes import derived_rate, unique_names
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks, RigidBody
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 _BODY_WORDS = ("trackable", "rigidbody")
 
@@ -120,7 +120,7 @@ def _read_line(take: _Take, cells: list[str]) -> None:
     elif first_cell == "frame":
         _read_frame(take, cells)
     elif (
-        first_cell in _BODY_WORDS and whole_number(cells[1]) is not None and cells[3] in take.bodies
+        first_cell in _BODY_WORDS and parse_count(cells[1]) is not None and cells[3] in take.bodies
     ):
         _read_body(take, cells)
     elif first_cell in _BODY_WORDS:
@@ -237,7 +237,7 @@ def _about(take: _Take) -> dict[str, object]:
 def _notes(take: _Take) -> Iterator[QualityNote]:
     frames, without_body = len(take.numbers), take.n_bodies.count(0)
     yield QualityNote.of("readers.unit_assumed", "take")
-    stated = whole_number(take.info.get("framecount", ""))
+    stated = parse_count(take.info.get("framecount", ""))
     if stated not in {None, frames}:
         yield QualityNote.of("readers.rows_differ", "file", stated=stated, held=frames)
     if without_body:

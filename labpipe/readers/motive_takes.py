@@ -39,7 +39,7 @@ from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
-from labpipe.units import whole_number
+from labpipe.units import parse_count
 
 _TABLE_STARTS = (b"Format Version", b'"Format Version')
 _ROW_STARTS = (b"comment,", b'"comment",')
@@ -247,7 +247,7 @@ class Header:
     def stated_rows(self) -> int | None:
         """Return the number of exported frames stated in line 1."""
         text = self.about.get("Total Exported Frames", "").removesuffix(".0")
-        return whole_number(text)
+        return parse_count(text)
 
     @property
     def length_unit(self) -> float:

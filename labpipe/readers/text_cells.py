@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import date, time, timedelta
 
 from labpipe.errors import ReadError
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?")
 MISSING_WORDS = frozenset(
@@ -155,7 +155,7 @@ def hold_units(cells: Sequence[str]) -> bool:
 def has_dimension_of(text: str, unit: str) -> bool:
     """Return whether a text is a unit with the dimension of another."""
     try:
-        si_factor(text, unit)
+        find_si_factor(text, unit)
     except ValueError:
         return False
     return True

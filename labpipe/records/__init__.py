@@ -1,1 +1,1 @@
-"""The frozen vocabulary that every layer speaks: recordings, curves, shapes, results."""
+"""Frozen records that all layers share: recordings, curves, shapes, results, groups."""

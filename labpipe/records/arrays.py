@@ -1,4 +1,4 @@
-"""Array types, the freezing of the arrays that records hold, medians, and runs of flags."""
+"""Array types, records with read-only arrays, and small functions of arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Singles: TypeAlias = NDArray[np.float32]
 Ints: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
 Samples: TypeAlias = slice | Ints
-"""Which samples of the last axis, in order: a stretch where they follow one another."""
+"""Samples of the last axis, in order: a slice if they are consecutive, else their numbers."""
 Vector: TypeAlias = Annotated[Floats, "n"]
 """Shape (n,), with one n in all of a record."""
 
@@ -31,12 +31,12 @@ AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """SI unit of a field, in its annotation.
+    """Annotation of a field with its SI unit.
 
     Parameters
     ----------
     symbol : unit; empty if a text field states it
-    stated_in : name of that text field, of the record or of the one that contains it
+    stated_in : name of that text field, in the same record or in the one that contains it
     """
 
     symbol: str = ""
@@ -44,12 +44,12 @@ class Unit:
 
 
 class ArrayRecord:
-    """A frozen record whose arrays are read-only, of the number type and the shape of their fields.
+    """Base class of frozen records: checks the shapes of their arrays and makes them read-only.
 
-    The axes of a field are in its type, ``Annotated[Floats, "frame", "xyz", Unit("m")]``: a length,
-    a key of `AXIS_LABELS`, the name of a tuple of the record with as many entries, or a word for a
-    length that is the same throughout the record, that of an annotated tuple included. Arrays of
-    the right type are not copied.
+    The type of a field names its axes: ``Annotated[Floats, "frame", "xyz", Unit("m")]``. An axis is
+    a length, a key of `AXIS_LABELS`, the name of a tuple field with as many entries, or any other
+    word, which has the same length throughout the record. An array is converted to the number type
+    of its field; it is not copied if it has that type.
 
     Raises
     ------
@@ -76,7 +76,7 @@ class ArrayRecord:
             object.__setattr__(self, name, array)
 
     def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Return the length of an axis; None where any will do."""
+        """Return the length of an axis; None for any length."""
         if isinstance(axis, int):
             return axis
         entries = AXIS_LABELS.get(axis) or getattr(self, axis, None)
@@ -92,7 +92,7 @@ def find_dtype(array_type: Any) -> Any:
 def _fields_with_axes(
     record_type: Any,
 ) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
-    """Return name, number type and axes of arrays, and name and axis of annotated tuples."""
+    """Return name, number type and axes of the arrays, and name and axis of annotated tuples."""
     arrays, tuples = [], []
     for name, hint in get_type_hints(record_type, include_extras=True).items():
         values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
@@ -109,8 +109,8 @@ def freeze(values: object, *, shape: tuple[int | None, ...]) -> Floats:
 
     Parameters
     ----------
-    values : anything numpy turns into an array; an array that is float64 already is not copied
-    shape : the length wanted on each axis, None where any length will do
+    values : convertible to an array; a float64 array is not copied
+    shape : expected length of each axis; None for any length
 
     Returns
     -------
@@ -119,7 +119,7 @@ def freeze(values: object, *, shape: tuple[int | None, ...]) -> Floats:
     Raises
     ------
     ValueError
-        If the shape is another one.
+        If the array has another shape.
     """
     array: Floats = np.asarray(values, dtype=np.float64).view()
     if not _fits(array, shape):
@@ -144,9 +144,12 @@ def median(values: Floats) -> float:
 
     Returns
     -------
-    As `numpy.median`, in a fifth of its time: that one asks for three places of the order at once,
-    which numpy has no quick way to find, and loads masked arrays. NaN if a value is NaN, or there
-    is none.
+    NaN if a value is NaN, or if there is none.
+
+    Notes
+    -----
+    The result of `numpy.median` in a fifth of its time: numpy partitions at three places at once
+    and imports masked arrays.
 
     Examples
     --------
@@ -164,7 +167,7 @@ def median(values: Floats) -> float:
 
 
 def average_between(values: Floats, starts: Ints) -> Floats:
-    """Return the mean of the samples from each start to the next one.
+    """Compute the mean of the samples from each start to the next one.
 
     Parameters
     ----------
@@ -181,11 +184,11 @@ def average_blocks(values: Floats, points: int) -> Floats:
     Parameters
     ----------
     values : shape (n,); a NaN makes its mean NaN
-    points : smallest number of means, if there are as many samples
+    points : minimum number of means, if there are as many samples
 
     Returns
     -------
-    Between `points` and twice as many; the last block includes the remainder.
+    Between `points` and twice as many means; the last block includes the remainder.
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
@@ -200,11 +203,11 @@ def select_part(samples: Samples, stretch: slice) -> Samples:
 
 
 def divide(numerator: Floats, denominator: Floats) -> Floats:
-    """Return the ratio; NaN where the divisor is zero.
+    """Return the quotient; NaN where the denominator is zero.
 
     Parameters
     ----------
-    numerator, denominator : shape (...), of shapes that go together
+    numerator, denominator : shape (...), of shapes that can be broadcast
     """
     shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)
@@ -221,14 +224,14 @@ def find_runs(flags: Flags) -> list[tuple[int, int]]:
 
     Returns
     -------
-    First sample of each run, and the first one behind it.
+    First sample of each run, and the first one after it.
     """
     edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def as_slice(indices: Ints) -> Samples:
-    """Convert sample numbers to a slice if they are consecutive, which avoids copies.
+    """Convert sample numbers to a slice if they are consecutive, to avoid copies.
 
     Parameters
     ----------
@@ -246,7 +249,7 @@ def as_slice(indices: Ints) -> Samples:
 
 
 def find_run_times(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
-    """Find when samples are flagged.
+    """Find the first and last time of each run of flagged samples.
 
     Parameters
     ----------
@@ -254,6 +257,6 @@ def find_run_times(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...
 
     Returns
     -------
-    First and last time of each run, s.
+    In s.
     """
     return tuple((float(time[start]), float(time[end - 1])) for start, end in find_runs(flags))

@@ -1,4 +1,4 @@
-"""Curves, branches, slips, shapes, measured bending: what processing makes of recordings."""
+"""Stages of processing: clock fit, aligned signals, curve, slips, shape, measured bending."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ Time = TypeVar("Time", float, Floats)
 """One time, or many."""
 
 AT_REST = -1
-"""Branch number of samples that belong to no branch: before, after and between movements."""
-
+"""Branch number of samples before, between and after the branches."""
 
 NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
@@ -51,7 +50,7 @@ class Interval:
 
 
 class Direction(StrEnum):
-    """Which way a branch goes."""
+    """Direction of a branch."""
 
     LOADING = "loading"
     UNLOADING = "unloading"
@@ -59,15 +58,15 @@ class Direction(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """One loading or unloading stretch of a curve: samples `start` to `stop`, `stop` left out.
+    """One loading or unloading stretch of a curve: samples `start` to `stop`, `stop` excluded.
 
     Parameters
     ----------
     start, stop : sample numbers
     cycle : counted from 1; a loading branch and the unloading branch after it share it
     direction : loading or unloading
-    start_time, stop_time : in the time unit of the curve, the turning points themselves, finer
-        than the samples
+    start_time, stop_time : times of the turning points between the samples, in the time unit of
+        the curve
     """
 
     start: Annotated[int, Unit("sample")]
@@ -80,17 +79,17 @@ class Branch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockFit(ArrayRecord):
-    """How two clocks lie to each other: force time = offset + (1 + drift) x marker time.
+    """Relation of two clocks: force time = offset + (1 + drift) x marker time.
 
     Parameters
     ----------
     offset : s, force time at marker time zero
     drift : dimensionless, 1e-6 is one part per million
     offset_interval, drift_interval : 95 % intervals
-    residual : s, root mean square of what the straight line leaves over at the events
-    event_times_motion, event_times_force : shape (events,), s, the same events on both clocks
+    residual : s, root mean square residual of the straight line at the events
+    event_times_motion, event_times_force : shape (events,), s, of the same events on both clocks
     event_errors : shape (events,), s, standard error of the difference at each event
-    method : in words
+    method : description for the report
     """
 
     offset: Annotated[float, Unit("s")]
@@ -114,11 +113,11 @@ class ClockFit(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series(ArrayRecord):
-    """One quantity on a clock that its owner holds.
+    """One quantity on the clock of the record that contains it.
 
     Parameters
     ----------
-    values : shape (n,), in `unit`; NaN where there is no datum
+    values : shape (n,), in `unit`; NaN where there is no measurement
     unit : SI unit
     """
 
@@ -134,7 +133,7 @@ class Aligned(ArrayRecord):
     ----------
     time : shape (n,), in `time_unit`, the clock of the curve
     series : by name (``force``, ``travel``, ``displacement``), each of shape (n,)
-    clock_fit : how the clocks were joined; None when there is only one clock
+    clock_fit : relation of the clocks; None for a single clock
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
@@ -151,8 +150,8 @@ class Curve(ArrayRecord):
     Parameters
     ----------
     time : shape (n,), in `time_unit`
-    displacement : shape (n,), m; NaN where there is no datum
-    force : shape (n,), N; NaN where there is no datum
+    displacement : shape (n,), m; NaN where there is no measurement
+    force : shape (n,), N; NaN where there is no measurement
     branch : shape (n,), counted from 0 in order of travel, `AT_REST` outside every branch
     cycle : shape (n,), counted from 1, 0 outside every branch
     branches : in order of travel
@@ -170,11 +169,11 @@ class Curve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class FittedLine:
-    """A straight line that a result was read from, so that a figure can show it.
+    """A straight line whose slope is a result, for figures.
 
     Parameters
     ----------
-    result : name of the result that is its slope
+    result : name of the result
     slope : N/m
     level : N, height of the line at `start`
     start, stop : m, displacements between which it was fitted
@@ -188,18 +187,18 @@ class FittedLine:
 
 
 class PointFlag(IntEnum):
-    """Where the position of one point in one frame comes from."""
+    """Origin of the position of one point in one frame."""
 
     MISSING = 0
     """No position: NaN."""
     MEASURED = 1
-    """Seen by the cameras under its own label."""
+    """Measured under its own label."""
     RELABELLED = 2
-    """Seen by the cameras under another label, given back to its marker."""
+    """Measured under another label, and assigned to its marker."""
     FILLED = 3
-    """Not seen; put in by the rule of the protocol."""
+    """Not measured; filled by the rule of the protocol."""
     CONSTRUCTED = 4
-    """Never a marker: clamped end or pull point, built from the markers."""
+    """No marker: clamped end or pull point, computed from the markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,9 +210,9 @@ class Shape(ArrayRecord):
 
     Parameters
     ----------
-    time : shape (frames,), s, the clock of the curve: the markers' own, but between two supports
-    positions : shape (frames, points, 3), m; the first point is the clamped end and the last the
-        pull point where the specimen has them
+    time : shape (frames,), s, on the clock of the curve
+    positions : shape (frames, points, 3), m; the first point is the clamped end and the last one
+        the pull point, if the specimen has them
     names : one per point, in order along the specimen
     flags : shape (frames, points), values of `PointFlag`
     arc_length : shape (points,), m, along the specimen from its first point
@@ -234,27 +233,28 @@ class Shape(ArrayRecord):
 
 
 class SlipDecision(StrEnum):
-    """What is done about a slip."""
+    """Treatment of a slip."""
 
     MARKED = "marked"
-    """Noted; the curve stays as measured."""
+    """Only noted; the curve is unchanged."""
     REPAIRED = "repaired"
-    """The force lost is added back to all that follows; drops add up."""
+    """The lost force is added to all later samples; the drops of several slips add up."""
     CUT = "cut"
     """The curve ends before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One sudden loss of force at constant speed after which the force goes on lower.
+    """One sudden lasting loss of force at constant speed.
 
     Parameters
     ----------
     position : m, displacement at which the force falls
     drop : N, force lost, positive
     position_interval, drop_interval : 95 %
-    decision : what was done
+    decision : treatment
     start, stop : samples of the curve between which the force falls; `stop` is the first one after
+        the fall
     """
 
     position: Annotated[float, Unit("m")]
@@ -272,23 +272,24 @@ _MomentGrid: TypeAlias = Annotated[Floats, "mean", "place", Unit("N*m")]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendingCloud(ArrayRecord):
-    """Curvature and bending moment along the specimen; means over consecutive frames.
+    """Curvature and bending moment along the specimen, as means over consecutive frames.
 
     Parameters
     ----------
-    time : shape (n,), s, the marker clock, middle of each mean
+    time : shape (n,), s, on the marker clock, middle of the averaged frames
     branch : shape (n,), of the curve, counted from 0
     cycle : shape (n,), counted from 1
     force : shape (n,), N, of the curve
     arc_length : shape (stations,), m, from the clamped end
-    curvature : shape (n, stations), 1/m, less that at rest
+    curvature : shape (n, stations), 1/m, minus the curvature at rest
     curvature_error : shape (n, stations), 1/m, standard error from the noise of the markers
-    curvature_systematic : shape (n, stations), 1/m, what one coefficient more of the shape makes of
-        it; NaN where the markers do not carry one more
-    moment : shape (n, stations), N m, less that at rest
+    curvature_systematic : shape (n, stations), 1/m, change of the curvature with one more
+        coefficient of the shape; NaN where the markers do not allow one more
+    moment : shape (n, stations), N m, minus the moment at rest
     moment_at_rest : shape (stations,), N m
-    moment_error : shape (n, stations), N m, standard error: force, its scale and its zero, places
-    frames_per_mean : consecutive frames that each row is the mean of
+    moment_error : shape (n, stations), N m, standard error from force, its scale and zero, and the
+        positions
+    frames_per_mean : consecutive frames that are averaged in each row
     """
 
     time: Annotated[Floats, "mean", Unit("s")]
@@ -306,12 +307,12 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Return the standard errors of noise and shape together, shape (n, stations), 1/m.
+        """Return the combined standard errors of noise and shape, shape (n, stations), 1/m.
 
-        The shape counts as a rectangle of the half width that one coefficient more makes.
+        The error of the shape is a rectangular distribution of half-width `curvature_systematic`.
         """
-        other = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
-        return np.asarray(np.hypot(self.curvature_error, other), dtype=np.float64)
+        of_shape = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
+        return np.asarray(np.hypot(self.curvature_error, of_shape), dtype=np.float64)
 
 
 _Moments: TypeAlias = Annotated[Floats, "point", Unit("N*m")]
@@ -322,28 +323,28 @@ _Stiffnesses: TypeAlias = Annotated[Floats, "point", Unit("N*m^2")]
 class MeasuredLaw(ArrayRecord):
     """The monotone moment-curvature law of the first loading, with 95 % intervals.
 
-    Arrays of shape (n,) unless stated otherwise; NaN in the stiffnesses where `is_known` is not.
+    Arrays of shape (n,) unless stated otherwise; stiffnesses are NaN where `is_known` is False.
 
     Parameters
     ----------
     curvature : 1/m, increasing from 0
-    moment : N m, at these curvatures
+    moment : N m
     moment_lower, moment_upper : N m
     secant, secant_lower, secant_upper : N m^2, moment / curvature
     tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
-    is_known : whether the curvature is above its noise
-    reason : why points are not known; None where all are
-    floor : 1/m, below it curvature is not distinguished from its noise
-    scale_error : standard uncertainty of the scale of the force, as a share; in the intervals
-    residual : m, root mean square distance per coordinate between markers, as means over
-        consecutive frames, and the shapes that the law makes
-    noise : m, what the noise of the markers alone makes of that
-    n_frames : frames that it was found from
-    knots : shape (knots,), N m, where the compliance of the law is given
+    is_known : whether the curvature is above `floor`
+    reason : why points are not known; None if all are known
+    floor : 1/m, smallest curvature that is distinguished from its noise
+    scale_error : relative standard uncertainty of the scale of the force; included in the intervals
+    residual : m, root mean square distance per coordinate between the markers, averaged over
+        consecutive frames, and the shapes that follow from the law
+    noise : m, part of `residual` that the noise of the markers explains
+    n_frames : number of frames used
+    knots : shape (knots,), N m, moments of `compliance`
     compliance : shape (knots,), 1/(N m^2), slope of curvature against moment at the knots, linear
         between them
-    compliance_covariance : shape (knots, knots), of what scatters and what is common to the test,
-        without the scale of the force
+    compliance_covariance : shape (knots, knots), of noise and of errors common to the test, without
+        the scale of the force
     """
 
     curvature: Annotated[Floats, "point", Unit("1/m")]
@@ -370,13 +371,13 @@ class MeasuredLaw(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bending:
-    """Moment against curvature as a test shows it.
+    """Measured moment against curvature of a test.
 
     Parameters
     ----------
-    cloud : all branches
-    law : through the first loading; None where there is none
-    reason : why there is no law; None where there is one
+    cloud : of all branches
+    law : of the first loading; None if it is not available
+    reason : why there is no law; else None
     """
 
     cloud: BendingCloud

@@ -1,11 +1,11 @@
-"""How steps, results and limits are declared: settings with units and ranges; needs; the steps.
+"""Declarations of the settings of steps and results: types with units and ranges; the steps.
 
-A setting is a field of a frozen dataclass whose type says by `typing.Annotated` how YAML writes it:
-``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the annotation is
-the description that people read in an editor. Nothing here reads YAML: `labpipe.protocol.grammar`
-makes the validator, the JSON schema and the error messages of these types.
+A setting is a field of a frozen dataclass. `typing.Annotated` in its type states how YAML writes
+it: ``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the
+annotation is the description that editors show. `labpipe.protocol.grammar` derives the validator,
+the JSON schema and the error messages from these types.
 
-**Units**: coherent SI inside; the marker of a type says in which unit people write it.
+**Units**: coherent SI; the annotation states the unit that resolved protocols show.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from typing import (
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A float that YAML writes with its unit.
+    """Annotation of a float that YAML writes with its unit.
 
     Parameters
     ----------
     unit : SI unit of the float, ``1`` for a pure number
     shown : unit in which a resolved protocol writes it
     example : how a person writes it
-    above : in `unit`, the value must be larger; None for no such bound
+    above : in `unit`, exclusive lower bound; None for no such bound
     minimum, maximum : in `unit`, smallest and largest valid value
     """
 
@@ -50,7 +50,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class WholeNumber:
-    """A whole number within a range.
+    """Annotation of a whole number within a range.
 
     Parameters
     ----------
@@ -63,12 +63,12 @@ class WholeNumber:
 
 @dataclass(frozen=True, slots=True)
 class PatternText:
-    """A text of one form.
+    """Annotation of a text that matches a pattern.
 
     Parameters
     ----------
     pattern : regular expression of the whole text
-    meaning : the same in words, for messages
+    meaning : description of the pattern for messages
     """
 
     pattern: str
@@ -77,7 +77,7 @@ class PatternText:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """How YAML calls a field whose name Python does not take, such as ``from``.
+    """Annotation of a field whose key in YAML is no Python name, such as ``from``.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class LargerThan:
-    """A quantity that must be larger than another one of the same block and type.
+    """Annotation of a quantity that must be larger than another one of the same block and type.
 
     Parameters
     ----------
-    field : name of the other field, which is declared before
+    field : name of the other field, which must be declared first
     key : its key in YAML
     """
 
@@ -103,11 +103,11 @@ class LargerThan:
 
 @dataclass(frozen=True, slots=True)
 class Existing:
-    """A word that must name something that exists where it is written.
+    """Annotation of a name that must refer to an existing channel or stiffness.
 
     Parameters
     ----------
-    kind : a channel that a source or an earlier step gives, or a stiffness above in the list
+    kind : ``channel`` of a source or an earlier step, or ``stiffness`` of an earlier result
     """
 
     kind: Literal["channel", "stiffness"]
@@ -120,11 +120,11 @@ class FromCard:
 
 @dataclass(frozen=True, slots=True)
 class TaggedChoice:
-    """One of several kinds of settings, distinguished by a key.
+    """Annotation of a union of kinds of settings that are distinguished by a key.
 
     Parameters
     ----------
-    key : in YAML; every kind has its value as a class variable of that name
+    key : in YAML; every kind states its value as a class variable of that name
     """
 
     key: str
@@ -132,11 +132,11 @@ class TaggedChoice:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Length of a stretch of a channel that a filter looks at.
+    """Length of the window of a filter.
 
     Parameters
     ----------
-    kind : what the length is measured in
+    kind : quantity in which the length is measured
     value : s for ``time``, m for ``travel``, a ratio for ``branch``, a count for ``samples``
     """
 
@@ -152,7 +152,7 @@ Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.
 Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
 """A time that may also be zero or negative."""
 Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", minimum=-0.01, maximum=0.01)]
-"""By how much one clock runs faster than another."""
+"""Relative excess of the rate of one clock over another."""
 Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
 Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", minimum=0.0)]
 Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", minimum=0.0)]
@@ -166,7 +166,7 @@ Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0
 Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
 Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0)]
 Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0, maximum=1.0)]
-"""A standard uncertainty as a share of what it belongs to."""
+"""A relative standard uncertainty."""
 Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
 """A part of a whole."""
 Snake: TypeAlias = Annotated[
@@ -177,25 +177,25 @@ StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
 
 
 CURVE = ("force", "displacement", "clock")
-"""What a number rests on that is read from the curve."""
+"""Quantities that a number of the curve depends on."""
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A number that a kind of result puts into the summary.
+    """A number in the summary that a kind of result computes.
 
     Parameters
     ----------
     name : in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
     unit : SI
     label : for people; empty where a protocol chooses the name
-    rests_on : quantities; what makes one of them doubtful makes the number doubtful
-    first : number of the first of several, one per cycle or slip; None where there is one alone
-    is_raised_by_slips : whether a repaired slip anywhere on the way has raised it
-    can_be_negative : whether a specimen can have it below zero; means of all others have their
-        interval on a log scale
-    is_set_by_stroke : whether the rig sets it where a protocol states the stroke: it is then no
-        property of the specimen, and its scatter says how the rig stops
+    rests_on : quantities that the number depends on: it is doubtful if one of them is
+    first : index of the first of several numbers, one per cycle or slip; None for a single number
+    is_raised_by_slips : whether the repair of any earlier slip raises it
+    can_be_negative : whether it can be negative; means of all other numbers have their interval on
+        a log scale
+    is_set_by_stroke : whether the rig sets it if the protocol states the stroke: it is then no
+        property of the specimen, and its scatter is that of the rig
     """
 
     name: str
@@ -208,12 +208,12 @@ class Output:
     is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
-        """Return the name in the summary, of several the first.
+        """Return the name in the summary; the first one of several.
 
         Parameters
         ----------
-        kind : the kind of result, with the defaults of its settings
-        entry : the settings as written, whether or not they are valid
+        kind : of result, for the defaults of its settings
+        entry : settings as written, valid or not
         """
         stem = self.name.format_map({"of": None, **list_defaults(kind), **entry})
         return stem if self.first is None else f"{stem}.{self.first}"
@@ -221,15 +221,15 @@ class Output:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Needs:
-    """What of a test a kind of result is read from.
+    """Parts of a test that a kind of result requires.
 
     Parameters
     ----------
-    branches : a curve that is cut into loading and unloading
-    correction : block of ``curve`` that finds what the result gives; empty for none
-    clocks : two clocks that are joined
+    branches : whether it requires a curve with loading and unloading branches
+    correction : required block of ``curve``; empty for none
+    clocks : whether it requires two joined clocks
     shape : step that makes the shape of the specimen; empty for none
-    clamp : a clamped end, and a curve on the clock of the markers
+    clamp : whether it requires a clamped end, and a curve on the clock of the markers
     """
 
     branches: bool = False
@@ -240,7 +240,7 @@ class Needs:
 
 
 def list_kinds(union: Any) -> dict[str, Any]:
-    """List the kinds of a union of settings by their tag.
+    """List the kinds of a union of settings, by the value of their key.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def list_kinds(union: Any) -> dict[str, Any]:
 
 @cache
 def list_defaults(kind: Any) -> dict[str, Any]:
-    """Return the settings that a block may leave out, by name.
+    """Return the defaults of the optional settings of a block, by name.
 
     Parameters
     ----------
@@ -263,12 +263,12 @@ def list_defaults(kind: Any) -> dict[str, Any]:
 
 @cache
 def list_references(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
-    """Return the names of the settings that must name something that exists.
+    """Return the names of the settings that must refer to an existing channel or stiffness.
 
     Parameters
     ----------
     kind : dataclass of settings
-    what : that they name
+    what : kind of the reference
     """
     hints = get_type_hints(kind, include_extras=True).items()
     return tuple(name for name, hint in hints if Existing(what) in get_args(hint))
@@ -276,9 +276,10 @@ def list_references(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Step:
-    """One step with its number in the list, which is not a setting.
+    """Base class of steps.
 
-    It may work on markers, come after another step, and make channels.
+    Class variables: whether the step works on markers, the step that must come before it, and the
+    channels that it makes. `number` is the index in the list, which is not a setting.
     """
 
     on_markers: ClassVar = False
@@ -288,41 +289,41 @@ class _Step:
 
     @property
     def key(self) -> str:
-        """Return the dotted key of the step, as an override begins: ``steps.2``."""
+        """Return the dotted key of the step, such as ``steps.2``."""
         return f"steps.{self.number}"
 
     def numbered(self, number: int) -> Self:
-        """Return the step with its number in the list as written, from 0."""
+        """Return the step with its index in the list, from 0."""
         return replace(self, number=number)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepairMarkers(_Step):
-    """Undo label switches, fill short gaps, flag what was touched."""
+    """Undo label switches, fill short gaps, flag changed positions."""
 
     step: ClassVar = "repair-markers"
     on_markers: ClassVar = True
-    max_gap: Annotated[Duration, "Longer gaps stay gaps"]
-    max_jump: Annotated[Length, "Farther than a marker moves between two frames"]
-    frozen: Annotated[Duration, "A track that stands still for longer is lost"]
+    max_gap: Annotated[Duration, "Longer gaps are not filled"]
+    max_jump: Annotated[Length, "A longer step between two frames is no motion of a marker"]
+    frozen: Annotated[Duration, "A longer run of equal positions is a lost track"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecimenFrame(_Step):
-    """Turn the markers into the frame of the specimen; with a clamp, this makes `travel`."""
+    """Transform the markers into the frame of the specimen; with a clamp, make `travel`."""
 
     step: ClassVar = "specimen-frame"
     on_markers: ClassVar = True
     makes: ClassVar = ("travel",)
-    over: Annotated[Duration, "Stretch at the start that defines the straight specimen"]
-    max_out_of_plane: Annotated[Length, "Doubtful when the markers leave a plane by more, rms"] = (
-        0.001
-    )
+    over: Annotated[Duration, "Stretch at the start in which the specimen is at rest"]
+    max_out_of_plane: Annotated[
+        Length, "The shape is doubtful if the markers leave a plane by more, rms"
+    ] = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitShape(_Step):
-    """Fit a smooth curve through the markers of every frame; this makes `deflection`."""
+    """Fit a smooth curve through the markers of every frame; make `deflection`."""
 
     step: ClassVar = "fit-shape"
     on_markers: ClassVar = True
@@ -334,7 +335,7 @@ class FitShape(_Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreePointShape(_Step):
-    """Fit the bent axis between two supports through sections of markers; makes `mid_span`."""
+    """Fit the bent axis between two supports through sections of markers; make `mid_span`."""
 
     step: ClassVar = "three-point-shape"
     on_markers: ClassVar = True
@@ -346,22 +347,24 @@ class ThreePointShape(_Step):
     ] = 0.004
     facing: Annotated[
         Literal["side", "load", "away"],
-        "Where on the specimen the markers are: across the load, where the load goes to, or where "
-        "it comes from",
+        "Side of the markers: across the load, on the side that the load moves to, or on the "
+        "side that it comes from",
     ] = "side"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelFromSpeed(_Step):
-    """Make a displacement from crosshead speed and stroke; a measured one overrides it."""
+    """Make a displacement from crosshead speed and stroke; a measured one takes precedence."""
 
     step: ClassVar = "travel-from-speed"
     makes: ClassVar = ("{channel}",)
-    channel: Annotated[Snake, "Displacement that it makes where no source gives one"]
-    force: Annotated[ChannelName, "Channel in which the turn is looked for"]
-    window: Annotated[Duration, "On each side of the force's corner at the turn"] = 1.0
-    rate: Annotated[Frequency, "How often the displacement is made"] = 50.0
-    speed_uncertainty: Annotated[Uncertainty, "Standard uncertainty of rig's speed"] = 0.005
+    channel: Annotated[Snake, "Displacement that it makes if no source has it"]
+    force: Annotated[ChannelName, "Channel in which the turn is searched"]
+    window: Annotated[Duration, "Window on each side of the corner of the force at the turn"] = 1.0
+    rate: Annotated[Frequency, "Sampling rate of the displacement"] = 50.0
+    speed_uncertainty: Annotated[
+        Uncertainty, "Relative standard uncertainty of the speed of the rig"
+    ] = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -374,7 +377,7 @@ class Zero(_Step):
     at: Literal["start", "end"] = "start"
     by: Annotated[
         Literal["mean", "line"],
-        "line: what a straight line through the stretch says of its outer end, for machines that "
+        "line: value of a straight line through the stretch at its outer end, for machines that "
         "move from the first sample on",
     ] = "mean"
 
@@ -401,7 +404,7 @@ class LowPass(_Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decimate(_Step):
-    """Keep every so many samples."""
+    """Keep every n-th sample, n being the factor."""
 
     step: ClassVar = "decimate"
     channel: ChannelName
@@ -423,7 +426,7 @@ Step: TypeAlias = Annotated[
 ]
 
 STEPS: Final = list_kinds(Step)
-"""The kinds of steps by their word in YAML."""
+"""The kinds of steps, by their name in YAML."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -434,27 +437,27 @@ class Limits:
         Share, "Mean speed of the first branch against `rig.crosshead_speed`"
     ] = 0.2
     mid_span_deviation: Annotated[
-        Share, "Mid-span deflection seen by cameras against the displacement"
+        Share, "Mid-span deflection measured by cameras against the displacement"
     ] = 0.2
-    zero_overlap: Annotated[Duration, "Time by which a zero reaches into the motion"] = 0.25
+    zero_overlap: Annotated[Duration, "Overlap of the stretch of a zero with the motion"] = 0.25
     rest_force: Annotated[
-        Ratio, "Force before the motion that no step zeroes, of the largest force"
+        Ratio, "Force before the motion if no step zeroes it, of the largest force"
     ] = 0.005
     rest_force_drift: Annotated[
         Ratio, "Change of the force at rest over the test, of the largest force"
     ] = 0.03
     pulling_force: Annotated[
-        Ratio, "Force below zero of a load that only presses, of the largest force"
+        Ratio, "Negative force of a load that can only press, of the largest force"
     ] = 0.02
-    hold_time: Annotated[Duration, "Time that the motion stands within a test"] = 0.25
+    hold_time: Annotated[Duration, "Duration of a stop of the motion within a test"] = 0.25
     loading_shortfall: Annotated[
-        Ratio, "Distance to the earlier turns at which a record ends, of the stroke"
+        Ratio, "Distance between the end of a record and the earlier turns, of the stroke"
     ] = 0.005
     unloading_shortfall: Annotated[
-        Ratio, "Distance to the start at which a record ends, of the stroke"
+        Ratio, "Distance between the end of a record and its start, of the stroke"
     ] = 0.02
     force_shortfall: Annotated[
-        Ratio, "Part of the last branch that the record of the force lacks"
+        Ratio, "Part of the last branch that is missing in the record of the force"
     ] = 0.02
     cycle_change: Annotated[
         Ratio, "Change of scale, or of level (of the largest force), between two cycles"
@@ -463,26 +466,24 @@ class Limits:
         Ratio, "Median growth of the force after the turns, of the largest force"
     ] = 0.007
     turn_jump: Annotated[Ratio, "Growth of the force after one turn, of the largest force"] = 0.03
-    energy_gain: Annotated[Ratio, "Energy that a cycle gives back beyond that of its loading"] = (
+    energy_gain: Annotated[Ratio, "Energy returned by a cycle beyond the energy of its loading"] = (
         0.05
     )
     broken_force: Annotated[
-        Share, "Force on the way back of a broken specimen, of the first loading"
+        Share, "Force of a broken specimen in unloading, of the first loading"
     ] = 0.05
     second_loading: Annotated[
-        Share, "Force in a loading after a break that is another specimen, of the first loading"
+        Share, "Force in a loading after a break: another specimen, of the first loading"
     ] = 0.5
     machine_compliance: Annotated[
-        Compliance, "Compliance of frame and grips that is assumed where none is stated"
+        Compliance, "Compliance of frame and grips that is assumed if none is stated"
     ] = 1e-7
     machine_share: Annotated[
-        Share, "Part of the displacement that this compliance makes before a modulus is doubtful"
+        Share, "Part of the displacement by this compliance beyond which a modulus is doubtful"
     ] = 0.02
-    unstated_mass: Annotated[LinearMass, "Mass per length that is assumed where none is stated"] = (
-        1e-3
-    )
+    unstated_mass: Annotated[LinearMass, "Mass per length that is assumed if none is stated"] = 1e-3
     weight_share: Annotated[
-        Share, "Part of a moment that this mass makes before a bending stiffness is doubtful"
+        Share, "Part of a moment by this mass beyond which a bending stiffness is doubtful"
     ] = 0.01
 
 

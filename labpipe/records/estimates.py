@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from math import hypot
-from typing import NoReturn, ParamSpec, Self, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
@@ -19,7 +19,7 @@ class Estimate:
     Parameters
     ----------
     value, error : number and its standard error, in the same unit
-    n : number of samples it rests on
+    n : number of samples used
     interval : 95 % interval if it differs from the normal interval of `error`, because there are
         few degrees of freedom or the uncertainty is asymmetric; else None
     """
@@ -38,7 +38,7 @@ _R = TypeVar("_R")
 
 
 class UnavailableError(Exception):
-    """A number cannot be read from a test.
+    """A number cannot be computed from a test.
 
     Parameters
     ----------
@@ -55,18 +55,8 @@ class UnavailableError(Exception):
         return cls(Failure.of(name, **facts))
 
 
-def fail(code: str, message: str) -> NoReturn:
-    """Raise `UnavailableError`.
-
-    Parameters
-    ----------
-    code, message : of the reason
-    """
-    raise UnavailableError(Failure(code, message))
-
-
 def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
-    """Return a function that returns the reason instead of raising `UnavailableError`."""
+    """Decorate a function to return the reason instead of raising `UnavailableError`."""
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R | Failure:
@@ -102,19 +92,13 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and added_error > 0.0:
         added_half_width = Interval.normal_95(0.0, added_error).upper
-        centre = _centre_of(estimate.value, interval)
+        # The interval is corrected for the bias from noise and the value is not: it may lie
+        # outside.
+        is_inside = interval.lower <= estimate.value <= interval.upper
+        centre = estimate.value if is_inside else 0.5 * (interval.lower + interval.upper)
         lower, upper = (
             hypot(centre - interval.lower, added_half_width),
             hypot(interval.upper - centre, added_half_width),
         )
         interval = Interval(centre - lower, centre + upper)
     return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)
-
-
-def _centre_of(value: float, interval: Interval) -> float:
-    """Return the value, or the middle of the interval if it does not contain the value.
-
-    The interval is corrected for the bias from noise and the value is not, so it may lie outside.
-    """
-    is_inside = interval.lower <= value <= interval.upper
-    return value if is_inside else 0.5 * (interval.lower + interval.upper)

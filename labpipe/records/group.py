@@ -1,4 +1,4 @@
-"""Groups of tests: what the report is made of."""
+"""Records of a report: samples, groups, means, bands, comparisons, and the campaign."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from labpipe.records.result import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnShapes(ArrayRecord):
-    """Shapes of a specimen at equal steps of its first loading.
+    """Shapes of a specimen at equal steps of its first loading, for figures.
 
     Parameters
     ----------
     deflection : shape (steps,), m, of the curve
-    positions : shape (steps, points, 2), m, in the specimen frame: along it, and in the plane of
-        bending; NaN where no camera saw the point
+    positions : shape (steps, points, 2), m, x and y in the specimen frame; NaN where the point was
+        not measured
     """
 
     deflection: Annotated[Floats, "steps"]
@@ -41,7 +41,7 @@ class DrawnShapes(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnLaw(ArrayRecord):
-    """The measured moment-curvature law of a first loading, with its 95 % interval.
+    """The measured moment-curvature law of a first loading with its 95 % interval, for figures.
 
     Parameters
     ----------
@@ -57,14 +57,13 @@ class DrawnLaw(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleCurve(ArrayRecord):
-    """One branch of the curve of one sample, thin enough to draw.
+    """One branch of the curve of a sample, reduced to few points for figures.
 
     Parameters
     ----------
     displacement : shape (n,), m, increasing
-    force : shape (n,), N, as processed; NaN where there is no datum
-    as_measured : shape (n,), N, the force before slips were repaired; the same as `force` where
-        nothing was repaired
+    force : shape (n,), N, as processed; NaN where there is no measurement
+    as_measured : shape (n,), N, force before the repair of slips; the same without repair
     cycle : of the test, counted from 1
     """
 
@@ -76,29 +75,29 @@ class SampleCurve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """What the report needs of one processed test.
+    """The data of one processed test that a report uses.
 
     Parameters
     ----------
     test : name of the test
     specimen : type, spool, sample, dimensions
     protocol : name of the protocol
-    loading, unloading : the branches of each cycle in order; empty where the test has no curve
+    loading, unloading : branches of each cycle in order; empty without a curve
     results : as in the summary
-    slips : the slip ledger
-    lines : the straight lines that stiffnesses were read from
+    slips : of the curve
+    lines : straight lines whose slopes are stiffnesses
     quality : notes
-    display : unit in which people see a quantity, by quantity
-    source : where it was read from, for messages
-    label : folder of the test below that of the campaign, by which decisions name it
-    run : key of exports, sheet, protocol and processing; empty in results from before keys
-    date : day of the test; None where neither sheet nor exports say it
-    operator : who made the test; empty where the sheet does not say it
+    display : display unit, by quantity
+    source : file from which it was read, for messages
+    label : folder of the test relative to that of the campaign, by which decisions name it
+    run : key of exports, sheet, protocol and processing; empty in old results
+    date : day of the test; None if neither sheet nor exports state it
+    operator : of the test; empty if the sheet does not state it
     instruments : those whose certificates the protocol states
-    inputs : the exports, with their fingerprints
+    inputs : exports with their fingerprints
     shapes : None without cameras
-    law : measured moment against curvature; None where the protocol does not ask for it
-    decision : what a person decided of the test, why, by whom and when; empty where nobody did
+    law : measured moment against curvature; None if the protocol does not request it
+    decision : decision of a person on the test with reason, name and date; empty without one
     """
 
     test: str
@@ -125,19 +124,19 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class MeanInterval:
-    """A mean with its 95 % interval: Student's t, and what is common to all that was averaged.
+    """A mean with its 95 % interval, from Student's t and the causes common to all values.
 
     Parameters
     ----------
     mean : in the unit of the values
-    interval : None where it is not available; `reason` then says why
-    deviation : standard deviation of what was averaged; NaN for one value
-    n : number of values averaged (samples, or spool means)
-    reason : None when there is an interval
-    estimate : mean of the estimates, in the middle of the interval; None where it is the mean
-    common : what causes that all tests of a rig share change, in the unit of the mean; in the
-        interval
-    is_log : whether the interval is on a log scale, as that of a positive number
+    interval : None if it is not available, for `reason`
+    deviation : standard deviation of the averaged values; NaN for one value
+    n : number of averaged values (samples, or spool means)
+    reason : why there is no interval; else None
+    estimate : mean of the estimates, the middle of the interval; None if it equals the mean
+    common : contributions of the causes that all tests of a rig share, in the unit of the mean;
+        included in the interval
+    is_log : whether the interval is on a log scale, for a positive number
     """
 
     mean: float
@@ -151,12 +150,12 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """Return what the interval lies about: the estimate, or else the mean."""
+        """Return the middle of the interval: the estimate, or else the mean."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half_width(self) -> float:
-        """Return the half-width of the interval, before a log scale if it has one, or NaN."""
+        """Return the half-width of the interval before its conversion to a log scale, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -170,12 +169,12 @@ class MeanInterval:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """How samples of several spools were averaged, and why, in words.
+    """Sentence on how the samples of several spools were averaged, and why.
 
     Parameters
     ----------
-    action : what was averaged, such as ``Over 3 spool means``
-    grounds : the numbers it rests on, a clause each
+    action : such as ``Over 3 spool means``
+    grounds : clauses with the numbers behind the decision
     """
 
     action: str
@@ -187,22 +186,21 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class NestedMean:
-    """A mean of samples that were cut from spools, and the decision how to average them.
+    """A mean of samples from spools, and the decision how to average them.
 
     Parameters
     ----------
-    chosen : the mean and interval that hold: one of the next two
-    over_samples : all samples taken as independent
-    over_spools : spool means taken as independent; None for one spool
-    is_pooled : whether `chosen` is `over_samples`; always so for one spool
-    decision : what was averaged, and the numbers that say so
-    spool_means : by spool, mean and interval over its samples
-    within : standard deviation of samples of one spool; NaN where no spool has two samples
+    chosen : valid mean and interval: `over_samples` or `over_spools`
+    over_samples : mean over samples as independent values
+    over_spools : mean over spool means as independent values; None for one spool
+    is_pooled : whether `chosen` is `over_samples`; always for one spool
+    decision : choice of the mean, with its numbers
+    spool_means : mean and interval over the samples of each spool, by spool
+    within : standard deviation of samples of one spool; NaN if no spool has two samples
     between_spools : standard deviation of the true means of spools: the scatter of the spool means
-        less what their samples explain; 0 where that is all of it, NaN for one spool or without
-        `within`
-    spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN where it cannot be
-        had
+        minus the part that the scatter of samples explains; 0 if it explains all, NaN for one spool
+        or without `within`
+    spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN if not available
     """
 
     chosen: MeanInterval
@@ -218,13 +216,13 @@ class NestedMean:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A value that a named test marks; it stays in every mean.
+    """A value that a statistical test marks as an outlier; it stays in every mean.
 
     Parameters
     ----------
-    sample : name of its test
+    sample : name of the test of the sample
     value : in the unit of the values
-    method : name of the test
+    method : name of the statistical test
     p : p-value
     """
 
@@ -240,14 +238,14 @@ class Band(ArrayRecord):
 
     Parameters
     ----------
-    displacement : shape (n,), m, only where every sample has data
+    displacement : shape (n,), m, where every sample has data
     mean : shape (n,), N
-    lower, upper : shape (n,), pointwise band: holds the mean at one displacement
-    lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
+    lower, upper : shape (n,), N, pointwise band: covers the true mean at any one displacement
+    lower_all, upper_all : shape (n,), N, simultaneous band: covers the whole true mean curve
     n : number of curves averaged
     members : ``samples`` or ``spool means``
-    reason : why there is no curve (then all are empty), no band (then all four are NaN), or the
-        pointwise interval at three displacements alone (NaN elsewhere: ``few_curves``); else None
+    reason : why there is no curve (all arrays are empty), no band (all bounds are NaN), or only a
+        pointwise interval at three displacements (``few_curves``: NaN elsewhere); else None
     """
 
     displacement: Vector
@@ -262,13 +260,13 @@ class Band(ArrayRecord):
 
     @property
     def has_area(self) -> bool:
-        """Return whether there is a band to draw, not just intervals at some displacements."""
+        """Return whether there is a band, not just intervals at some displacements."""
         max_marks = 3
         return bool(np.isfinite(self.lower).sum() > max_marks)
 
     @property
     def marks(self) -> Ints:
-        """Return the places of the intervals that are drawn singly; empty if there is a band."""
+        """Return the indices of single intervals; empty if there is a band."""
         places = np.flatnonzero(np.isfinite(self.lower))
         return places if not self.has_area else places[:0]
 
@@ -280,11 +278,11 @@ class GroupNumber:
     Parameters
     ----------
     name, unit : of the result
-    mean : nested mean; None when no sample has the number
-    values : by test, the results that entered
-    left_out : by test, why it did not enter: a failed result, or none of that name
-    outliers : marked, not removed
-    is_set_by_rig : whether it says how the rig was driven; then no value of it is an outlier
+    mean : None if no sample has the number
+    values : averaged results, by test
+    left_out : reasons of the excluded tests, by test
+    outliers : marked values, which are averaged too
+    is_set_by_rig : whether the rig sets it; it is then not tested for outliers
     """
 
     name: str
@@ -297,7 +295,7 @@ class GroupNumber:
 
 
 class Verdict(StrEnum):
-    """What a comparison comes to."""
+    """Outcome of a comparison."""
 
     DIFFERENT = "different"
     EQUIVALENT = "equivalent"
@@ -307,16 +305,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """What two means differ by, on the scale on which they are compared.
+    """The difference of two means on the scale of their comparison.
 
     Parameters
     ----------
-    difference : second less first; on a log scale the logarithm of second over first
-    errors : standard errors of the two means, by scatter; on a log scale over the means
-    counts : values behind each of the means
-    shared : standard uncertainty of what tests of a rig share, as far as it does not cancel
-    margin : that does not matter, on this scale; None where it is not stated
-    is_log : of numbers that cannot be negative
+    difference : second minus first; on a log scale the logarithm of second / first
+    errors : standard errors of the two means from scatter; on a log scale relative to the means
+    counts : number of values of each mean
+    shared : standard uncertainty of the difference from causes that all tests of a rig share
+    margin : difference without practical importance, on this scale; None if it is not stated
+    is_log : whether the scale is logarithmic, for numbers that cannot be negative
     """
 
     difference: float
@@ -328,12 +326,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Return the standard error of the difference, by scatter."""
+        """Return the standard error of the difference from scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Return the degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
+        """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         free = [count - 1 for count in self.counts]
         spread = sum(square**2 / degrees for square, degrees in zip(squares, free, strict=True))
@@ -342,28 +340,27 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How two groups differ in one result.
+    """The comparison of two groups in one result.
 
     Parameters
     ----------
     name, unit : of the result
     first, second : names of the groups
-    difference : second minus first with its own 95 % interval (Welch), which is not corrected;
-        interval None when it is not available
-    margin : in `unit`, difference that does not matter in practice; None where it is not stated
-    contrast : what is judged; None without scatter to judge by
+    difference : second minus first with its 95 % interval (Welch), not corrected for other
+        comparisons
+    margin : in `unit`, difference without practical importance; None if it is not stated
+    contrast : the difference on the scale of the judgement; None without an interval of a mean
     p : p-value of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
-    family : which comparisons it is judged together with; empty where nobody asked
-    tests : comparisons in the family
-    interval : of the difference in `unit`, or of the share on a log scale (0.38 for +38 %), at the
-        level that the correction leaves to it: 95 % or more. It leaves zero out exactly where the
-        verdict may be different
-    verdict : of the family as a whole at most 5 % are wrong
-    verdict_reason : the verdict in numbers, a clause
-    caveats : what speaks against the comparison, a clause each
-    fields : what of the specimens differs between the groups: word of the first and of the second,
-        by field
+    family : name of the comparisons that are judged together; empty if it was not judged
+    tests : number of comparisons in the family
+    interval : of the difference in `unit`, or of the relative difference on a log scale (0.38 for
+        +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the groups
+        differ significantly
+    verdict : corrected so that at most 5 % of families contain a wrong verdict
+    verdict_reason : clause with the numbers of the verdict
+    caveats : clauses on the limitations of the comparison
+    fields : differing fields of the specimens: values of the first and the second group, by field
     """
 
     name: str
@@ -385,7 +382,7 @@ class Difference:
 
     @property
     def share(self) -> float | None:
-        """Return the second over first less 1, of numbers that cannot be negative."""
+        """Return second / first - 1 on a log scale; else None."""
         is_log = self.contrast is not None and self.contrast.is_log
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
@@ -399,9 +396,8 @@ class Difference:
 
     @property
     def single_field(self) -> str:
-        """Return the one field that the groups differ in; empty for several or none."""
-        (only,) = self.fields if len(self.fields) == 1 else ("",)
-        return only
+        """Return the only differing field of the groups; empty for several or none."""
+        return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
 class Answer(StrEnum):
@@ -489,15 +485,15 @@ class Group:
 
     Parameters
     ----------
-    name : specimen type, with the protocol behind it where two protocols share a type
+    name : specimen type, followed by the protocol if two protocols share a type
     protocol : name of the protocol
     samples : in order of spool and sample
     numbers : one per result
     band : mean loading curve of the first cycle
-    band_scaled : the same for force / peak force of each sample; None where not asked for
-    notes : what concerns the group as a whole
-    fields : what all samples have alike of what groups can be made by, in words, by name
-    lot : the samples against the smallest force allowed; None where the protocol asks for none
+    band_scaled : the same for force / peak force of each sample; None if not requested
+    notes : on the group as a whole
+    fields : grouping fields with the same value in all samples, as text by field
+    lot : the samples against the smallest force allowed; None if the protocol asks for none
     """
 
     name: str
@@ -513,17 +509,17 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class BundlePlace:
-    """Where the bending stiffness of a harness bundle lies between slipping and sticking.
+    """The bending stiffness of a harness bundle between the bounds of the bundle model.
 
     Parameters
     ----------
-    group, test : of the sample; without a test, the mean of the group
-    value : measured bending stiffness, N m^2; None where there is none
+    group, test : of the sample; an empty test for the mean of the group
+    value : measured bending stiffness, N m^2; None if not available
     interval : 95 %, of `value`
-    low, free, high : N m^2, of the bundle model: all slips; wires slip and the strands within them
-        stick; nothing slips, bent along y. NaN without bounds
-    principal : N m^2, least and largest of all directions with nothing slipping
-    share : of the way from `low` to `high`; NaN without both
+    low, free, high : N m^2, bounds: all strands slip; wires slip and the strands within them stick;
+        nothing slips, bent along y. NaN without a bundle model
+    principal : N m^2, smallest and largest stiffness of all directions if nothing slips
+    share : (value - low) / (high - low); NaN without a value or bounds
     share_interval : 95 %, from that of `value`; the bounds are taken as known
     reasons : why there are no bounds or no value; empty otherwise
     """
@@ -543,25 +539,25 @@ class BundlePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """Everything a report shows.
+    """The content of a report.
 
     Parameters
     ----------
     title : of the report
     groups : in order of name
     differences : between pairs of groups of one protocol
-    left_out : by file, why a test could not be read
-    labpipe_version : the version that made the report
-    by : fields that the groups were made by
-    compared : field that the pairs in `differences` differ in alone; empty for all pairs
-    pairs_not_shown : pairs of groups that were left out for it
+    left_out : why a test could not be read, by file
+    labpipe_version : of the report
+    by : fields of the grouping
+    compared : only field in which the pairs in `differences` differ; empty for all pairs
+    pairs_not_shown : number of pairs that differ in other fields
     places : bending stiffness of bundles between the bounds of their model
-    wire_sheet : name of the file that the bounds are from; empty where none was given
-    rejected : by file, why a person decided that a test does not count, by whom and when
-    rejected_samples : these tests, which are in no group
-    name : of the folders of the campaign; empty where all tests lie elsewhere
-    decisions : all that was decided on its tests, as ``decisions.json`` has it
-    made_on : day on which the report was made; None leaves it away
+    wire_sheet : name of the wire sheet of the bounds; empty without one
+    rejected : decision of a person to exclude a test, with reason, name and date, by file
+    rejected_samples : the rejected tests, which are in no group
+    name : of the folder of the campaign; empty if all tests are elsewhere
+    decisions : on its tests, as in ``decisions.json``
+    made_on : day of the report; None to omit it
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Harness bundles: which wires, where they lie, and what holds them together."""
+"""Records of harness bundles: wires, positions, tape and conduit; bundle model and its fit."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
-"""Wires as dense as they go, kinds spread by chance; of one kind, a hexagon where it fits."""
+"""Dense packing with the kinds of wires at random; for one kind, a hexagon if it fits."""
 
 ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
-"""How the kinds of a bundle are spread: ``symmetric`` evenly around its centre, ``asymmetric``
-with one kind on one side."""
+"""Arrangements of the kinds of wires: ``symmetric`` about the centre, or ``asymmetric`` with one
+kind on one side."""
 
 STATED = "stated"
-"""Of a layout: positions of the test sheet."""
+"""Arrangement of a layout with the positions of the test sheet."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""``coarse``: windings a width of the tape apart; ``half-lap``: each covers half of the last."""
+"""``coarse``: turns one tape width apart; ``half-lap``: each turn covers half of the last one."""
 
 NONE = "none"
-"""No tape, or no conduit."""
+"""Text for no tape and for no conduit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class BundleWire:
 
     Parameters
     ----------
-    type : as the wire sheet calls it, such as ``B1``
+    type : in the wire sheet, such as ``B1``
     number : of wires
-    diameter : over the insulation, m; None where the test sheet does not say it
+    diameter : over the insulation, m; None if the test sheet does not state it
     """
 
     type: str
@@ -46,18 +46,18 @@ class BundleWire:
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """What a bundle is made of.
+    """The composition of a bundle.
 
     Parameters
     ----------
     wires : by type, in the order of the test sheet; at least one
     arrangement : one of `ARRANGEMENTS`
-    positions : m, (x, y) of every wire in the order of `wires`, where the test sheet gives them;
-        y is the direction of bending
+    positions : m, (x, y) of every wire in the order of `wires`, if the test sheet states them; y is
+        the direction of bending
     tape : such as ``PVC``, or ``none``
     taping : one of `TAPINGS`
     conduit : such as ``corrugated-tube``, or ``none``
-    conduit_bore : inner diameter of the conduit, m; None where there is none, or it is not stated
+    conduit_bore : inner diameter of the conduit, m; None without a conduit or if it is not stated
     """
 
     wires: tuple[BundleWire, ...]
@@ -75,12 +75,12 @@ class Bundle:
 
     @property
     def composition(self) -> str:
-        """Return the wires in words, such as ``10 B1 + 9 B2``."""
+        """Return a text of the wires, such as ``10 B1 + 9 B2``."""
         return " + ".join(f"{wire.number} {wire.type}" for wire in self.wires)
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return what groups can be made by, in words."""
+        """Return the grouping fields, as text by field."""
         return {
             "wire": " & ".join(wire.type for wire in self.wires),
             "number": str(self.number),
@@ -94,7 +94,7 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLayout(ArrayRecord):
-    """Where the wires of a bundle lie; arrays of shape (wires,).
+    """Positions of the wires of a bundle; arrays of shape (wires,).
 
     Parameters
     ----------
@@ -115,34 +115,35 @@ class BundleLayout(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleModel(ArrayRecord):
-    """Between what bounds the bending of a bundle lies; arrays of shape (n,).
+    """Bounds of the bending of a bundle; arrays of shape (n,).
 
     Parameters
     ----------
-    bundle : what it is made of
-    layout : where the wires lie
-    low : N m^2, all wires slip on each other, and the strands within them, without friction and
-        elastic: the sum of the wires' slip stiffnesses
-    free : N m^2, all wires slip on each other, the strands within them stick: the sum of the wires'
-        stick stiffnesses
-    high : N m^2, nothing slips or yields, bent along y
-    tensor : shape (2, 2), N m^2, of what `high` is the yy part
-    principal : N m^2, least and largest stiffness of all directions with nothing slipping
+    bundle : composition
+    layout : positions of the wires
+    low : N m^2, lower bound: wires and strands slip without friction and are elastic; the sum of
+        the slip stiffnesses of the wires
+    free : N m^2, wires slip on each other and the strands within them stick: the sum of the stick
+        stiffnesses of the wires
+    high : N m^2, upper bound: nothing slips or yields, bent along y
+    tensor : shape (2, 2), N m^2, bending stiffness of the sticking bundle; `high` is its yy
+        component
+    principal : N m^2, smallest and largest stiffness of all directions if nothing slips
     principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of bending of the
         largest; 0 where all directions are equal
-    neutral : m, (x, y) where the neutral axes of a sticking bundle cross
+    neutral : m, (x, y) of the intersection of the neutral axes of a sticking bundle
     axial_stiffness : N, of all wires
-    smallest_bore : m, diameter of the smallest circle that holds the wires as they lie
+    smallest_bore : m, diameter of the smallest circle around the wires
     middle : m, (x, y) of the centre of that circle
     packing_fraction : area of the wires / area of the conduit's bore; None without a bore
-    curvature : 1/m, from 0, increasing, to the end of the shortest of the wires' laws
-    moment_slip : N m, first loading, wires that slip on each other: the sum of the wires' laws
-    moment_stick : N m, first loading, wires that stick to each other, bent along y; they yield as
-        they are stretched, and the strands within them slip as in a wire alone
-    doubtful_curvature, doubtful_curvature_stick : 1/m, beyond which the rim of an insulation is
-        strained beyond what its straight line is taken to hold for, in wires that slip and, far
-        sooner, in wires that stick and are stretched; infinite for stress tables
-    notes : limits met, defaults taken
+    curvature : 1/m, from 0, increasing, up to the smallest range of the laws of its wires
+    moment_slip : N m, first loading, if wires slip on each other: the sum of the laws of the wires
+    moment_stick : N m, first loading, if wires stick to each other, bent along y; stretched wires
+        yield, and the strands within them slip as in a single wire
+    doubtful_curvature, doubtful_curvature_stick : 1/m, curvature beyond which the strain at the rim
+        of an insulation exceeds the range of its linear law, for slipping and for sticking wires;
+        infinite for stress tables
+    notes : on limits and defaults
     """
 
     bundle: Bundle
@@ -178,19 +179,19 @@ class BundleModel(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLoop(ArrayRecord):
-    """Cycles of a bundle that was bent as a cantilever; arrays of shape (n,), in order of travel.
+    """Measured cycles of a bundle bent as a cantilever; arrays of shape (n,), in order of time.
 
-    A bundle on two supports is two cantilevers back to back, of half the span under half the force.
+    A bundle on two supports counts as a cantilever of half the span under half the force.
 
     Parameters
     ----------
     length : m, of the cantilever
     deflection : m, of its tip
     force : N, at its tip
-    branch : counted from 0, loading and unloading in turns
+    branch : counted from 0, alternately loading and unloading
     kink : deflection, m, and force, N, at which the wires begin to slip
-    slide : m, deflection from which the tape slides; infinite where it never does
-    self_weight : N/m, of the bundle that lies level at rest, its tip held; 0 where it is not stated
+    slide : m, deflection at which the tape begins to slide; infinite if it never does
+    self_weight : N/m, of the bundle, which is horizontal at rest with its tip held; 0 if not stated
     """
 
     length: float
@@ -204,23 +205,22 @@ class BundleLoop(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionFit(ArrayRecord):
-    """Friction between the bounds of a bundle, and how it predicts cycles left out of the fit.
+    """Fitted friction of a bundle, and its prediction of cycles that were not fitted.
 
     Parameters
     ----------
-    composite_share : of the axial stiffness of the wires, that takes part before they slip
-    slip_curvature : 1/m, at which a wire at the mean distance from the neutral axis slips
-    slide_curvature : 1/m, at which what holds the wires after that slides; infinite where nothing
-        does
-    held : share of `composite_share` that is still held once the wires slip; the parameter fitted
-    held_lower, held_upper : ends of its 95 % interval, by what the fitted points are off
+    composite_share : share of the axial stiffness of the wires that acts before they slip
+    slip_curvature : 1/m, curvature at which a wire at the mean distance from the neutral axis slips
+    slide_curvature : 1/m, curvature at which the tape slides; infinite if it never does
+    held : remaining share of `composite_share` after the wires slip; the fitted parameter
+    held_lower, held_upper : ends of its 95 % interval, from the residuals of the fit
     loop : measured cycles
     predicted : shape (n,), N, at the deflections of `loop`
-    is_held_out : shape (n,), whether a point was left out of the fit
-    error_fitted, error_held_out : root of the mean square of predicted - measured force over the
-        points of the fit and over those left out, as shares of the largest measured force
-    loss, predicted_loss : J, work over the cycles that were left out; over the one cycle where
-        only its unloading was
+    is_held_out : shape (n,), whether a point was excluded from the fit
+    error_fitted, error_held_out : root mean square of predicted minus measured force over the
+        fitted and over the excluded points, relative to the largest measured force
+    loss, predicted_loss : J, work of the excluded cycles; of the only cycle if only its unloading
+        was excluded
     """
 
     composite_share: float

@@ -1,4 +1,4 @@
-"""Reasons and quality notes: what a careful person would want to know about a test."""
+"""Reasons, quality notes, and findings of a test with their consequences."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from labpipe.messages import find_code, find_template, format_sentence
 
 
 class Severity(StrEnum):
-    """How much a quality note matters."""
+    """Severity of a quality note."""
 
     INFO = "info"
-    """Worth knowing; changes nothing."""
+    """Information without consequences."""
     WARNING = "warning"
-    """Results that depend on it are doubtful, or were repaired."""
+    """Dependent results are doubtful, or data were repaired."""
     ERROR = "error"
-    """Something asked for is not available."""
+    """A requested result is not available."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a number is doubtful, is not available, or has no interval.
+    """Reason why a number is doubtful, not available, or without an interval.
 
     Parameters
     ----------
-    code : stable, snake case, such as ``not_reached``: what programs go by
+    code : stable, snake case, such as ``not_reached``, for programs
     message : one sentence with the numbers and their units, for people
     """
 
@@ -49,7 +49,7 @@ class Reason:
 
 
 def join_reasons(reasons: Iterable[Reason]) -> str:
-    """Join reasons into one line for people: codes and sentences; empty if there are none.
+    """Join the codes and sentences of reasons into one line; empty without reasons.
 
     Examples
     --------
@@ -61,17 +61,16 @@ def join_reasons(reasons: Iterable[Reason]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class QualityNote:
-    """One remark on a recording or a test: gap, drift, saturation, repaired marker.
+    """A note on the quality of a recording, a test or a group, such as a gap or a drift.
 
     Parameters
     ----------
     code : stable, snake case, such as ``time_holes``
-    severity : how much it matters
-    where : role, channel or marker it speaks of, with time or frames where it has them
+    severity : see `Severity`
+    where : role, channel or marker concerned, with times or frames if it has any
     message : one sentence with the numbers and their units
-    stretches : s, the stretches of the recording that it speaks of; none where it speaks of all.
-        For those who draw conclusions while a test is processed; not stored.
-    tests : the tests of a group that it speaks of; none where it speaks of all; not stored
+    stretches : s, stretches of the recording concerned; empty for all of it; not stored
+    tests : tests of a group concerned; empty for all; not stored
     """
 
     code: str
@@ -96,15 +95,15 @@ class QualityNote:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Why results that rest on a quantity are doubtful.
+    """Doubt about all results that depend on a quantity.
 
     Parameters
     ----------
     quantity : ``force``, ``displacement``, ``clock``, ``start``, or the name of another channel
-    reason : why
-    during : s, stretch of the record that is touched, on the clock `clock`; None for all. Results
-        of other stretches are left alone, unless the zero was taken there
-    clock : that `during` is counted on; empty for that of the curve
+    reason : of the doubt
+    during : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
+        other stretches are not doubtful, unless the zero was taken in it
+    clock : clock of `during`; empty for that of the curve
     """
 
     quantity: str
@@ -120,8 +119,8 @@ class Finding:
     Parameters
     ----------
     note : for people
-    doubts : what it makes doubtful
-    blocks : whether later stages are not available because of it
+    doubts : about quantities
+    blocks : whether it makes later stages unavailable
     """
 
     note: QualityNote
@@ -145,7 +144,7 @@ class Finding:
         Parameters
         ----------
         name, where, facts : see `QualityNote.of`
-        quantities, during, clock : what it makes doubtful, see `Doubt`
+        quantities, during, clock : doubtful quantities, see `Doubt`
         blocks : see the class
         """
         note = QualityNote.of(name, where, **facts)
@@ -159,52 +158,17 @@ class Finding:
         return self.note.code
 
 
-def info_note(code: str, where: str, message: str) -> Finding:
-    """Make a note without consequences."""
-    return Finding(QualityNote(code, Severity.INFO, where, message))
-
-
-def warning(code: str, where: str, message: str) -> Finding:
-    """Make a note about a repair, or about data that should be checked."""
-    return Finding(QualityNote(code, Severity.WARNING, where, message))
-
-
-def not_available(code: str, where: str, message: str) -> Finding:
-    """Note that something asked for is not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message))
-
-
-def doubtful(
-    code: str,
-    where: str,
-    message: str,
-    *quantities: str,
-    during: tuple[float, float] | None = None,
-    clock: str = "",
-) -> Finding:
-    """Make a note that results of some quantities are doubtful.
-
-    Parameters
-    ----------
-    code, where, message : of the note
-    quantities, during, clock : see `Doubt`
-    """
-    note = QualityNote(code, Severity.WARNING, where, message)
-    reason = Reason(code, message)
-    return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
-
-
 def doubt_stretches(
     quantity: str, note: QualityNote, clock: str, *, max_stretches: int = 100
 ) -> Finding:
-    """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
+    """Make a finding that a quantity is doubtful in the stretches of a note.
 
     Parameters
     ----------
     quantity : see `Doubt`
-    note : with stretches on the clock named `clock`, or without any
+    note : with stretches on the clock `clock`; without any, the whole record is doubtful
     clock : role of the recording
-    max_stretches : stretches; more of them are taken as one, from the first to the last
+    max_stretches : more stretches are merged into one, from the first to the last
     """
     stretches = note.stretches
     if len(stretches) > max_stretches:
@@ -215,18 +179,13 @@ def doubt_stretches(
     )
 
 
-def blocking(code: str, where: str, message: str) -> Finding:
-    """Note an error after which later stages are not available."""
-    return Finding(QualityNote(code, Severity.ERROR, where, message), blocks=True)
-
-
 @dataclass(frozen=True, slots=True)
 class Findings:
     """All findings of a test in order.
 
     Parameters
     ----------
-    entries : in order of the checks; duplicates are counted once
+    entries : in order of the checks; may contain duplicates
     """
 
     entries: tuple[Finding, ...] = ()
@@ -235,7 +194,7 @@ class Findings:
         return Findings((*self.entries, *more))
 
     def without(self, code: str) -> Findings:
-        """Omit findings that another one explains."""
+        """Return the findings without those of a code."""
         return Findings(tuple(finding for finding in self.entries if finding.code != code))
 
     @property
@@ -250,7 +209,7 @@ class Findings:
 
     @property
     def blocked(self) -> Reason | None:
-        """Return the first finding by which later stages are not available, or None."""
+        """Return the reason of the first finding that blocks later stages; None without one."""
         return next(
             (
                 Reason(finding.code, finding.note.message)

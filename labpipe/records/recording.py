@@ -1,4 +1,4 @@
-"""Recordings of exports: channels on their own clocks, and marker tracks; formats."""
+"""Content of an export: channels on their own clocks and marker tracks; known formats."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class ExportFormat(NamedTuple):
 
     Parameters
     ----------
-    name : as protocols write it
-    module : that reads it; imported when it is asked
-    is_text, is_workbook : whether its files can be texts or binary files of their own, and whether
-        they can be workbooks
+    name : in protocols
+    module : reader of the format, imported when it is needed
+    is_text, is_workbook : whether its files can be text or binary files, and whether they can be
+        workbooks
     has_markers : whether its exports hold marker tracks rather than channels
     """
 
@@ -45,17 +45,17 @@ EXPORT_FORMATS: Final = (
     ),
     ExportFormat("load-frame", "labpipe.readers.load_frame", is_workbook=True),
 )
-"""In the order in which they are tried."""
+"""Known formats, in the order in which `labpipe inspect` tries them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clock(ArrayRecord):
-    """One time axis of an export, as the instrument wrote it.
+    """One time axis of an export, unchanged.
 
     Parameters
     ----------
-    name : the export's word for it (a raster, a task), or ``time``
-    time : shape (n,), in `unit`; kept as written: holes, jitter and start are the instrument's
+    name : in the export (a raster, a task), or ``time``
+    time : shape (n,), in `unit`; with the holes, the jitter and the start of the export
     unit : ``s``; ``1`` where the export has no time and `time` only counts the rows, from 0
     """
 
@@ -73,11 +73,12 @@ class Channel(ArrayRecord):
     name : short name; need not be unique within an export
     path : full name that is unique within an export, such as ``Model Root/Subsystem/In1``
     values : shape (n,), in `unit`; NaN where the export is blank
-    clock : name of the clock it was sampled on
-    unit : SI unit of `values`; None while neither file nor protocol has said it, in which case
-        `values` are those of the file
-    unit_in_file : unit as the export writes it, empty if it does not
-    calibration : in words, how `values` came from the file's numbers; empty if they are the same
+    clock : name of its clock
+    unit : SI unit of `values`; None if neither file nor protocol states a unit: `values` are then
+        those of the file
+    unit_in_file : unit as the export writes it; empty if it states none
+    calibration : description of the conversion from the numbers of the file to `values`; empty if
+        they are equal
     """
 
     name: str
@@ -95,7 +96,7 @@ class RigidBody(ArrayRecord):
 
     Parameters
     ----------
-    name : the body's name
+    name : of the body
     position : shape (frames, 3), m; NaN where the body was not tracked
     rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where not tracked, or in
         all frames when the export gives none
@@ -115,13 +116,13 @@ class MarkerTracks(ArrayRecord):
     Parameters
     ----------
     time : shape (frames,), s; frame number / export rate where the export states a rate
-    frames : shape (frames,), the export's own frame numbers
+    frames : shape (frames,), frame numbers of the export
     rate : frames per second as stated, or derived from the time stamps
     names : one per marker; unique within a take (a repeated name carries its id after a blank)
     positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN
-        where the marker was not seen
+        where the marker was not tracked
     bodies : the rigid bodies of the take
-    unit_in_file : unit of length as the export writes it, empty if it does not
+    unit_in_file : unit of length as the export writes it; empty if it states none
     """
 
     time: Annotated[Floats, "frame", Unit("s")]
@@ -138,24 +139,24 @@ class MarkerTracks(ArrayRecord):
 
     @property
     def missing(self) -> dict[str, int]:
-        """Return the number of frames in which each marker was not seen."""
+        """Return the number of frames in which each marker was not tracked."""
         blank = np.isnan(self.positions).any(axis=2).sum(axis=0)
         return {name: int(count) for name, count in zip(self.names, blank, strict=True)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """Everything that one export holds.
+    """Content of one export.
 
     Parameters
     ----------
     reader : name of the reader that made it
-    program, program_version : as the export says, empty where it does not
+    program, program_version : stated in the export; empty if it does not state them
     clocks : the time axes
-    channels : the signals, each naming its clock
+    channels : the signals
     markers : marker tracks of a motion-capture export, else None
-    metadata : all that the export says about itself; only what JSON can hold
-    notes : what the reader noticed
+    metadata : further content of the header, as JSON can hold it
+    notes : of the reader
     """
 
     reader: str

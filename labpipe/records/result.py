@@ -1,4 +1,4 @@
-"""Results of one test, and the test as a whole."""
+"""Results of one test, and the record of the whole test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labpipe.records.recording import Recording
 
 
 class Status(StrEnum):
-    """How far a result can be trusted."""
+    """Status of a result."""
 
     OK = "ok"
     DOUBTFUL = "doubtful"
@@ -26,13 +26,13 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one cause adds to the doubt about a number (a row of its uncertainty budget).
+    """The contribution of one cause to the uncertainty of a number: a row of its budget.
 
     Parameters
     ----------
-    cause : in words, such as ``noise of the force`` or ``gain of the load cell``
-    change : what one standard uncertainty of the cause changes, in the unit of the number; with
-        the sign of the change, of noise its standard deviation
+    cause : a key of `labpipe.records.causes.IS_COMMON`, such as ``noise of the force``
+    change : signed change of the number by one standard uncertainty of the cause, in its unit; for
+        noise a standard deviation
     is_common : whether all tests of a rig share the cause, so that it does not average out
     """
 
@@ -44,7 +44,7 @@ class Contribution:
 def find_distinct_estimate(
     value: float, estimate: float | None, interval: Interval | None
 ) -> float | None:
-    """Return whether an estimate is so far from its value that both are shown.
+    """Return an estimate if it is so far from its value that both are shown.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def find_distinct_estimate(
 
     Returns
     -------
-    The estimate where it is off by more than half of the half width of the interval: the largest
-    sample of a noisy plateau lies above what was there, even above its interval. None elsewhere.
+    The estimate if it differs from the value by more than half the half-width of the interval; else
+    None. The largest sample of a noisy plateau, for example, is above the true force.
     """
     if estimate is None or interval is None:
         return None
@@ -62,12 +62,13 @@ def find_distinct_estimate(
 
 
 def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
-    """Return the SHA-256 over the numbers of a result, by which a changed file is found.
+    """Compute the SHA-256 of the numbers of a result, which reveals later changes of a file.
 
     Parameters
     ----------
     name, unit, status : of the result
-    numbers : value, lower and upper end, level, estimate; what is not finite counts as None
+    numbers : value, lower and upper end, level, estimate; a number that is not finite counts as
+        None
 
     Examples
     --------
@@ -82,24 +83,23 @@ def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | No
 class Result:
     """A number with unit, 95 % interval, status and reasons.
 
-    The interval is that of `estimate`, and holds `value`.
+    The interval is that of `estimate`, and contains `value`.
 
     Parameters
     ----------
     name : stable, snake case, with a cycle after a dot: ``peak_force.1``
-    value : in `unit`; None when it could not be computed
+    value : in `unit`; None if it could not be computed
     unit : SI unit, ``1`` for a pure number
-    interval : None when it is not available; a reason then says why
+    interval : None if it is not available, for one of the reasons
     status : ``failed`` exactly when `value` is None
-    reasons : why a result is doubtful, failed, or lacks an interval; empty otherwise
-    method : in words, how the value and the interval were made; the same in tests that were
+    reasons : why a result is doubtful, failed, or without an interval; else empty
+    method : description of the computation of value and interval; the same in all tests that were
         processed alike
-    n : number of samples it rests on
-    made_of : name of the result that it is made of, such as a stiffness; empty for none
-    remark : addition to the method for this test alone, such as force that slips added
-    estimate : the value less what noise adds to it on average, in the middle of the doubt; None
-        where it is the value
-    budget : what the interval is made of; empty where that is not known apart
+    n : number of samples used
+    made_of : name of the result from which it is computed, such as a stiffness; empty for none
+    remark : addition to the method for this test only, such as force added by repaired slips
+    estimate : the value minus the mean effect of noise; None if it equals the value
+    budget : contributions to the interval; empty if they are not known separately
     """
 
     name: str
@@ -158,11 +158,11 @@ class Result:
 
     @property
     def seal(self) -> str:
-        """Return the SHA-256 over its numbers, the same in every file of the test."""
-        ends = self.interval
-        span = (None, None, None) if ends is None else (ends.lower, ends.upper, ends.level)
+        """Return the SHA-256 of its numbers, the same in every file of the test."""
+        interval = self.interval
+        ends = (interval.lower, interval.upper, interval.level) if interval else (None, None, None)
         return compute_seal(
-            self.name, self.unit, self.status, (self.value, *span, self.best_estimate)
+            self.name, self.unit, self.status, (self.value, *ends, self.best_estimate)
         )
 
     @property
@@ -172,20 +172,20 @@ class Result:
 
     @property
     def reason_text(self) -> str:
-        """Return the reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
+        """Return the reasons as text, such as ``not_reached: the branch ends at 4.2 mm``."""
         return join_reasons(self.reasons)
 
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """What was tested.
+    """The tested specimen.
 
     Parameters
     ----------
     type, spool, sample : nested: samples are cut from a spool, spools belong to a type
     dimensions : m, by name, such as ``length``
-    bundle : what a harness bundle is made of; None for any other specimen
-    labels : whatever else the test sheet says of the specimen, by name
+    bundle : composition of a harness bundle; None for any other specimen
+    labels : further properties in the test sheet, by name
     observed : answers to the questions of the protocol, by question; they make no groups
     """
 
@@ -199,18 +199,18 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return what groups can be made by, in words; labels go before the words of a bundle."""
+        """Return the grouping fields as text; a label replaces a bundle's field of its name."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """One export that went into a test, with the fingerprint that names it.
+    """One export of a test with its fingerprint.
 
     Parameters
     ----------
-    role : what it is for: ``force``, ``markers``, ``frame``
+    role : in the test, such as ``force``, ``markers`` or ``frame``
     file : name inside the test's folder
     sha256 : hexadecimal
     bytes : size
@@ -224,16 +224,17 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """An instrument of a test, by the certificate of its calibration.
+    """An instrument of a test with its calibration certificate.
 
     Parameters
     ----------
-    channel : of the protocol that it records; ``markers`` for the cameras
-    measures : quantities that rest on it, such as ``force``
-    certificate : its number
+    channel : its channel in the protocol; ``markers`` for the cameras
+    measures : quantities that depend on it, such as ``force``
+    certificate : number of the certificate
     calibrated : day of the calibration
-    due : day on which the next one is due; None where the certificate does not say
-    uncertainty : of the scale, expanded, as a ratio; None where the certificate does not say
+    due : day of the next calibration; None if the certificate does not state it
+    uncertainty : expanded relative uncertainty of the scale; None if the certificate does not state
+        it
     k : coverage factor of `uncertainty`
     """
 
@@ -248,34 +249,34 @@ class Instrument:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TestResult:
-    """Everything known of one processed test: what the store keeps and the report draws.
+    """All data of one processed test, as stored in its result file.
 
     Parameters
     ----------
     test : name of the test
-    specimen : what was tested
+    specimen : tested specimen
     protocol : name of the protocol
-    protocol_yaml : the resolved protocol, defaults filled in
-    test_yaml : the test sheet as written
-    labpipe_version : the version that made it
+    protocol_yaml : resolved protocol with its defaults
+    test_yaml : test sheet as written
+    labpipe_version : version that processed it
     inputs : the exports
-    recordings : by role; channels reduced to those the protocol names, marker tracks whole
-    aligned, curve, shape : the stages; None where the protocol does not ask for it or it failed
+    recordings : by role, with the channels that the protocol names and all marker tracks
+    aligned, curve, shape : stages; None if the protocol does not request a stage, or if it failed
     results : in the order of the protocol
     quality : notes of readers and steps
-    display : unit in which people see a quantity, by quantity (``displacement: mm``)
-    figures : names of the figures that the protocol asks for
-    slips : the slip ledger of the curve
-    lines : the straight lines that stiffnesses were read from
-    bending : measured moment-curvature; None where the protocol does not ask for it or it failed
-    run : key of exports, test sheet, protocol and way of processing, in all files of the test;
-        empty in a result from before there were keys
-    date : day of the test, of its sheet, else of its exports; None where neither says it
-    operator : who made the test, empty where the sheet does not say it
+    display : display unit, by quantity (``displacement: mm``)
+    figures : names of the figures that the protocol requests
+    slips : of the curve
+    lines : straight lines whose slopes are stiffnesses
+    bending : measured moment-curvature; None if the protocol does not request it, or if it failed
+    run : key of exports, test sheet, protocol and processing, the same in all files of the test;
+        empty in old results
+    date : day of the test from its sheet, else from its exports; None if neither states it
+    operator : of the test; empty if the sheet does not state it
     instruments : those whose certificates the protocol states
     """
 
-    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+    __test__ = False  # pytest would collect a class of this name
 
     test: str
     specimen: Specimen

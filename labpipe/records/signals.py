@@ -1,4 +1,4 @@
-"""Signals on their way from a recording to a curve, and the clocks of a test."""
+"""Signals of a test between recording and curve, and the relation of their clocks."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from labpipe.records.curve import ClockFit, Time
 
 
 class FilterFunction(Protocol):
-    """What a filter does to evenly spaced samples."""
+    """A filter of evenly spaced samples."""
 
     def __call__(self, values: Floats, /) -> Floats:
-        """Filter along the last axis: shape (..., n), no shift in time."""
+        """Filter along the last axis: shape (..., n), without a shift in time."""
 
     def coarser(self, ratio: float) -> FilterFunction:
-        """Make the same filter for samples `ratio` times as far apart."""
+        """Return the same filter for a sampling step `ratio` times as large."""
 
 
 Filter: TypeAlias = tuple[FilterFunction, int]
-"""What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
+"""A filter, and the stride of the samples that it keeps."""
 Stretch: TypeAlias = tuple[float, float]
-"""Begin and end, s."""
+"""Start and end, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +37,13 @@ class Signal:
     ----------
     time, values : shape (n,), s and `unit`
     unit : SI
-    clock : name of the clock that `time` belongs to
-    relative_error : standard uncertainty of the scale, from the protocol
+    clock : name of the clock of `time`
+    relative_error : relative standard uncertainty of the scale, from the protocol
     zero_error : standard error of the zero, in `unit`
-    zero_drift : standard uncertainty of how far the zero has moved by the end of the test, as a
+    zero_drift : standard uncertainty of the change of the zero until the end of the test, as a
         share of the largest value, from the protocol
-    perturbed : by cause (``grip offset``, ``shape of the wire``), shape (n,): the signal as it is
-        with that input one standard uncertainty higher, and all others as they are taken
+    perturbed : by cause (``grip offset``, ``shape of the wire``), shape (n,), in `unit`: the signal
+        with only this input one standard uncertainty larger
     time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
     """
 
@@ -59,15 +59,15 @@ class Signal:
 
     @property
     def has_time(self) -> bool:
-        """Return whether the samples have times, not just numbers."""
+        """Return whether the samples have times, not only row numbers."""
         return self.time_unit == "s"
 
     def map_values(self, change: Callable[[Floats], Floats]) -> Signal:
-        """Do the same to the values and to all that they may have been.
+        """Apply a function to the values and to the perturbed values.
 
         Parameters
         ----------
-        change : gives as many samples of everything
+        change : returns an array of the same shape
         """
         moved = {cause: change(values) for cause, values in self.perturbed.items()}
         return replace(self, values=change(self.values), perturbed=moved)
@@ -75,19 +75,17 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """The signals of one test by name, and what was done to them.
+    """The signals of one test by name, with their filters and zeros.
 
     Parameters
     ----------
-    force, displacement : names of the signals that make the curve
-    raw : calibrated and zeroed but not smoothed
-    filtered : the same after all steps
-    filters : what the steps did to a signal; done again piece by piece where its corners are
-    zero_stretches : the stretch (s, on its own clock) at rest that the zero of a signal was taken
-        from
-    moving_zero_stretches : as `zero_stretches`, a stretch in which the machine may have moved
-        already
-    subtracted_levels : the level that the zero of a signal is at in the export, in SI
+    force, displacement : names of the signals of the curve
+    raw : by name, calibrated and zeroed but not smoothed
+    filtered : by name, after all steps
+    filters : by name, filters of the steps; `raw` is filtered again in pieces between its corners
+    zero_stretches : by name, s on the clock of the signal, stretch at rest of its zero
+    moving_zero_stretches : by name, as `zero_stretches`, if the machine may already move in it
+    subtracted_levels : by name, in SI, level of the zero in the export
     """
 
     force: str = "force"
@@ -101,11 +99,11 @@ class Signals:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """Return what the two signals of the curve are, by name."""
+        """Return the quantities of the two signals of the curve, by name."""
         return {self.force: "force", self.displacement: "displacement"}
 
     def add_signal(self, name: str, signal: Signal) -> Signals:
-        """Add a signal, or replace it, with all that was filtered of it."""
+        """Add or replace a signal, both raw and filtered."""
         return replace(
             self, raw={**self.raw, name: signal}, filtered={**self.filtered, name: signal}
         )
@@ -126,7 +124,7 @@ class Signals:
         )
 
     def subtract_level(self, name: str, level: float, error: float) -> Signals:
-        """Take a level off a signal, raw and filtered.
+        """Subtract a level from a signal, both raw and filtered.
 
         Parameters
         ----------
@@ -134,15 +132,15 @@ class Signals:
         level, error : in its unit; the standard error becomes that of its zero
         """
 
-        def less(signal: Signal) -> Signal:
+        def subtract(signal: Signal) -> Signal:
             return replace(signal.map_values(lambda values: values - level), zero_error=error)
 
         raw, filtered = self.raw[name], self.filtered[name]
-        zeroed = less(raw)
+        zeroed = subtract(raw)
         return replace(
             self,
             raw={**self.raw, name: zeroed},
-            filtered={**self.filtered, name: zeroed if filtered is raw else less(filtered)},
+            filtered={**self.filtered, name: zeroed if filtered is raw else subtract(filtered)},
             subtracted_levels={
                 **self.subtracted_levels,
                 name: self.subtracted_levels.get(name, 0.0) + level,
@@ -152,14 +150,13 @@ class Signals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clocks:
-    """How the clocks of a test lie to each other.
+    """The relation of the clocks of a test.
 
     Parameters
     ----------
     curve : name of the clock of the curve, which is that of the displacement
-    force : the clock of the force against it; None while they are not joined, or are one
-    others : by name, a third clock against that of the curve: its time = offset + (1 + drift) x
-        time of the curve
+    force : fit of the clock of the force to it; None for one clock, or before they are joined
+    others : by name, fit of a further clock: its time = offset + (1 + drift) x time of the curve
     """
 
     curve: str = ""
@@ -177,17 +174,17 @@ class Clocks:
     def drift_error(self) -> float:
         """Return the standard error of the clock drift; 0 for one clock or one event.
 
-        One event gives no drift, and the fit says NaN of its interval.
+        One event does not determine the drift: the interval of the fit is then NaN.
         """
         error = 0.0 if self.force is None else self.force.drift_interval.standard_error
         return error if np.isfinite(error) else 0.0
 
     @property
     def middle(self) -> float:
-        """Return the mean time of the joining events, s on the clock of the curve.
+        """Return the weighted mean time of the events of the fit, s on the clock of the curve.
 
-        Weighted as they weigh in the fit, so that the errors of offset and drift about it are
-        independent; 0 for one clock.
+        With the weights of the fit, the errors of offset and drift about it are independent. 0 for
+        one clock.
         """
         fit = self.force
         if fit is None:
@@ -196,10 +193,10 @@ class Clocks:
 
     @property
     def perturbed(self) -> dict[str, Clocks]:
-        """Return the clocks with one input a standard uncertainty higher, by cause.
+        """Return the clocks with one input a standard uncertainty larger, by cause.
 
-        The offset moves all times of the force by `error`; the drift turns them by `drift_error`
-        about the `middle` of the events.
+        The offset shifts all times of the force by `error`; the drift stretches them by
+        `drift_error` about the `middle` of the events.
         """
         fit = self.force
         if fit is None:
@@ -212,12 +209,12 @@ class Clocks:
         return variants
 
     def to_curve(self, time: Time, clock: str) -> Time:
-        """Return times of a clock on that of the curve; as they are while they are not joined."""
+        """Convert times of a clock to that of the curve; unchanged before they are joined."""
         fit = self._fit(clock)
         return time if fit is None else fit.to_marker_time(time)
 
     def from_curve(self, time: Time, clock: str) -> Time:
-        """Return times of the curve on another clock; as they are while they are not joined."""
+        """Convert times of the curve to another clock; unchanged before they are joined."""
         fit = self._fit(clock)
         return time if fit is None else fit.to_force_time(time)
 
@@ -231,7 +228,7 @@ class Clocks:
 
         Returns
         -------
-        Shape (n,), in the unit of the signal; NaN beyond its ends, nothing is extrapolated.
+        Shape (n,), in the unit of the signal; NaN beyond its ends.
         """
         time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
@@ -239,7 +236,7 @@ class Clocks:
         return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
-        """Return the times of the clock of the force at times of the curve, shape (n,), s."""
+        """Convert times of the curve to the clock of the force, shape (n,), s."""
         return time if self.force is None else self.force.to_force_time(time)
 
     def _fit(self, clock: str) -> ClockFit | None:

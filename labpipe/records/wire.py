@@ -1,4 +1,4 @@
-"""Wires: what a spec sheet says of one, and what the wire model makes of it."""
+"""Records of wires: specification, layout of the strands, and table of the wire model."""
 
 from __future__ import annotations
 
@@ -12,45 +12,46 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 AUTO = "auto"
-"""Layout that is a hexagon where it fits, else rings where they fit, else a packing."""
+"""Choice of the layout: a hexagon if it fits, else rings if they fit, else a packing."""
 
 LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
-"""Layouts that can be asked for."""
+"""Layouts in a wire sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """One row of a wire sheet, in SI units; the defaults are those of a sheet that is silent.
+    """One row of a wire sheet, in SI units; defaults apply to missing columns.
 
     Parameters
     ----------
     name : of the wire
     wire_diameter : over the insulation, m
     layer_counts : strands of each layer from the axis outwards, the core (1) included
-    strand_diameters : m, of the strands of each layer; of compressed ones, that of the circle with
-        a strand's area
+    strand_diameters : m, of the strands of each layer; for compressed strands the diameter of a
+        circle of equal area
     lay_angles : rad, signed, one per ring (the core has none)
     insulation_thickness : wall, m
     insulation_modulus, conductor_modulus : Pa
     poisson, insulation_poisson : of the strands, and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
-    stress_table : strains and stresses (Pa) in place of the Ramberg-Osgood curve
-    insulation_table : the same of the insulation, in place of its modulus
-    insulation_strain : of the wire's rim, up to which the straight line of its modulus is taken to
-        hold
+    isotropic_share : share of the strands' hardening that is isotropic, from 0 to 1; None if it is
+        not known
+    stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve
+    insulation_table : strains and stresses (Pa) that replace the modulus of the insulation
+    insulation_strain : strain at the rim of the wire up to which the insulation is linear
     friction_strand : between strands
     friction_insulation : between the outermost ring and the insulation
-    radial_force : of the insulation, N per radian of lay and strand of the outermost ring
+    radial_force : of the insulation on a strand of the outermost ring, N per radian of its lay
     layout : one of `LAYOUTS`
-    layer_radii : m, of the strands' centroids in compressed layers, where they are known
-    mass_per_length : kg/m; None for that of the section by the densities
+    layer_radii : m, of the centroids of the strands in compressed layers; None if unknown
+    mass_per_length : kg/m; None to compute it from section and densities
     conductor_density, insulation_density : kg/m^3
     length : free length of the cantilever, m
     tension : of the wire, N
     orientation : of the section against the neutral axis, rad
-    largest_curvature : 1/m, up to which tables go; None for a bending radius of five wire diameters
-    defaults : field name -> words, for each value that the sheet did not give
+    largest_curvature : 1/m, end of the tables; None for a bending radius of five wire diameters
+    defaults : description of each default that was used, by field
     place : of the row, for messages, such as ``sheet 'wires', row 4``
     """
 
@@ -66,6 +67,7 @@ class WireSpec:
     insulation_poisson: float = 0.4
     copper_k: float = 530.0e6
     copper_n: float = 0.44
+    isotropic_share: float | None = None
     stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     insulation_strain: float = 0.03
@@ -87,7 +89,7 @@ class WireSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireLayout(ArrayRecord):
-    """Where the strands lie; arrays of shape (strands,).
+    """Positions of the strands; arrays of shape (strands,).
 
     Parameters
     ----------
@@ -95,7 +97,7 @@ class WireLayout(ArrayRecord):
     x, y : m, strand centres
     layer : index of the layer, 0 for the innermost
     diameter : m, of each strand
-    bore_radius, wire_radius : m, of the insulation, inside and outside
+    bore_radius, wire_radius : m, inner and outer radius of the insulation
     """
 
     kind: str
@@ -109,12 +111,12 @@ class WireLayout(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class WireAtRest:
-    """A cantilever that is bent by its own weight alone, its tip held level.
+    """State of a cantilever under its own weight with its tip held level.
 
     Parameters
     ----------
-    force : N, that holds the tip: a zeroed load cell hides it
-    moment : N m, at the clamp, negative: it bends away from the pull
+    force : N, at the tip; removed by the zero of a load cell
+    moment : N m, at the clamp; negative: it bends the wire away from the pull
     curvature : 1/m, at the clamp
     sag : m, lowest point below the axis
     """
@@ -127,32 +129,32 @@ class WireAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireTable(ArrayRecord):
-    """The law of a wire on first loading, and what else simulation wants; arrays of shape (n,).
+    """The law of a wire on first loading, and its stiffnesses; arrays of shape (n,).
 
     Parameters
     ----------
     name : of the wire
-    spec : what it was made from
-    layout : where the strands lie
-    curvature : 1/m, from 0, increasing; the last is the end of the range
-    moment : N m, the sum of the five parts
+    spec : specification
+    layout : positions of the strands
+    curvature : 1/m, from 0, increasing, to the end of the range
+    moment : N m, sum of the five parts
     stick, slip, bending, plastic, insulation : N m, parts of the moment
     tangent_stiffness, secant_stiffness : N m^2
     stick_stiffness, slip_stiffness : N m^2
-    axial_stiffness : EA, N, of a wire that does not turn about its axis
-    torsional_stiffness : GJ, N m^2, of a wire that does not lengthen
-    free_torsional_stiffness : N m^2, of one that may: GJ - C^2 / EA
-    stretch_twist_coupling : C, N m: torque per strain, and pull per twist in rad/m
-    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing; the first is 0 where
+    axial_stiffness : EA, N, at zero twist
+    torsional_stiffness : GJ, N m^2, at zero axial strain
+    free_torsional_stiffness : N m^2, at zero axial force: GJ - C^2 / EA
+    stretch_twist_coupling : C, N m: torque per strain, and axial force per twist in rad/m
+    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing; the first is 0 if
         strands slip as soon as the wire bends
-    lowest_moment, highest_moment : N m, over a full turn of the section
+    lowest_moment, highest_moment : N m, over all orientations of the section
     tip_deflection, tip_force : shape (m,), m and N, of the cantilever of `spec.length` under an
         end load normal to the clamped axis, both from rest
     mass_per_length : kg/m
-    rest : of that cantilever, which lies level, its tip held; None where its weight is left out
-    doubtful_curvature, doubtful_deflection : 1/m, m, beyond which the rim of the insulation is
-        strained beyond what its straight line is taken to hold for; infinite for a stress table
-    notes : defaults taken, limits met
+    rest : state of that cantilever at rest; None if its weight is neglected
+    doubtful_curvature, doubtful_deflection : 1/m and m, beyond which the strain at the rim exceeds
+        `spec.insulation_strain`; infinite for a stress table
+    notes : on defaults and limits
     """
 
     name: str
@@ -200,12 +202,12 @@ class WireTable(ArrayRecord):
     def slips_at_once(self) -> bool:
         """Return whether strands slip as soon as the wire bends, without stick stiffness.
 
-        The slope of the law at zero curvature is then the first secant of the table.
+        The first secant of the table is then the slope of the law at zero curvature.
         """
         return bool(np.any(self.slip_onsets == 0.0))
 
     def slip_onset(self, which: int) -> float | str:
-        """Return the curvature within the range at which strands begin to slip, or the word for it.
+        """Return the curvature at which strands begin to slip, or a word if there is none.
 
         Parameters
         ----------
@@ -213,12 +215,12 @@ class WireTable(ArrayRecord):
 
         Returns
         -------
-        1/m; ``at once`` where strands slip as soon as the wire bends, ``beyond`` where none slips
-        within the range, ``none`` for a single strand, which has nothing to slip on.
+        1/m; ``at once`` if strands slip as soon as the wire bends, ``beyond`` if none slips within
+        the range, ``none`` for a single strand.
         """
         if len(self.layout.layer) == 1:
             return "none"
-        seen = self.slip_onsets[self.slip_onsets <= self.curvature[-1]]
-        if not len(seen):
+        onsets = self.slip_onsets[self.slip_onsets <= self.curvature[-1]]
+        if not len(onsets):
             return "beyond"
-        return float(seen[which]) or "at once"
+        return float(onsets[which]) or "at once"

@@ -1,4 +1,4 @@
-"""Records of a calibrated wire model: curves compared, parameters, samples, verdicts."""
+"""Records of a calibrated wire model: compared curves, parameters, samples, verdicts."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class CurveAgreement(ArrayRecord):
     ----------
     test, sample : names
     length : m
-    deflection, force, model : shape (n,), m, N, N; the model without the sample's own factor
-    sample_factor : of this sample on the force of the model, load cell included
+    deflection, force, model : shape (n,), m, N, N; the model without `sample_factor`
+    sample_factor : factor of this sample and load cell on the force of the model
     sse, rmse, rmse_share : of force - model: N^2, N, and RMSE over the largest force
-    lag_one : correlation of neighbouring residuals, the sample's factor taken out
-    runs_p : p-value of the runs test of the same residuals: small where their signs stay
+    lag_one_correlation : of the residuals after division by the factor of the sample
+    runs_p : p-value of the runs test of these residuals; small if signs rarely change
     """
 
     test: str
@@ -50,9 +50,9 @@ class Prediction(ArrayRecord):
     Parameters
     ----------
     deflection, force : m, N
-    lower, upper : N, band of the curve of one more sample, point by point, noise included
+    lower, upper : N, pointwise band of the curve of one more sample, with noise
     lower_mean, upper_mean : N, band of the curve of the mean sample, without noise
-    notes : what the bands leave out
+    notes : on causes that the bands do not include
     """
 
     deflection: Vector
@@ -66,7 +66,7 @@ class Prediction(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CurveErrors:
-    """A model against measured forces: a row of the dissertation's Table 3.3.
+    """Errors of a model against measured forces: a row of Table 3.3 of the dissertation.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class CurveErrors:
     sse : N^2
     rmse : N
     rmse_share : RMSE over the largest measured force
-    inside : share of the points inside the band; NaN without one
+    inside : share of the points inside the band; NaN without a band
     """
 
     n: int
@@ -86,18 +86,19 @@ class CurveErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExternalCurve(ArrayRecord):
-    """A loading curve that is neither test nor model: finite elements, a paper, another lab.
+    """A loading curve from another source: finite elements, a paper, another lab.
 
     Parameters
     ----------
-    name : as the plan calls it
-    file : as the plan names it
+    name : in the plan
+    file : in the plan
     wire : name of the wire
     length : free length, m
     deflection : shape (n,), m, of the tip, rising
     force : shape (n,), N
-    is_normal : its load stays normal to the undeformed axis; else it is pulled as the tests are
-    source : where it comes from, in words
+    is_normal : whether the load stays normal to the undeformed axis; else it is applied as in the
+        tests
+    source : description of the source
     """
 
     name: str
@@ -112,15 +113,15 @@ class ExternalCurve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveMatch(ArrayRecord):
-    """An external curve beside one other curve, at its own deflections.
+    """Comparison of an external curve with another curve at the deflections of the external one.
 
     Parameters
     ----------
-    reference : shape (n,), N, of the other curve; NaN where that one has no force
-    errors : over the points that both have, RMSE over the largest force of the other curve there,
-        share of its points inside the 95 % band of the other; None without any
+    reference : shape (n,), N, force of the other curve; NaN where it has none
+    errors : over the common points, relative to the largest force of the other curve and its 95 %
+        band; None without common points
     left_out : number of points that were not compared
-    explanation : which points were left out, or why none was compared; empty if all were
+    explanation : why points were not compared; empty if all were
     """
 
     reference: Vector
@@ -150,36 +151,36 @@ class ExternalCurveComparison:
 
 
 RADIAL_FRICTION = "radial_friction"
-"""phi = F_rad (mu_s + mu_p), N: all that a loading curve knows of friction."""
+"""phi = F_rad (mu_s + mu_p), N: the only effect of friction on a loading curve."""
 INSULATION_MODULUS = "insulation_modulus"
 """E_ins, Pa."""
 COPPER_SCALE = "copper_scale"
-"""Factor on the strength of the copper's stress-strain curve."""
+"""Factor on the strength of the copper in its stress-strain curve."""
 
 PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
-"""What is calibrated, in the order of every array over parameters."""
+"""Calibrated parameters, in the order of every array over parameters."""
 UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
 DISPLAYED = {
     RADIAL_FRICTION: (1e3, "mN"),
     INSULATION_MODULUS: (1e-6, "MPa"),
     COPPER_SCALE: (1.0, ""),
 }
-"""Factor and unit in which people see a value."""
+"""Factor and unit for display."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterChoice:
-    """How one parameter enters a calibration.
+    """Settings of one parameter in a calibration.
 
     Parameters
     ----------
-    value : where the search starts; of a fixed one its value, of one with a prior its centre. None
-        for the value that the wire came with
-    is_fixed : not fitted
+    value : start of the search, value of a fixed parameter, or centre of a prior; None for the
+        value in the wire sheet
+    is_fixed : whether it is not fitted
     factor : of a log-normal prior: with 95 % probability the parameter lies between value / factor
         and value x factor. None without a prior
     lower, upper : bounds of the search
-    source : where a prior or a fixed value comes from, for the report
+    source : of a prior or a fixed value, for the report
     """
 
     value: float | None = None
@@ -191,23 +192,23 @@ class ParameterChoice:
 
 
 class Identifiability(StrEnum):
-    """What the tests say of a parameter."""
+    """Identifiability of a parameter by the tests."""
 
     WELL = "identified"
     """The 95 % interval spans less than a factor of two."""
     WEAKLY = "weakly identified"
-    """It has both ends, and spans more."""
+    """The 95 % interval is bounded on both sides, and spans more."""
     TWO = "two solutions"
-    """It spans more, and falls into parts that belong to solutions of their own; or there is a
-    solution elsewhere that the tests allow at 99 %."""
+    """The 95 % interval has parts that belong to different solutions; or the tests allow another
+    solution at 99 %."""
     NOT = "not identified"
-    """It is open on a side, or spans more than a factor of a hundred."""
+    """The 95 % interval is unbounded on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"
-    """The tests add next to nothing to what the prior says."""
+    """The tests add hardly any information to the prior."""
     AGAINST_PRIOR = "contradicts its prior"
-    """Prior and tests ask for different values; the one found lies between them."""
+    """Prior and tests have different values; the calibrated one lies between them."""
     AT_BOUND = "at its bound"
-    """The search wanted to go beyond what it was allowed."""
+    """The search ended at a bound."""
     FIXED = "fixed"
     """It was not fitted."""
 
@@ -219,10 +220,10 @@ class Profile(ArrayRecord):
     Parameters
     ----------
     value : shape (n,), of the parameter, increasing
-    deviance : shape (n,), rise of the objective over the least of all solutions, all others fitted
+    deviance : shape (n,), rise of the objective over its minimum, with all other parameters fitted
         again
-    threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
-        interval: the square of a quantile of t, averaged over what the scatter of samples may be
+    threshold_below, threshold_above : deviance at the lower and the upper end of the 95 % interval:
+        the square of a quantile of t, averaged over the possible scatters of samples
     """
 
     value: Vector
@@ -233,16 +234,16 @@ class Profile(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class PriorConflict:
-    """A prior against the tests without it.
+    """Comparison of a prior with the tests alone.
 
     Parameters
     ----------
-    centre, factor, source : of the prior, and where it comes from
-    alone : value that the tests give without this prior
-    size : distance of the two in standard deviations of both together
+    centre, factor, source : of the prior
+    alone : value from the tests without this prior
+    size : difference of the two in combined standard deviations
     freedom : degrees of freedom of that standard deviation
     contradicts : whether `size` exceeds the two-sided 95 % quantile of t
-    message : in words, with the numbers
+    message : sentence with the numbers
     """
 
     centre: float
@@ -257,25 +258,24 @@ class PriorConflict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedParameter:
-    """One parameter of the wire, and what the tests say of it.
+    """One calibrated parameter of the wire.
 
     Parameters
     ----------
     name, unit : one of `PARAMETERS`
-    value : at the least of the objective
-    intervals : 95 %, by profile likelihood: the union of those of all solutions, rising; more than
-        one where it falls apart. Ends are those of the search where it is open. None for a fixed
-        parameter
-    log_error : standard error of its logarithm at the least of the objective; 0 if fixed
+    value : at the minimum of the objective
+    intervals : 95 %, by profile likelihood: union of the intervals of all solutions, in rising
+        order. An open interval ends at the bound of the search. Empty for a fixed parameter
+    log_error : standard error of its logarithm at the minimum of the objective; 0 if fixed
     freedom : degrees of freedom of that error
-    is_open_below, is_open_above : the tests do not bound it on that side
+    is_open_below, is_open_above : whether the tests do not bound it on that side
     at_bound : ``lower``, ``upper``, or empty
-    verdict : in one word or two
-    explanation : the verdict as a sentence
-    profiles : one of each solution whose part of the interval is not empty, the best first; none
-        for a fixed parameter
+    verdict : identifiability
+    explanation : sentence on the verdict
+    profiles : of the solutions with a part of the interval, the best first; empty for a fixed
+        parameter
     conflict : None without a prior
-    source : where a fixed value comes from; empty for what was fitted
+    source : of a fixed value; empty for a fitted one
     """
 
     name: str
@@ -303,16 +303,17 @@ class CalibratedParameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separability(ArrayRecord):
-    """Whether the tests separate several numbers.
+    """Separability of several parameters by the tests.
 
     Parameters
     ----------
-    names : of the numbers
-    singular_values : shape (n,), of the derivatives of all forces by their logarithms over the
-        noise, falling: a combination with singular value s is known to 1 / s (in logarithms)
-    combinations : shape (n, n), a row for each singular value: weights of the logarithms
+    names : of the parameters
+    singular_values : shape (n,), decreasing, of the derivatives of all forces by the logarithms of
+        the parameters, divided by the noise: a combination with singular value s has a standard
+        error of 1 / s
+    combinations : shape (n, n), weights of the logarithms, one row per singular value
     are_identified : by name
-    explanation : in a sentence or two
+    explanation : one or two sentences
     """
 
     names: tuple[str, ...]
@@ -324,13 +325,13 @@ class Separability(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScatterMixture(ArrayRecord):
-    """What is known of the parameters for each scatter of samples that the tests allow.
+    """Fits of the parameters for each scatter of samples that the tests allow.
 
     Parameters
     ----------
-    chance : shape (scatters,), sum to 1
-    scatter : shape (scatters,), standard deviation of the samples' factors, in logarithms
-    shift : shape (scatters, 4), of the logarithms of the parameters and of the gain, from the fit
+    chance : shape (scatters,), probability of each scatter, with sum 1
+    scatter : shape (scatters,), standard deviation of the logarithms of the sample factors
+    shift : shape (scatters, 4), change of the logarithms of parameters and gain from the best fit
     covariance : shape (scatters, 4, 4)
     freedom : degrees of freedom of the noise
     """
@@ -344,17 +345,17 @@ class ScatterMixture(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution(ArrayRecord):
-    """A least of the objective that the tests allow at 99 %: the best one, or another valley.
+    """A local minimum of the objective that the tests allow at 99 %.
 
     Parameters
     ----------
-    values : shape (3,), of `PARAMETERS`; NaN where the wire has no such thing
-    rise : of the objective over that of the best; exp(-rise / 2) is its likelihood over the best's
+    values : shape (3,), of `PARAMETERS`; NaN for a parameter that the wire does not have
+    rise : of the objective over the best solution; exp(-rise / 2) is the likelihood ratio
     rmse : N, over all curves
-    covariance : shape (4, 4), of the logarithms and of the load cell's gain, last; 0 for what is
-        fixed
-    mixture : the same for each scatter of samples that the tests allow
-    limit : of the rise, below which a solution is in the 95 % set
+    covariance : shape (4, 4), of the logarithms of the parameters and of the gain of the load cell;
+        0 for fixed ones
+    mixture : fits for each scatter of samples that the tests allow
+    limit : rise below which a solution is in the 95 % set
     """
 
     values: Annotated[Floats, 3]
@@ -366,27 +367,26 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Return whether it is in the 95 % set: intervals and bands take it in."""
+        """Return whether it is in the 95 % set, which intervals and bands include."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Return the likelihood over that of the best solution."""
+        """Return the ratio of its likelihood to that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """What scatters about the model.
+    """Noise and scatter about the model.
 
     Parameters
     ----------
-    noise_factor : of the noise of every point, found over stated: 1 where it was stated well
+    noise_factor : estimated over stated noise of a point
     correlation : of neighbouring points
-    scatter : standard deviation of the samples' factors on the force, in logarithms
-    gain : standard uncertainty of the load cell's gain, common to all curves, in logarithms
-    scatter_freedom : degrees of freedom of `scatter`; infinite where it was given, 0 where nothing
-        is known of it
+    scatter : standard deviation of the logarithms of the sample factors on the force
+    gain : relative standard uncertainty of the gain of the load cell, common to all curves
+    scatter_freedom : degrees of freedom of `scatter`; infinite if it was given, 0 if it is unknown
     noise_freedom : degrees of freedom of `noise_factor`
     """
 
@@ -400,24 +400,25 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(ArrayRecord):
-    """What tests of one wire say of its parameters.
+    """The calibration of a wire by its tests.
 
     Parameters
     ----------
     wire : name
     parameters : in the order of `PARAMETERS`
-    solutions : every least of the objective that is not quite unlikely, the best first
-    widening : of quantiles, at least 1, since insulation and copper trade places on a bent line
-        of curves
-    correlations : shape (3, 3), of the logarithms at the best; NaN in rows of fixed parameters
+    solutions : local minima of the objective that the tests allow at 99 %, the best first
+    widening : factor on quantiles, at least 1, since insulation and copper compensate each other
+        along a curved valley of the objective
+    correlations : shape (3, 3), of the logarithms at the best solution; NaN in rows of fixed
+        parameters
     levels : noise, scatter, gain
-    separability : of the three parameters, all taken as free
-    friction_separability : of mu_s, mu_p and F_rad; None where nothing rubs
-    curves : one by one
-    n_points, n_samples : what it rests on
+    separability : of the three parameters, as if all were free
+    friction_separability : of mu_s, mu_p and F_rad; None without friction
+    curves : compared curves
+    n_points, n_samples : of the calibration
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
-    method : in words
-    notes : what a careful person would want to know
+    method : description for the report
+    notes : quality notes
     """
 
     wire: str
@@ -444,7 +445,7 @@ class Calibration(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFailure:
-    """Why there is no calibration.
+    """Reason why there is no calibration.
 
     Parameters
     ----------

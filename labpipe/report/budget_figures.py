@@ -1,27 +1,29 @@
-"""Budgets of intervals: shares of the causes, a bar per number, for a test and for a group."""
+"""Figures of budgets: the share of each cause in an interval, a bar per number."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from labpipe.messages import format_sentence
 from labpipe.records import causes as cause_names
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     add_key,
     add_title,
-    make_empty_page,
     make_page,
+    make_reason_page,
+    read_look,
 )
 from labpipe.report.wording import (
     Scale,
-    find_display,
     find_display_unit,
     find_last_place,
+    find_number_unit,
     is_first_cycle,
     is_main,
     round_to_place,
@@ -32,7 +34,7 @@ from labpipe.report.wording import (
     write_number,
     write_title,
 )
-from labpipe.statistics.means import SCATTER, sort_causes, summarise_budget
+from labpipe.statistics.means import sort_causes, summarise_budget
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,42 +46,17 @@ _FRAME_MM = 26.0
 """Height of axis and heading."""
 MAX_BARS = 20
 SMALLER = "causes under 2 % in every bar"
-COLOURS_OF_CAUSES: Mapping[str, str] = {
-    SCATTER: "#4d4d4d",
-    cause_names.NOISE: "#8c8c8c",
-    cause_names.FIT: "#c9bfae",
-    cause_names.NOISE_OF_FORCE: "#8c8c8c",
-    cause_names.NOISE_OF_DISPLACEMENT: "#c4c4c4",
-    cause_names.SCALE_OF_FORCE: "#d55e00",
-    cause_names.ZERO_OF_FORCE: "#f4b183",
-    cause_names.DRIFT_OF_ZERO: "#ffd9c2",
-    cause_names.SCALE_OF_DISPLACEMENT: "#0072b2",
-    cause_names.ZERO_OF_DISPLACEMENT: "#8ec3e6",
-    cause_names.SHAPE: "#cc79a7",
-    cause_names.COMPLIANCE: "#009e73",
-    cause_names.TURN: "#93d5c0",
-    cause_names.SPEED: "#00674b",
-    cause_names.GRIP: "#f3d38a",
-    cause_names.PULL: "#e69f00",
-    cause_names.CENTRE: "#946700",
-    cause_names.MARKER_SIDE: "#8a4f72",
-    cause_names.CLOCK_OFFSET: "#6f4aa8",
-    cause_names.CLOCK_DRIFT: "#bba7dd",
-    cause_names.LENGTH: "#c49a6c",
-    cause_names.SPAN: "#c49a6c",
-    cause_names.SECTION: "#7a3b1d",
-    cause_names.SLACK: "#56b4e9",
-    cause_names.REPAIRED_SLIPS: "#b0124f",
-    cause_names.RESOLUTION: "#5c5c9e",
-    cause_names.STEP: "#f2a6bd",
-    cause_names.TANGENT: "#3a4a8c",
-}
-"""One family of colours for each instrument; a cause has the same colour in every figure."""
-OTHER_COLOUR = "#ededed"
 
 
 class Bar(NamedTuple):
-    """One number: its name, the shares of its interval by cause, and the text to its right."""
+    """Bar of one number.
+
+    Parameters
+    ----------
+    name : left of the bar
+    shares : of the interval by cause; their sum is one
+    text : right of the bar
+    """
 
     name: str
     shares: Mapping[str, float]
@@ -87,27 +64,33 @@ class Bar(NamedTuple):
 
 
 def draw_budget(result: TestResult) -> Figure:
-    """Draw the budgets of a test's intervals: shares of the variance, a bar per number.
+    """Draw the budgets of the intervals of a test: shares of the variance, a bar per number.
 
-    Numbers of later cycles, of single slips and of the clocks are left out.
+    Numbers of later cycles, of single slips and of the clocks have no bar.
     """
-    budgeted = [result for result in result.results if result.largest_share is not None]
-    numbers = [one for one in budgeted if is_main(one.name) and is_first_cycle(one.name)]
-    numbers = numbers[:MAX_BARS]
+    numbers = [
+        number
+        for number in result.results
+        if number.largest_share is not None and is_main(number.name) and is_first_cycle(number.name)
+    ][:MAX_BARS]
     if not numbers:
-        reason = "No number of this test has a budget of its interval."
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, format_sentence("report.no_budget"))
     page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
-    plot_bars([_bar(number, result.display) for number in numbers], page.subplots())
-    cycle = "Numbers per cycle: first cycle only." if any("." in x.name for x in numbers) else ""
+    bars = []
+    for number in numbers:
+        scale = find_display_unit(number.name, number.unit, result.display)
+        causes = [contribution.cause for contribution in number.budget]
+        shares = dict(zip(causes, number.shares, strict=True))
+        bars.append(Bar(_bar_name(number.name), shares, write_half_width(number.interval, scale)))
+    plot_bars(bars, page.subplots())
+    has_cycles = any("." in number.name for number in numbers)
+    cycle = "Numbers per cycle: first cycle only." if has_cycles else ""
     note = " ".join(filter(None, (cycle, write_footnote(result))))
     return _with_side_margins(add_title(page, write_title(result), note))
 
 
 def _with_side_margins(page: Figure) -> Figure:
-    """Set margins on both sides: texts are wider where the font of the page is missing."""
+    """Set margins on both sides for texts that another font makes wider."""
     left_margin, right_margin = 0.06, 0.03  # shares of the width of the page
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -118,20 +101,13 @@ def _with_side_margins(page: Figure) -> Figure:
     return page
 
 
-def _bar(result: Result, display: Mapping[str, str]) -> Bar:
-    rows = zip(result.budget, result.shares, strict=True)
-    scale = find_display_unit(result.name, result.unit, display)
-    shares = {row.cause: share for row, share in rows}
-    return Bar(_bar_name(result.name), shares, write_half_width(result.interval, scale))
-
-
 def _bar_name(name: str) -> str:
-    """Name a number without its cycle, which is the first in every bar."""
+    """Write the label of a number without its cycle, which is the first in every bar."""
     return write_label(name.partition(".")[0])
 
 
 def write_half_width(interval: Interval | None, scale: Scale) -> str:
-    """Write half the width of an interval, such as ``-+ 0.11 mm``; empty without an interval."""
+    """Write half the width of an interval, such as ``± 0.11 mm``; empty without an interval."""
     last_plain_place = -6  # smaller numbers have a power of ten
     if interval is None:
         return ""
@@ -143,13 +119,13 @@ def write_half_width(interval: Interval | None, scale: Scale) -> str:
 
 
 def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
-    """Draw shares side by side, a bar per number, the first on top.
+    """Draw bars of shares, the first on top.
 
     Parameters
     ----------
-    bars : with shares that add to one; a bar without shares leaves its row empty
+    bars : a bar without shares leaves its row empty
     axes : to draw on; causes that all tests of a rig share are hatched
-    of : the quantity that is divided into shares
+    of : name of the quantity of which the shares are
     """
     min_labelled_share = 0.10  # smallest share of a bar that has room for its number
     bar_height = 0.74  # share of the row
@@ -181,11 +157,11 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
 
 
 def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
-    """Write a share on its colour; on hatching, on a patch of plain colour."""
+    """Write a share on its part of the bar; on a hatched part, over a patch of plain colour."""
     dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
 
-    ground = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    ground = find_cause_colour(cause)
     red, green, blue = to_rgb(ground)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = cause_names.IS_COMMON.get(cause, False)
@@ -197,12 +173,22 @@ def _write_share(axes: Axes, middle: float, height: float, share: float, cause: 
     label.set_in_layout(False)  # it lies on its bar
 
 
+def find_cause_colour(cause: str) -> str:
+    """Return the colour of a cause: the same in every figure, light grey for an unknown one."""
+    colour: str = read_look("colours_of_causes").get(cause, "#ededed")
+    return colour
+
+
 def sort_shares(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Sort the shares of bars as in the key, with the sum of small causes at the end.
+    """Sort the shares of bars as in the key, and add up those of small causes at the end.
 
     Parameters
     ----------
-    bars : shares by cause; a cause whose share is small in all of them has no part of its own
+    bars : shares by cause
+
+    Returns
+    -------
+    Shares of each bar; causes under 2 % in every bar are added up as `SMALLER`.
     """
     min_named_share = 0.02
     named = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
@@ -219,7 +205,7 @@ def list_shown_causes(parts: Sequence[Mapping[str, float]]) -> list[str]:
 
     Parameters
     ----------
-    parts : of `sort_shares`
+    parts : as `sort_shares` returns them
     """
     every = {cause for shares in parts for cause in shares}
     return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
@@ -232,16 +218,17 @@ _HATCHED: dict[str, Any] = {
 
 def _bar_style(cause: str) -> dict[str, Any]:
     hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
-    return {**_HATCHED, "facecolor": COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR), "hatch": hatch}
+    return {**_HATCHED, "facecolor": find_cause_colour(cause), "hatch": hatch}
 
 
 def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
-    """Return the budgets of a group's numbers: no later cycles, no slips, no clocks.
+    """Make the bars of a group; later cycles, slips and clocks have none.
 
     Parameters
     ----------
     group : with or without samples
-    of_means : of the intervals of means, with half their widths; else medians over the tests
+    of_means : shares in the intervals of means, with half their widths; else the medians of the
+        shares over the tests
     """
     bars = []
     for number in group.numbers:
@@ -250,7 +237,7 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
         budget, interval = summarise_budget(number), None
         if of_means and number.mean is not None:
             interval = number.mean.chosen.interval
-        scale = find_display_unit(number.name, number.unit, find_display(group))
+        scale = find_number_unit(group, number)
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
             bars.append(Bar(_bar_name(number.name), shares, write_half_width(interval, scale)))
@@ -262,7 +249,7 @@ def draw_group_budgets(group: Group) -> Figure:
 
     Parameters
     ----------
-    group : one that has `make_group_bars`
+    group : with a bar by `make_group_bars`
     """
     drawn = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
     means = make_group_bars(group, of_means=True)

@@ -1,4 +1,4 @@
-"""Bundles: section, bounds of bending, samples between slipping and sticking, measured cycles."""
+"""Tables and figures of bundles: section, bounds of bending stiffness, measured cycles."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from math import isnan, nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report.figure_page import (
-    DOTTED,
     DOUBLE_COLUMN,
     GREY,
     FigureToSave,
     add_title,
     label_log_axis,
     make_page,
+    read_look,
     split_pages,
 )
 from labpipe.report.issues import join_sentences
@@ -30,8 +31,7 @@ from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, se
 from labpipe.report.wording import (
     Scale,
     find_display,
-    find_display_unit,
-    typeset_unit,
+    find_unit,
     write_number,
     write_with_interval,
 )
@@ -39,18 +39,6 @@ from labpipe.report.wording import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-UNIT = "N*m^2"
-_NOTES = (
-    "All slips: every wire slips on its neighbours, and every strand on the other strands. Wires"
-    " slip: the wires slip, their strands stick. Nothing slips: the section stays plane, bent in"
-    " the plane of the test; the line below gives the smallest and largest stiffness over all"
-    " directions. All bounds are computed from the wire sheet, for the wires alone: tape, conduit"
-    " and friction contribute to the measured number only.",
-    "Share of the way: 0 % where all slips, 100 % where nothing slips. Its interval is that of the"
-    " measured number; errors of the wire sheet are not included.",
-)
 
 
 def has_bundles(campaign: Campaign) -> bool:
@@ -61,36 +49,38 @@ def has_bundles(campaign: Campaign) -> bool:
 
 
 def make_place_table(campaign: Campaign) -> Table | None:
-    """Return the table of bending stiffnesses between their bounds; None without a wire sheet.
+    """Make the table of measured bending stiffnesses between their bounds.
 
     Parameters
     ----------
-    campaign : its places
+    campaign : with its places between the bounds
+
+    Returns
+    -------
+    None without places: the report was made without a wire sheet, or no test is of a bundle.
     """
     if not campaign.places:
         return None
     scales = choose_place_units(campaign)
     rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
-    unit = typeset_unit(next(iter(scales.values())).unit)
-    heads = (
-        "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
-        f"Nothing slips ({unit})", "Share of the way",
-    )  # fmt: skip
-    return Table("Between slipping and sticking", heads, rows, _NOTES)
+    stiffnesses = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
+    heads = ("Test", *map(next(iter(scales.values())).label, stiffnesses), "Share of the way")
+    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
+    return Table("Between slipping and sticking", heads, rows, notes)
 
 
 def choose_place_units(campaign: Campaign) -> dict[str, Scale]:
-    """Return the unit of bending stiffness by group: one for all if their protocols differ."""
+    """Choose the unit of bending stiffness by group: that of its protocol, SI if they differ."""
     scales = {
-        group.name: find_display_unit("", UNIT, find_display(group)) for group in campaign.groups
+        group.name: find_unit(find_display(group), "bending_stiffness") for group in campaign.groups
     }
     first = next(iter(scales.values()))
     is_one = all(scale.unit == first.unit for scale in scales.values())
-    return scales if is_one else dict.fromkeys(scales, find_display_unit("", UNIT, {}))
+    return scales if is_one else dict.fromkeys(scales, find_unit({}, "bending_stiffness"))
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
-    low, free, high, least, largest = (
+    low, free, high, smallest, largest = (
         write_number(stiffness, None, scale.factor, digits=3).value
         for stiffness in (place.low, place.free, place.high, *place.principal)
     )
@@ -103,48 +93,45 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
         Cell(write_with_interval(value, place.interval, scale.factor)),
         Cell(low),
         Cell(free),
-        Cell(high, "" if least == largest else f"{least} to {largest}"),
+        Cell(high, "" if smallest == largest else f"{smallest} to {largest}"),
         Cell(share if isnan(place.share) else f"{share} %", join_sentences(place.reasons)),
     )
 
 
 MAX_ROWS = 36
-"""Rows of a figure."""
-_CAPTION = (
-    "Grey bar: from every wire and strand slipping to nothing slipping, computed by the bundle"
-    " model from the wire sheet, for the wires alone; tick: wires slip, their strands stick. Dots:"
-    " samples with their 95 % intervals; diamonds: means of the groups. The axis is logarithmic;"
-    " an interval that reaches zero ends at its left edge."
-)
+"""Rows in one figure."""
 
 
 def list_place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of bundles between their bounds.
+    """List the figures of measured bending stiffnesses between their bounds.
 
     Parameters
     ----------
-    campaign : its places
+    campaign : with its places between the bounds
 
     Yields
     ------
-    No figure without places; otherwise figures of up to `MAX_ROWS` rows.
+    Figures of up to `MAX_ROWS` rows; none without places.
     """
     scales = choose_place_units(campaign)
-    parts = split_pages(campaign.places, MAX_ROWS)
+    parts, caption = (
+        split_pages(campaign.places, MAX_ROWS),
+        format_sentence("report.bundle_caption"),
+    )
     for at, part in enumerate(parts, start=1):
         name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
         scale = scales[part[0].group]
         groups = ", ".join(dict.fromkeys(place.group for place in part))
         alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
-        yield FigureToSave(name, partial(draw_places, part, scale), _CAPTION, alt)
+        yield FigureToSave(name, partial(draw_places, part, scale), caption, alt)
 
 
 def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
-    """Draw bending stiffnesses on a logarithmic axis, each on the bar between its bounds.
+    """Draw measured bending stiffnesses, each on the bar between its bounds, on a logarithmic axis.
 
     Parameters
     ----------
-    places : rows, from the top
+    places : rows from the top
     scale : display unit of bending stiffness
     """
     row_mm, rest_mm, width_mm = 4.2, 16.0, 150.0
@@ -159,13 +146,13 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_yticks(range(len(places)), names)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_xlabel(f"Bending stiffness ({typeset_unit(scale.unit)})")
+    axes.set_xlabel(scale.label("Bending stiffness"))
     label_log_axis(axes.xaxis)
     return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
 
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
-    """Return the ends of the axis for all positive bounds, values and ends of intervals."""
+    """Return the ends of the axis, from all positive bounds, values and upper interval ends."""
     every = [ei for place in places for ei in (place.low, place.high, place.value or 0.0)]
     every += [place.interval.upper for place in places if place.interval is not None]
     values = [factor * ei for ei in every if ei > 0.0] or [1.0, 10.0]  # not NaN either
@@ -175,26 +162,21 @@ def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
 def _plot_bounds_of_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
     if isnan(place.low):
         return
-    bar: dict[str, Any] = {"color": "#d5d5d5", "linewidth": 5.0, "solid_capstyle": "butt"}
     ends = [factor * place.low, factor * place.high]
-    axes.plot(ends, [row, row], zorder=1, label="all slips to nothing slips", **bar)
-    tick: dict[str, Any] = {"color": GREY, "marker": "|", "markersize": 6.0, "linestyle": ""}
-    axes.plot([factor * place.free], [row], label="wires slip, strands stick", **tick)
+    axes.plot(ends, [row, row], **read_look("bounds_of_bundle"))
+    axes.plot([factor * place.free], [row], **read_look("slipping_wires"))
 
 
 def _plot_value(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
-    """Draw the measured stiffness with its interval, and the reasons of a missing place."""
+    """Draw the measured stiffness with its interval, and write why it has no bounds."""
     max_reason_length = 88
-    colour, marker, label = ("black", "D", "mean of a group, 95 %")
-    if place.test:
-        colour, marker, label = ("C0", "o", "sample, 95 %")
+    look = read_look("bundle_sample" if place.test else "bundle_mean")
     if place.value is not None and place.value > 0.0:
         if place.interval is not None:
             left = axes.get_xlim()[0]
             ends = [max(factor * place.interval.lower, left), factor * place.interval.upper]
-            axes.plot(ends, [row, row], color=colour, linewidth=1.0, zorder=2)
-        look: dict[str, Any] = {"color": colour, "linestyle": "", "zorder": 3}
-        axes.plot([factor * place.value], [row], marker=marker, label=label, **look)
+            axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
+        axes.plot([factor * place.value], [row], **look)
     why = join_sentences(place.reasons)
     if why:
         text = why if len(why) <= max_reason_length else f"{why[:max_reason_length]}\u2026"
@@ -215,8 +197,8 @@ def draw_bundle(model: BundleModel) -> Figure:
 
     Returns
     -------
-    A page. The arms of the principal axes end at the edge of the wires; bending is along y,
-    upwards. Both axes of the moments are logarithmic.
+    A page. In (a), lines through the neutral point show the principal directions up to the edge of
+    the wires; the bundle is bent along y, upwards. Both axes of (b) are logarithmic.
     """
     page = make_page(height_mm=84.0, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
@@ -224,7 +206,7 @@ def draw_bundle(model: BundleModel) -> Figure:
     _plot_bounds(model, moments)
     section.set_title("Section", loc="left")
     moments.set_title("First loading, bent along y", loc="left")
-    return add_title(page, _title(model), _note(model))
+    return add_title(page, _write_title(model), _describe_bounds(model))
 
 
 def _plot_section(model: BundleModel, axes: Axes) -> None:
@@ -242,9 +224,8 @@ def _plot_section(model: BundleModel, axes: Axes) -> None:
     bore = model.bundle.conduit_bore or 0.0
     if bore:
         x, y = (LENGTH.factor * value for value in model.middle)
-        dashed: dict[str, Any] = {"fill": False, "linewidth": 0.6, "linestyle": (0, (4, 2))}
-        label = "bore of the conduit"
-        axes.add_patch(Circle((x, y), LENGTH.factor * bore / 2.0, label=label, **dashed))
+        radius = LENGTH.factor * bore / 2.0
+        axes.add_patch(Circle((x, y), radius, **read_look("bore_of_conduit")))
     reach = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
     _draw_axes(model, axes)
     axes.set_aspect("equal")
@@ -256,46 +237,43 @@ def _plot_section(model: BundleModel, axes: Axes) -> None:
 def _draw_axes(model: BundleModel, axes: Axes) -> None:
     """Draw the directions of the largest and the smallest stiffness through the neutral point.
 
-    Where all directions are equally stiff, the axes drawn are y and x.
+    If all directions are equally stiff, the lines are along y and x.
     """
     x, y = (LENGTH.factor * value for value in model.neutral)
     reach = 1.06 * LENGTH.factor * model.layout.radius
-    angle, labels = model.principal_angle, ("stiffest direction", "most flexible direction")
+    angle = model.principal_angle
+    stiffest, flexible = read_look("stiffest_direction"), read_look("most_flexible_direction")
     if _is_isotropic(model):
-        angle, labels = math.pi / 2.0, ("y and x: equal in all directions", "")
-    looks: tuple[dict[str, Any], ...] = (
-        {"linewidth": 1.2}, {"linewidth": 0.8, "linestyle": (0, (5, 1.5))}
-    )  # fmt: skip
-    for turn, label, look in zip((angle, angle + math.pi / 2.0), labels, looks, strict=True):
-        across, up = reach * math.cos(turn), reach * math.sin(turn)
-        axes.plot([x - across, x + across], [y - up, y + up], "k", label=label, **look)
+        angle = math.pi / 2.0
+        stiffest["label"], flexible["label"] = "y and x: equal in all directions", ""
+    for direction, look in ((angle, stiffest), (angle + math.pi / 2.0, flexible)):
+        dx, dy = reach * math.cos(direction), reach * math.sin(direction)
+        axes.plot([x - dx, x + dx], [y - dy, y + dy], **look)
     axes.plot([x], [y], "k+", markersize=7.0, zorder=5)
 
 
 def _plot_bounds(model: BundleModel, axes: Axes) -> None:
     """Draw the moments of wires that slip and of wires that stick, on logarithmic axes."""
     use = model.curvature > 0.0
-    across = CURVATURE.factor * model.curvature[use]
+    x = CURVATURE.factor * model.curvature[use]
     slip, stick = (
         MOMENT.factor * moment[use] for moment in (model.moment_slip, model.moment_stick)
     )
-    axes.fill_between(across, slip, stick, color="#dedede", linewidth=0)
-    for moment, label, colour, doubtful in (
-        (stick, "wires stick", "C1", model.is_doubtful_stick[use]),
-        (slip, "wires slip", "C0", model.is_doubtful[use]),
+    axes.fill_between(x, slip, stick, color="#dedede", linewidth=0)
+    for moment, look, is_doubtful in (
+        (stick, "wires_stick", model.is_doubtful_stick[use]),
+        (slip, "wires_slip", model.is_doubtful[use]),
     ):
-        for part, fade in split_doubtful(~doubtful):
-            look: dict[str, Any] = {"color": colour, "linewidth": 1.4, "alpha": fade}
-            axes.plot(across[part], moment[part], label=label, **look)
+        for part, opacity in split_doubtful(~is_doubtful):
+            axes.plot(x[part], moment[part], **read_look(look, alpha=opacity))
     for limit in (model.low, model.high):
-        elastic: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": DOTTED}
         moment = MOMENT.factor * limit * model.curvature[use]
-        axes.plot(across, moment, label="without yielding of copper", **elastic)
-    set_log_axes(axes, across)
+        axes.plot(x, moment, **read_look("bundle_without_yielding"))
+    set_log_axes(axes, x)
     axes.set_ylabel(MOMENT.label("Bending moment"))
 
 
-def _title(model: BundleModel) -> str:
+def _write_title(model: BundleModel) -> str:
     text = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
     if model.packing_fraction is None:
         return text
@@ -303,17 +281,16 @@ def _title(model: BundleModel) -> str:
     return f"{text}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
 
 
-def _note(model: BundleModel) -> str:
-    least, largest = model.principal
-    directions = (
-        "equal in all directions"
-        if _is_isotropic(model)
-        else f"{_digits(least)} to {_digits(largest)} over all directions"
+def _describe_bounds(model: BundleModel) -> str:
+    low, free, high, smallest, largest = (
+        write_number(stiffness, None, STIFFNESS.factor, digits=4).value
+        for stiffness in (model.low, model.free, model.high, *model.principal)
     )
-    bounds = (
-        f"EI in {STIFFNESS.unit}: {_digits(model.low)} with wires and strands slipping, "
-        f"{_digits(model.free)} with wires slipping, {_digits(model.high)} with nothing slipping "
-        f"({directions})."
+    directions = f"{smallest} to {largest} over all directions"
+    if _is_isotropic(model):
+        directions = "equal in all directions"
+    bounds = format_sentence(
+        "report.bounds_of_bundle", low=low, free=free, high=high, directions=directions
     )
     limits = [
         note.message.replace("N mm^2", "N\u00b7mm\u00b2")
@@ -323,14 +300,10 @@ def _note(model: BundleModel) -> str:
     return " ".join([bounds, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
 
 
-def _digits(stiffness: float) -> str:
-    return write_number(stiffness, None, STIFFNESS.factor, digits=4).value
-
-
 def _is_isotropic(model: BundleModel) -> bool:
     rel_tolerance = 1e-6
-    least, largest = model.principal
-    return largest - least <= rel_tolerance * largest
+    smallest, largest = model.principal
+    return largest - smallest <= rel_tolerance * largest
 
 
 def draw_loop(name: str, fit: FrictionFit) -> Figure:
@@ -339,7 +312,7 @@ def draw_loop(name: str, fit: FrictionFit) -> Figure:
     Parameters
     ----------
     name : of the test
-    fit : of its friction
+    fit : of the friction between its wires
     """
     page = make_page(height_mm=82.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(1, 2, sharex=True, sharey=True)
@@ -348,26 +321,25 @@ def draw_loop(name: str, fit: FrictionFit) -> Figure:
         (panels[1], fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
     ):
         deflection = LENGTH.factor * fit.loop.deflection[chosen]
-        measured: dict[str, Any] = {"color": "black", "markersize": 2.2, "linewidth": 0.5}
-        axes.plot(deflection, fit.loop.force[chosen], "o-", label="measured", **measured)
+        axes.plot(deflection, fit.loop.force[chosen], **read_look("measured_cycles"))
         axes.plot(deflection, fit.predicted[chosen], color=colour, linewidth=1.4, label=label)
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
         axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
         axes.set_title(f"{heading}, error {_percent(error)} of the peak", loc="left")
-    return add_title(page, f"{name}  ·  friction between the wires", _loop_note(fit))
+    return add_title(page, f"{name}  ·  friction between the wires", _describe_friction(fit))
 
 
-def _loop_note(fit: FrictionFit) -> str:
+def _describe_friction(fit: FrictionFit) -> str:
     slide = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    tape = f"; the tape slides beyond {slide:.3g} mm" if np.isfinite(slide) else ""
     held = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
-    return (
-        f"From the first loading: {_percent(fit.composite_share)} of the wires' axial stiffness "
-        f"acts up to the kink at {LENGTH.factor * fit.loop.kink[0]:.3g} mm{tape}. "
-        f"Fitted to panel a alone: {held.value} % of that acts after the kink "
-        f"(95 %: {held.lower} % to {held.upper} %). "
-        f"Work over the cycles of panel b: {1e3 * fit.loss:.3g} mJ measured, "
-        f"{1e3 * fit.predicted_loss:.3g} mJ predicted. Error: root mean square."
+    return format_sentence(
+        "report.friction_of_bundle",
+        composite=_percent(fit.composite_share),
+        kink=LENGTH.factor * fit.loop.kink[0],
+        tape=f"; the tape slides beyond {slide:.3g} mm" if np.isfinite(slide) else "",
+        held=held,
+        work=1e3 * fit.loss,
+        predicted_work=1e3 * fit.predicted_loss,
     )
 
 

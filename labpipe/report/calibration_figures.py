@@ -1,4 +1,4 @@
-"""Figures of a calibration: its card, agreement with tests and external curves, bent shapes."""
+"""Figures of a calibration: its result on one page, tests and external curves beside the model."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, average_blocks
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
@@ -21,16 +22,13 @@ from labpipe.records.wire_calibration import (
     Profile,
 )
 from labpipe.report.calibration_summary import (
-    BAND,
     DEFLECTION,
     DISPLAYS,
     FORCE,
-    MODEL,
     SMALL_FORCE,
     BentShape,
     CalibrationReport,
     ValidationGroup,
-    choose_length_looks,
     describe_calibration,
     typeset,
     write_length,
@@ -38,17 +36,17 @@ from labpipe.report.calibration_summary import (
     write_percent,
 )
 from labpipe.report.figure_page import (
-    DASHED,
     DOUBLE_COLUMN,
-    GREY,
     WIDTH,
     FigureToSave,
     Look,
     add_title,
+    choose_dash,
     label_log_axis,
     make_empty_page,
     make_page,
     make_panels,
+    read_look,
     require_room,
     split_pages,
     write_reason,
@@ -64,21 +62,21 @@ if TYPE_CHECKING:
 
 
 def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
-    """Draw the shapes of a sample at several deflections on axes of one scale.
+    """Draw the shapes of a sample at several deflections, with one scale on both axes.
 
     Parameters
     ----------
-    name : of what was bent, such as ``A2, 85 mm``
-    shapes : one for each deflection; without any, the page says so
+    name : of the sample with its length, such as ``A2, 85 mm``
+    shapes : one for each deflection; if there is none, the page says so
     """
-    frame_mm = 14.0  # numbers and labels of the panel
+    frame_mm = 14.0  # of the panel, for tick labels and axis labels
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
         return make_empty_page(title, "There is no shape to draw.")
     low, high = _bounds(shapes)
-    across, up = (high - low).tolist()
-    share = min(max(up / across, min_aspect), max_aspect)
+    width, height = (high - low).tolist()
+    share = min(max(height / width, min_aspect), max_aspect)
     page = make_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
     _plot_shapes(shapes, page.subplots())
     return add_title(
@@ -87,17 +85,12 @@ def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
 
 
 def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
-    """Draw shapes on equal scales, each named by its deflection beside its end."""
-    looks: dict[str, Any] = {
-        "markers": {"linestyle": "", "marker": "o", "markersize": 3.2, "zorder": 4},
-        "fitted curve": {"linewidth": 0.9, "linestyle": DASHED, "zorder": 3},
-        "model": {"color": MODEL, "linewidth": 1.3, "zorder": 2},
-    }
+    """Draw shapes with one scale on both axes, each labelled with its deflection at its end."""
     for shape in shapes:
-        for points, (label, look) in zip(_lines(shape), looks.items(), strict=True):
-            x, y = DEFLECTION.factor * points.T
+        looks = ("shape_markers", "shape_fit", "shape_model")
+        for points, look in zip(_lines(shape), looks, strict=True):
             if len(points):
-                axes.plot(x, y, label=label, **{"color": "black", **look})
+                axes.plot(*(DEFLECTION.factor * points.T), **read_look(look))
         _label_end(shape, axes)
     low, high = _bounds(shapes)
     axes.set_aspect("equal", adjustable="box", anchor="W")
@@ -119,7 +112,7 @@ def _label_end(shape: BentShape, axes: Axes) -> None:
 
 
 def _bounds(shapes: Sequence[BentShape]) -> tuple[Floats, Floats]:
-    """Return the corners of everything drawn with a margin, in the display unit."""
+    """Return the lower and upper corner of all shapes and the clamp with a margin, mm."""
     margin = 0.06
     points = np.concatenate([_finite_rows(line) for shape in shapes for line in _lines(shape)])
     points = DEFLECTION.factor * np.concatenate([points, np.zeros((1, 2))])
@@ -142,16 +135,16 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[FigureToSave
 
     Parameters
     ----------
-    report : all that they show
+    report : of the calibration
 
     Yields
     ------
-    ``calibration``, the card; ``validation-1``, ``validation-2`` ... with six wires and lengths
-    each; ``external-curves``, ``external-curves-2`` ... if curves from elsewhere are compared;
-    ``shapes-1`` ... for each sample whose shapes are there.
+    ``calibration``; ``validation-1``, ``validation-2`` and so on with six panels each;
+    ``external-curves``, ``external-curves-2`` and so on if external curves are compared;
+    ``shapes-1`` and so on, one for each sample with shapes.
     """
-    card = partial(draw_calibration, report.calibration, predictions=report.predictions)
-    yield FigureToSave("calibration", card)
+    draw = partial(draw_calibration, report.calibration, predictions=report.predictions)
+    yield FigureToSave("calibration", draw)
     for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
         yield FigureToSave(f"validation-{number}", partial(draw_validation, groups))
     for number, panels in enumerate(group_external_curves(report), start=1):
@@ -168,106 +161,115 @@ MIN_RESIDUAL_BLOCKS = 25
 def _plot_loadings(
     calibration: Calibration, axes: Axes, predictions: Mapping[float, Prediction]
 ) -> None:
-    """Draw the first loadings of all samples, and the model, with its band, for each length."""
-    looks = _sample_looks(calibration)
+    """Draw the first loadings of all samples, and the model with its band for each length."""
+    looks = _choose_length_looks(calibration)
     for curve in calibration.curves:
-        label = _samples(calibration, curve.length)
+        count = sum(other.length == curve.length for other in calibration.curves)
+        label = f"measured, {write_length(curve.length)} ({count})"
         force = FORCE.factor * curve.force
-        _plot(axes, curve.deflection, force, looks[curve.length], label=label)
+        _plot_thinned(axes, curve.deflection, force, looks[curve.length], label=label)
     for length in looks:
         deepest = max(
             (curve for curve in calibration.curves if curve.length == length),
             key=lambda curve: float(np.max(curve.deflection)),
         )
         order = np.argsort(deepest.deflection)
-        x = DEFLECTION.factor * deepest.deflection[order]
-        y = FORCE.factor * deepest.model[order]
-        axes.plot(x, y, color=MODEL, linewidth=1.5, zorder=4, label="model")
+        deflection, force = deepest.deflection[order], deepest.model[order]
+        _plot_force(axes, deflection, force, "model_of_sample")
+        end = DEFLECTION.factor * deflection[-1], FORCE.factor * force[-1]
         axes.annotate(
-            write_length(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
+            write_length(length), end, (3, 0), textcoords="offset points",
             va="center", annotation_clip=False,
         )  # fmt: skip
         if length in predictions:
-            prediction = predictions[length]
-            use = prediction.deflection <= np.max(deepest.deflection)
-            axes.fill_between(
-                DEFLECTION.factor * prediction.deflection[use],
-                FORCE.factor * prediction.lower_mean[use],
-                FORCE.factor * prediction.upper_mean[use],
-                color=BAND, alpha=0.55, linewidth=0, zorder=1,
-                label="95 % band of the model, mean sample",
-            )  # fmt: skip
+            model = predictions[length]
+            use = model.deflection <= deflection[-1]
+            edges = model.lower_mean[use], model.upper_mean[use]
+            _fill_force(axes, model.deflection[use], edges, "band_of_mean_sample")
     _set_force_axes(axes)
 
 
 def _set_force_axes(axes: Axes, *, lowest: float = math.inf, headroom: float = 1.0) -> None:
-    """Set axes of force against deflection from zero, or the lowest shown force."""
+    """Start both axes at zero, or that of force below at the lowest force; label both."""
     low, high = axes.get_ylim()
     bottom = min(0.0, low if math.isinf(lowest) else lowest)
     axes.set(xlim=(0.0, axes.get_xlim()[1]), ylim=(bottom, headroom * high))
     axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
 
 
-def _sample_looks(calibration: Calibration) -> dict[float, Look]:
-    """Return the style of the samples of each length."""
-    return choose_length_looks([curve.length for curve in calibration.curves])
-
-
-def _samples(calibration: Calibration, length: float) -> str:
-    count = sum(curve.length == length for curve in calibration.curves)
-    return f"measured, {write_length(length)} ({count})"
-
-
 def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool = False) -> None:
-    """Draw measured force less that of the model against deflection.
+    """Draw the measured force less the force of the model against deflection.
 
     Parameters
     ----------
     calibration : its curves are drawn
     axes : to draw on
-    has_own_factor : multiply the model by each sample's own factor first, which leaves noise and
-        misfit of shape
+    has_own_factor : multiply the model by the factor of each sample first; the residuals are then
+        noise and an error of the shape of the curve
 
     Notes
     -----
-    Every point is drawn faint; a line shows the means of at least `N_BLOCKS` blocks of neighbouring
-    points, if there are as many points.
+    Every point is drawn faint. A line shows the means of blocks of neighbouring points: at least
+    `MIN_RESIDUAL_BLOCKS`, if there are as many points.
     """
-    looks = _sample_looks(calibration)
+    looks = _choose_length_looks(calibration)
     axes.axhline(0.0, color="black", linewidth=0.6, zorder=1)
     for curve in calibration.curves:
         factor = curve.sample_factor if has_own_factor else 1.0
-        left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
-        _plot(axes, curve.deflection, left, looks[curve.length], alpha=0.2, linewidth=0.4)
-        across, up = (
-            average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (curve.deflection, left)
+        residual, look = (
+            SMALL_FORCE.factor * (curve.force - factor * curve.model),
+            looks[curve.length],
         )
-        look = looks[curve.length]._asdict()
-        axes.plot(DEFLECTION.factor * across, up, linewidth=0.9, zorder=3, **look)
+        _plot_thinned(axes, curve.deflection, residual, look, alpha=0.2, linewidth=0.4)
+        x = DEFLECTION.factor * average_blocks(curve.deflection, MIN_RESIDUAL_BLOCKS)
+        means = average_blocks(residual, MIN_RESIDUAL_BLOCKS)
+        axes.plot(x, means, linewidth=0.9, zorder=3, **look._asdict())
     axes.set_xlim(left=0.0)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
 
 
-def _plot(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
+def _choose_length_looks(calibration: Calibration) -> dict[float, Look]:
+    """Choose a colour and a dash for each length of the samples, which also differ in grey."""
+    colours = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
+    lengths = sorted({curve.length for curve in calibration.curves})
+    return {
+        length: Look(colours[number % len(colours)], choose_dash(number))
+        for number, length in enumerate(lengths)
+    }
+
+
+def _plot_force(axes: Axes, deflection: Floats, force: Floats, look: str, **settings: Any) -> None:
+    x, y = DEFLECTION.factor * deflection, FORCE.factor * force
+    axes.plot(x, y, **read_look(look, **settings))
+
+
+def _fill_force(
+    axes: Axes, deflection: Floats, edges: tuple[Floats, Floats], look: str, **settings: Any
+) -> None:
+    lower, upper = (FORCE.factor * edge for edge in edges)
+    axes.fill_between(DEFLECTION.factor * deflection, lower, upper, **read_look(look, **settings))
+
+
+def _plot_thinned(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
     rows = find_extremes(values, bins=120)
     style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
     axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
 
 
-_VALUE: dict[str, Any] = {"color": "black", "marker": "^", "markersize": 4.5, "clip_on": False}
-
-
 def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
-    """Draw the deviance of a parameter on a logarithmic axis.
+    """Draw the deviance of a parameter against its value on a logarithmic axis.
 
     Parameters
     ----------
     parameter : if it was not fitted, the panel says so
-    axes : to draw on; with the threshold on either side of each solution, the parts of the 95 %
-        interval in grey, up to the end of the panel where it is open, the value as a triangle,
-        open ones for other solutions, and the deviance of the prior from its own centre where
-        there is one
+    axes : to draw on
+
+    Notes
+    -----
+    A dashed line is the threshold on either side of each solution. The 95 % interval is grey; an
+    open interval ends with the panel. A triangle is the value, an open triangle another solution.
+    If there is a prior, its deviance from its own centre is drawn, too.
     """
     if not parameter.profiles:
         write_reason(axes, typeset(parameter.explanation), line_length=30)
@@ -281,7 +283,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     for profile in parameter.profiles:
         side = minima.index(_minimum(profile)[0])
         _draw_solution(profile, axes, axis.scale.factor, (borders[side], borders[side + 1]))
-    axes.plot(axis.scale.factor * parameter.value, 0.0, **_VALUE)
+    axes.plot(axis.scale.factor * parameter.value, 0.0, **read_look("best_value"))
     _draw_prior(parameter, axes, (low, high))
     axes.set_xlim(axis.scale.factor * low, axis.scale.factor * high)
     axes.set_ylim(0.0, _panel_top(parameter))
@@ -290,7 +292,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
 
 
 def _panel_top(parameter: CalibratedParameter) -> float:
-    """Return the largest deviance that a panel shows."""
+    """Return the deviance at the top of a panel."""
     height_over_threshold = 2.6
     ends = [max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles]
     return height_over_threshold * max(ends)
@@ -307,24 +309,21 @@ def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float
     for number, part in enumerate(parameter.intervals):
         low = ends[0] if number == 0 and parameter.is_open_below else part.lower
         high = ends[1] if number == last and parameter.is_open_above else part.upper
-        look: dict[str, Any] = {"color": "#dddddd", "linewidth": 0, "zorder": 0}
-        axes.axvspan(factor * low, factor * high, label="95 % interval", **look)
+        axes.axvspan(factor * low, factor * high, **read_look("interval_of_parameter"))
 
 
 def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
     """Draw one profile, its thresholds, and a triangle if it is not the best solution."""
     values, deviance = interpolate_profile(profile)
-    least, height = _minimum(profile)
-    axes.plot(factor * values, deviance, color=MODEL, linewidth=1.2)
-    axes.plot(factor * profile.value, profile.deviance, "o", color=MODEL, markersize=2.2)
-    look: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": DASHED}
-    for end, threshold in zip(
-        ends, (profile.threshold_below, profile.threshold_above), strict=True
-    ):
-        x = np.sort([factor * end, factor * least])
-        axes.plot(x, [threshold] * 2, label="95 % threshold", **look)
+    best, height = _minimum(profile)
+    axes.plot(factor * values, deviance, **read_look("profile"))
+    axes.plot(factor * profile.value, profile.deviance, **read_look("profile_point"))
+    thresholds = profile.threshold_below, profile.threshold_above
+    for end, threshold in zip(ends, thresholds, strict=True):
+        x = np.sort([factor * end, factor * best])
+        axes.plot(x, [threshold] * 2, **read_look("threshold"))
     if height > 0.0:
-        axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
+        axes.plot(factor * best, height, **read_look("best_value", markerfacecolor="white"))
 
 
 def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
@@ -332,25 +331,24 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
 
     Parameters
     ----------
-    parameter : its interval, or the traced range of its profile, is shown
+    parameter : with profiles
+
+    Returns
+    -------
+    Both ends: the panel shows the value, the points of the profiles below its top, the ends of the
+    interval that the profiles reach, and the centre of the prior.
     """
     margin_share = 0.12  # beside the shown values, of their logarithmic range
-    highest = _panel_top(parameter)
-    traced = [
-        value
-        for profile in parameter.profiles
-        for value in profile.value[profile.deviance <= highest]
-    ]
-    wanted = [*traced, parameter.value]
-    first, last = (
-        end([profile.value[place] for profile in parameter.profiles])
-        for end, place in ((min, 0), (max, -1))
-    )
+    top, profiles = _panel_top(parameter), parameter.profiles
+    shown = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
+    shown.append(parameter.value)
+    first = min(profile.value[0] for profile in profiles)
+    last = max(profile.value[-1] for profile in profiles)
     ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
-    wanted += [end for end in ends if first <= end <= last]
+    shown += [end for end in ends if first <= end <= last]
     if parameter.conflict is not None:
-        wanted.append(parameter.conflict.centre)
-    low, high = float(np.log(min(wanted))), float(np.log(max(wanted)))
+        shown.append(parameter.conflict.centre)
+    low, high = float(np.log(min(shown))), float(np.log(max(shown)))
     margin = margin_share * max(high - low, 0.02)
     return float(np.exp(low - margin)), float(np.exp(high + margin))
 
@@ -383,9 +381,8 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
-    across = DISPLAYS[parameter.name].scale.factor * values
-    look: dict[str, Any] = {"linewidth": 1.0, "linestyle": (0, (1.4, 1.2))}
-    axes.plot(across, away**2, color="#009E73", label="prior alone", **look)
+    x = DISPLAYS[parameter.name].scale.factor * values
+    axes.plot(x, away**2, **read_look("prior"))
 
 
 def _set_ticks(axes: Axes) -> None:
@@ -411,15 +408,15 @@ def draw_calibration(
     Parameters
     ----------
     calibration : of one wire
-    predictions : of the model at each length (m) of the tests, for its band
+    predictions : of the model by length of the tests (m), for its band; None for no band
 
     Returns
     -------
-    A page with (a) the first loadings and the model, (b) residuals, (c) residuals with the factor
-    of each sample taken out, (d) to (f) profiles of the parameters, and numbers and verdicts in
-    words.
+    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with the
+    own factor of each sample, (d) to (f) the profiles of the parameters, and in words the values
+    and verdicts.
     """
-    panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; its heading and labels
+    panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; for headings and labels
     height = sum(panel_heights) + frame_mm * len(panel_heights)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
@@ -451,10 +448,8 @@ _HEADINGS = (
 
 
 MAX_PANELS = 6
-"""Panels per page of agreement."""
+"""Panels on a page of wires and lengths, or of external curves."""
 _N_COLUMNS = 2
-_MODEL_LOOK: dict[str, Any] = {"color": MODEL, "linewidth": 1.4, "linestyle": (0, (5, 1.4))}
-_PREDICTED_LOOK: dict[str, Any] = {"color": BAND, "linewidth": 0, "zorder": 1.5}
 _HEADROOM = 1.08
 """Top of an axis, of the largest value."""
 
@@ -469,7 +464,7 @@ def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
     Raises
     ------
     ValueError
-        If there is no group, or there are more than fit on a page.
+        If there is no group, or more than `MAX_PANELS`.
     """
     require_room(len(groups), MAX_PANELS, "groups")
     row_mm = 66.0
@@ -484,12 +479,10 @@ def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
 
 
 def _plot_group(group: ValidationGroup, axes: Axes) -> None:
-    """Draw samples, their mean with its band, and the model with its band; agreement in words."""
+    """Draw samples, their mean with its band, the model with its band; describe the agreement."""
     for sample in group.samples.values():
         rows = find_extremes(sample.force, bins=100)
-        across = DEFLECTION.factor * sample.displacement[rows]
-        look: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
-        axes.plot(across, FORCE.factor * sample.force[rows], label="sample", **look)
+        _plot_force(axes, sample.displacement[rows], sample.force[rows], "measured_sample")
     _draw_measured(group.band, axes)
     if group.prediction is not None:
         _draw_prediction(group.prediction, group.is_sure, axes)
@@ -505,7 +498,7 @@ def describe_agreement(group: ValidationGroup) -> str:
 
     Parameters
     ----------
-    group : if the model has no errors, the text gives the reason for no prediction
+    group : without a prediction, the lines give the reason
     """
     lines = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
@@ -523,27 +516,24 @@ def describe_agreement(group: ValidationGroup) -> str:
 
 
 def _draw_measured(band: Band, axes: Axes) -> None:
-    x = DEFLECTION.factor * band.displacement
-    mean: dict[str, Any] = {"color": "black", "linewidth": 1.3, "zorder": 4}
-    axes.plot(x, FORCE.factor * band.mean, label="mean of samples", **mean)
+    """Draw the mean of the samples and its 95 % band, if any."""
+    _plot_force(axes, band.displacement, band.mean, "mean_of_samples")
     if np.isfinite(band.lower).any():
-        ends = FORCE.factor * band.lower, FORCE.factor * band.upper
-        look: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 0, "zorder": 1}
-        axes.fill_between(x, *ends, label="95 % band of the mean", **look)
+        _fill_force(axes, band.displacement, (band.lower, band.upper), "band_of_mean")
+
+
+_BAND_OPACITY = 0.5
 
 
 def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None:
-    band_alpha = 0.5
-    x = DEFLECTION.factor * prediction.deflection
-    edges = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
-    for use, fade in split_doubtful(is_sure):
-        force = FORCE.factor * prediction.force[use]
-        axes.plot(x[use], force, label="model", zorder=5, alpha=fade, **_MODEL_LOOK)
-        look = {**_PREDICTED_LOOK, "alpha": fade * band_alpha}
-        ends = edges[0][use], edges[1][use]
-        axes.fill_between(x[use], *ends, label="95 % band of the model", **look)
-        for end in ends:
-            axes.plot(x[use], end, color=MODEL, linewidth=0.5, zorder=3, alpha=fade)
+    """Draw the model and its band, lighter where they are doubtful."""
+    for part, opacity in split_doubtful(is_sure):
+        deflection = prediction.deflection[part]
+        edges = prediction.lower[part], prediction.upper[part]
+        _plot_force(axes, deflection, prediction.force[part], "model", alpha=opacity)
+        _fill_force(axes, deflection, edges, "band_of_model", alpha=_BAND_OPACITY * opacity)
+        for edge in edges:
+            _plot_force(axes, deflection, edge, "edge_of_band", alpha=opacity)
 
 
 def _lowest(group: ValidationGroup) -> float:
@@ -553,12 +543,6 @@ def _lowest(group: ValidationGroup) -> float:
     return FORCE.factor * min(
         (float(values.min()) for values in finite if len(values)), default=0.0
     )
-
-
-_LIGHTER = (
-    "The model is drawn lighter where it is doubtful: there the strain at the rim of the insulation"
-    " exceeds its assumed linear range."
-)
 
 
 def _note(groups: Sequence[ValidationGroup]) -> str:
@@ -574,7 +558,7 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
             of = f" ({', '.join(_names(groups, number))})"
         lines.append(f"Blue band: model, for {what}{of}.")
     if not all(group.is_sure.all() for group in groups):
-        lines.append(_LIGHTER)
+        lines.append(format_sentence("report.doubtful_model"))
     notes = {
         note.message: None
         for group in groups
@@ -599,14 +583,15 @@ _FREE_KEY_ROWS = 4
 
 
 class ExternalPanel(NamedTuple):
-    """Contents of one pair of axes.
+    """External curves of one wire, length and kind of load, in one panel.
 
     Parameters
     ----------
-    wire, length : name, m
-    is_normal : the load stays normal to the undeformed axis, also in the model
-    group : tests of that wire and length; None where there are none
-    comparisons : external curves
+    wire : name
+    length : m
+    is_normal : the load stays normal to the undeformed axis, in the curves and in the model
+    group : tests of that wire and length; None if there are none
+    comparisons : the curves, compared with tests and model
     """
 
     wire: str
@@ -617,17 +602,17 @@ class ExternalPanel(NamedTuple):
 
     @property
     def prediction(self) -> Prediction | None:
-        """Prediction up to the end of the longest curve."""
+        """Return the prediction that reaches furthest; None if no curve has one."""
         predictions = [
             comparison.prediction
             for comparison in self.comparisons
             if comparison.prediction is not None
         ]
-        return max(predictions, key=lambda one: float(one.deflection[-1]), default=None)
+        return max(predictions, key=lambda model: float(model.deflection[-1]), default=None)
 
 
 def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
-    """Group external curves by wire, length and load, in pages of `MAX_PANELS` panels.
+    """Group external curves by wire, length and kind of load, in pages of `MAX_PANELS` panels.
 
     Parameters
     ----------
@@ -656,7 +641,7 @@ def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
     Raises
     ------
     ValueError
-        If there is no panel, or there are more than fit on a page.
+        If there is no panel, or more than `MAX_PANELS`.
     """
     row_mm = 70.0
     require_room(len(panels), MAX_PANELS, "panels")
@@ -682,17 +667,18 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
         _draw_measured(panel.group.band, axes)
     model = panel.prediction
     if model is not None:
-        across = DEFLECTION.factor * model.deflection
-        edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
-        axes.plot(across, FORCE.factor * model.force, label="model", zorder=5, **_MODEL_LOOK)
-        look = {**_PREDICTED_LOOK, "alpha": 0.5}
-        axes.fill_between(across, *edges, label="95 % band of the model", **look)
-    lines = [_draw_comparison(one, number, axes) for number, one in enumerate(panel.comparisons)]
+        _plot_force(axes, model.deflection, model.force, "model")
+        edges = model.lower_mean, model.upper_mean
+        _fill_force(axes, model.deflection, edges, "band_of_model", alpha=_BAND_OPACITY)
+    lines = [
+        _draw_comparison(comparison, number, axes)
+        for number, comparison in enumerate(panel.comparisons)
+    ]
     extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
-    words = list(map(describe_match, panel.comparisons))
-    # not the legend of the panel: the other labels belong into the key of the page
-    key = Legend(axes, lines, words, loc="upper left", handlelength=2.2, borderaxespad=0.4)
+    labels = list(map(describe_match, panel.comparisons))
+    # `axes.legend` would take the labels of the other lines out of the key of the page
+    key = Legend(axes, lines, labels, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.add_artist(key)
 
 
@@ -716,19 +702,19 @@ def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axe
     return line
 
 
-def describe_match(match: ExternalCurveComparison) -> str:
-    """Name an external curve and write its RMSE to the tests and to the model.
+def describe_match(comparison: ExternalCurveComparison) -> str:
+    """Name an external curve and write its RMSE against the tests and the model.
 
     Parameters
     ----------
     comparison : with tests and model
     """
-    lines = textwrap.wrap(match.curve.name, 44)
-    lines.append("no tests to compare" if match.tests is None else _rmse("tests", match.tests))
-    return "\n".join([*lines, _rmse("model", match.model)])
+    lines, tests = textwrap.wrap(comparison.curve.name, 44), comparison.tests
+    lines.append("no tests to compare" if tests is None else _describe_rmse("tests", tests))
+    return "\n".join([*lines, _describe_rmse("model", comparison.model)])
 
 
-def _rmse(other: str, match: CurveMatch) -> str:
+def _describe_rmse(other: str, match: CurveMatch) -> str:
     if match.errors is None:
         return f"{other}: not compared"
     rmse = SMALL_FORCE.factor * match.errors.rmse

@@ -1,15 +1,16 @@
-"""Contents of a calibration's report: records, units, styles and sentences."""
+"""Contents of the report of a calibration: what it compares, and its sentences."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
@@ -24,28 +25,23 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.figure_page import Look, choose_dash
 from labpipe.report.wording import SUPERSCRIPTS, Scale, write_count, write_number
 
 DEFLECTION = Scale(1e3, "mm")
 FORCE = Scale(1.0, "N")
 SMALL_FORCE = Scale(1e3, "mN")
-MODEL, BAND = "#0072B2", "#a6cbe3"
-"""The model and its band; measured samples are black and grey beside it."""
-
-_COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
 class ParameterDisplay(NamedTuple):
-    """Name, symbol and unit of a parameter in a report.
+    """Name, label and unit of a parameter in a report.
 
     Parameters
     ----------
-    name : in words
-    symbol : on an axis
-    scale : display unit; empty for a ratio
+    name : in a sentence
+    symbol : on an axis, with a capital
+    scale : display unit; its name is empty for a ratio
     """
 
     name: str
@@ -54,7 +50,7 @@ class ParameterDisplay(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Label of an axis."""
+        """Return the label of an axis."""
         return self.scale.label(self.symbol) if self.scale.unit else self.symbol
 
 
@@ -66,7 +62,7 @@ DISPLAYS: Mapping[str, ParameterDisplay] = {
         (COPPER_SCALE, "factor on the strength of the copper", "Factor on copper strength"),
     )
 }
-_IN_WORDS: Mapping[str, str] = {
+_NAMES_IN_SENTENCES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
@@ -81,34 +77,34 @@ def typeset(sentence: str) -> str:
 
     Parameters
     ----------
-    sentence : from its record
+    sentence : of a record, with keys of parameters
 
     Returns
     -------
-    A sentence with a capital, unless it starts with a symbol, with typeset powers of ten, names
-    of parameters and Greek letters.
+    The sentence with a capital, unless it starts with a symbol, and a full stop. Keys of
+    parameters are replaced by their names, powers of ten and Greek letters are typeset.
 
     Examples
     --------
     >>> typeset("the radial_force was held at 2 N")
     'The F_rad was held at 2 N.'
     """
-    for name, name_in_text in _IN_WORDS.items():
+
+    def typeset_power(match: re.Match[str]) -> str:
+        exponent = f"{match[1]}{match[2]}".removeprefix("+")
+        return f" \u00d7 10{exponent.translate(SUPERSCRIPTS)}"
+
+    for name, name_in_text in _NAMES_IN_SENTENCES.items():
         sentence = re.sub(rf"\b{name}\b", name_in_text, sentence)
-    sentence = _POWER.sub(_power, sentence.strip().rstrip("."))
+    sentence = _POWER.sub(typeset_power, sentence.strip().rstrip("."))
     is_symbol = sentence.startswith(("phi", "mu_"))
     for name, letter in _LETTERS.items():
         sentence = re.sub(rf"\b{name}(?=\b|_)", letter, sentence)
     return f"{sentence if is_symbol else sentence[:1].upper() + sentence[1:]}."
 
 
-def _power(match: re.Match[str]) -> str:
-    sign = "-" if match[1] == "-" else ""
-    return f" \u00d7 10{(sign + match[2]).translate(SUPERSCRIPTS)}"
-
-
 def write_percent(share: float) -> str:
-    """Write a share with at least two digits, such as ``1.9 %``; empty for NaN.
+    """Write a share with two or three digits, such as ``1.9 %``; empty for NaN.
 
     Examples
     --------
@@ -125,19 +121,6 @@ def write_length(length: float) -> str:
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
 
 
-def choose_length_looks(lengths: Sequence[float]) -> dict[float, Look]:
-    """Give the samples of each length a colour and a dash that also differ in grey.
-
-    Parameters
-    ----------
-    lengths : m, in any order, with repetitions
-    """
-    return {
-        length: Look(_COLOURS[number % len(_COLOURS)], choose_dash(number))
-        for number, length in enumerate(sorted(set(lengths)))
-    }
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidationGroup:
     """Samples of one wire at one length, and the prediction of the model.
@@ -148,13 +131,13 @@ class ValidationGroup:
     length : free length, m
     is_calibrated : the samples were used for the calibration; else the model predicts them
     samples : first loading of each, by the name of its test
-    band : mean of the samples with its 95 % bands; with one sample a mean without bands
-    prediction : of the model, if any
-    mean_of : number of samples whose mean lies between `lower` and `upper` of the prediction
+    band : mean of the samples with its 95 % bands; one sample has no bands
+    prediction : of the model; None without one
+    mean_of : number of samples for whose mean `lower` and `upper` of the prediction hold
     errors : of the model against all points of the samples; None without a prediction
-    reason : why there is no prediction; else None
-    doubtful_deflection : m, beyond which the prediction is doubtful, because the rim of the
-        insulation leaves its linear range; infinite if it does not
+    reason : why there is no prediction; None with one
+    doubtful_deflection : m, beyond which the prediction is doubtful, because the strain at the rim
+        of the insulation exceeds its linear range; infinite if it does not
     """
 
     wire: str
@@ -170,21 +153,21 @@ class ValidationGroup:
 
     @property
     def is_sure(self) -> Flags:
-        """Return whether each point of the prediction is below the doubtful deflection."""
+        """Return whether each point of the prediction is up to `doubtful_deflection`, (n,)."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentShape:
-    """The shape of a sample at one deflection of its tip; arrays of x and y, m.
+    """Shape of a sample at one deflection of its tip; the columns of the arrays are x and y, m.
 
     Parameters
     ----------
     deflection : m, of the tip
-    markers : shape (markers, 2), as measured; NaN where a marker was not tracked
-    fit : shape (n, 2), curve fitted to the markers; empty without a fit
-    model : shape (m, 2), of the wire model; empty without one
+    markers : measured, shape (n_markers, 2); NaN where a marker was not tracked
+    fit : curve fitted to the markers, shape (n, 2); empty without a fit
+    model : of the wire model, shape (n, 2); empty without a model
     """
 
     deflection: float
@@ -204,8 +187,8 @@ class CalibrationReport:
     Parameters
     ----------
     calibration : of one wire
-    groups : wires and lengths that it is compared with, including its own
-    shapes : by sample and length, such as ``A2, 85 mm``
+    groups : wires and lengths with which the model is compared, those of the calibration included
+    shapes : of each sample by its name and length, such as ``A2, 85 mm``
     comparisons : external curves, compared with tests and model
     """
 
@@ -216,7 +199,7 @@ class CalibrationReport:
 
     @property
     def predictions(self) -> dict[float, Prediction]:
-        """Return the predictions for the tests that were used for the calibration, by length."""
+        """Return the predictions for the tests of the calibration, by length (m)."""
         return {
             group.length: group.prediction
             for group in self.groups
@@ -225,15 +208,20 @@ class CalibrationReport:
 
 
 _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
-"""Codes of notes that repeat the sentences of the parameters."""
+"""Codes of notes that repeat sentences on the parameters."""
 
 
 def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
-    """Write a parameter: its name, value, 95 % interval, unit and verdict.
+    """Write the name, value, 95 % interval, unit and verdict of a parameter.
 
     Parameters
     ----------
-    parameter : an interval open on one side is ``below ...`` or ``above ...``
+    parameter : of a calibration
+
+    Returns
+    -------
+    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``; several
+    parts are joined by ``or``; a dash stands for no interval, and the unit of a ratio is ``1``.
     """
     display = DISPLAYS[parameter.name]
     factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
@@ -255,7 +243,7 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
 
 
 def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
-    """Write each part of an interval with the digits that its width allows."""
+    """Write each part of an interval with the digits that its width supports."""
     last = len(parameter.intervals) - 1
     for number, part in enumerate(parameter.intervals):
         middle = min(max(parameter.value, part.lower), part.upper)
@@ -282,58 +270,43 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
     Returns
     -------
-    Sentences on each parameter, its prior, agreement with the tests, parameters that cannot be
-    identified separately, and notes.
+    Sentences on each parameter and its prior, on the agreement with the tests, the noise, the
+    parameters that are not identified separately, and the warnings.
     """
-    return [
-        *_parameter_sentences(calibration),
-        _agreement_sentence(calibration),
-        _noise_sentence(calibration),
-        *_separability_sentences(calibration),
-        *_note_sentences(calibration),
+    sentences = []
+    for parameter in calibration.parameters:
+        sentences.append(typeset(parameter.explanation))
+        if parameter.conflict is not None:
+            sentences.append(typeset(parameter.conflict.message))
+    sentences += [_describe_agreement(calibration), _describe_noise(calibration)]
+    for separability in (calibration.friction_separability, calibration.separability):
+        if separability is not None and not all(separability.are_identified.values()):
+            sentences.append(typeset(separability.explanation))
+    return sentences + [
+        f"Note: {typeset(note.message)}"
+        for note in calibration.notes
+        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO
     ]
 
 
-def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
-    for parameter in calibration.parameters:
-        yield typeset(parameter.explanation)
-        if parameter.conflict is not None:
-            yield typeset(parameter.conflict.message)
-
-
-def _agreement_sentence(calibration: Calibration) -> str:
-    rmse = SMALL_FORCE.factor * calibration.rmse
+def _describe_agreement(calibration: Calibration) -> str:
     counts = (
         write_count(calibration.n_points, "point"),
         write_count(len(calibration.curves), "curve"),
         write_count(calibration.n_samples, "sample"),
     )
-    return (
-        f"Model against all curves: RMSE {rmse:.3g} {SMALL_FORCE.unit}, "
-        f"{write_percent(calibration.rmse_share)} of the largest force, over {' of '.join(counts)}."
+    return format_sentence(
+        "report.agreement_with_curves",
+        rmse=SMALL_FORCE.factor * calibration.rmse,
+        share=write_percent(calibration.rmse_share),
+        counts=" of ".join(counts),
     )
 
 
-def _noise_sentence(calibration: Calibration) -> str:
+def _describe_noise(calibration: Calibration) -> str:
     levels = calibration.levels
     scatter = f"The force scatters by {write_percent(levels.scatter)} between samples"
     if levels.scatter_freedom == 0.0:
         scatter = "The scatter of the samples is not known"
-    return (
-        f"{scatter}; the gain of the load cell is uncertain by {write_percent(levels.gain)}; "
-        f"the noise is {levels.noise_factor:.2f} times the stated noise, and neighbouring points "
-        f"have a correlation of {levels.correlation:.2f}."
-    )
-
-
-def _separability_sentences(calibration: Calibration) -> Iterator[str]:
-    """Describe the separability of friction and of the parameters where some are not identified."""
-    for separability in (calibration.friction_separability, calibration.separability):
-        if separability is not None and not all(separability.are_identified.values()):
-            yield typeset(separability.explanation)
-
-
-def _note_sentences(calibration: Calibration) -> Iterator[str]:
-    for note in calibration.notes:
-        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO:
-            yield f"Note: {typeset(note.message)}"
+    gain = write_percent(levels.gain)
+    return format_sentence("report.noise_of_calibration", scatter=scatter, gain=gain, levels=levels)

@@ -1,4 +1,4 @@
-"""Workbook of a calibration: one sheet per question."""
+"""Workbook of a calibration of the wire model: one sheet per question."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _LENGTH = DEFLECTION.label("length")
 
 
 def make_sheets(report: CalibrationReport) -> list[Sheet]:
-    """Return all sheets of a calibration.
+    """Make all sheets of a calibration.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def make_sheets(report: CalibrationReport) -> list[Sheet]:
 
 
 def make_external_sheets(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
-    """Return the sheets of external curves.
+    """Make the sheets of external curves.
 
     Parameters
     ----------
-    comparisons : external curves compared with tests and model
+    comparisons : of external curves with tests and model
 
     Returns
     -------
@@ -140,14 +140,14 @@ def _yes(value: bool) -> str:
 
 def _parameter_record(parameter: CalibratedParameter) -> Record:
     display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
-    up, has_ends = display.scale.factor, interval is not None
+    factor, has_ends = display.scale.factor, interval is not None
     return {
         "parameter": typeset(display.name).rstrip("."),
         "name": parameter.name,
         "unit": display.scale.unit or "1",
-        "value": up * parameter.value,
-        "lower": None if interval is None else up * interval.lower,
-        "upper": None if interval is None else up * interval.upper,
+        "value": factor * parameter.value,
+        "lower": None if interval is None else factor * interval.lower,
+        "upper": None if interval is None else factor * interval.upper,
         "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
         "open below": _yes(parameter.is_open_below) if has_ends else "",
         "open above": _yes(parameter.is_open_above) if has_ends else "",
@@ -155,9 +155,9 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
         "degrees of freedom": parameter.freedom if has_ends else None,
         "verdict": parameter.verdict.value,
         "at bound": parameter.at_bound,
-        "prior, centre": None if conflict is None else up * conflict.centre,
+        "prior, centre": None if conflict is None else factor * conflict.centre,
         "prior, factor": None if conflict is None else conflict.factor,
-        "without the prior": None if conflict is None else up * conflict.alone,
+        "without the prior": None if conflict is None else factor * conflict.alone,
         "conflict (standard errors)": None if conflict is None else conflict.size,
         "contradicts": "" if conflict is None else _yes(conflict.contradicts),
         "source of prior or fixed value": (conflict or parameter).source,
@@ -167,7 +167,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
 
 
 def _solution_records(calibration: Calibration) -> Iterator[Record]:
-    """Yield the local minima of the objective that are not very unlikely, the best first."""
+    """Yield the solutions, which are local minima of the objective; the best first."""
     for number, solution in enumerate(calibration.solutions, start=1):
         values = {
             f"{DISPLAYS[name].name} ({DISPLAYS[name].scale.unit or '1'})": (
@@ -268,7 +268,10 @@ def _curve_record(curve: CurveAgreement) -> Record:
 
 
 def _note_records(report: CalibrationReport) -> list[Record]:
-    """List the notes of the calibration and its predictions, each wording once, worst first."""
+    """Make the records of all notes, the most severe first, and of what is identified separately.
+
+    A message that several predictions repeat is listed once.
+    """
     notes: dict[tuple[str, str], QualityNote] = {}
     for note in report.calibration.notes:
         notes["calibration", note.message] = note
@@ -283,12 +286,10 @@ def _note_records(report: CalibrationReport) -> list[Record]:
         (of, note.severity, note.where, note.message, note.code)
         for (of, _), note in sorted(notes.items(), key=lambda item: order.index(item[1].severity))
     ]
-    for told in (report.calibration.friction_separability, report.calibration.separability):
-        if told is not None:
-            names = ", ".join(told.names)
-            rows.append(
-                ("calibration", Severity.INFO, names, typeset(told.explanation), "told_apart")
-            )
+    for separability in (report.calibration.friction_separability, report.calibration.separability):
+        if separability is not None:
+            names, text = ", ".join(separability.names), typeset(separability.explanation)
+            rows.append(("calibration", Severity.INFO, names, text, "told_apart"))
     return [
         {"of": of, "kind": kind.value, "where": where, "what": what, "code": code}
         for of, kind, where, what, code in rows
@@ -296,7 +297,7 @@ def _note_records(report: CalibrationReport) -> list[Record]:
 
 
 def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
-    """Return the sheet of mean, model and samples of all groups, each at its own deflections."""
+    """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
     curves = list(map(_force_blocks, groups))
     rows, ends = stack_blocks(
         {f"{number} {name}": block
@@ -307,13 +308,13 @@ def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
         lines = [Line(name, ends[f"{number} {name}"], 3, 4) for name in blocks if blocks[name]]
         title = f"{group.wire}, {write_length(group.length)}"
         if lines:
-            across, up = DEFLECTION.label("Deflection"), FORCE.label("Force")
-            charts.append(Chart(title, across, up, lines))
+            labels = DEFLECTION.label("Deflection"), FORCE.label("Force")
+            charts.append(Chart(title, *labels, lines))
     return make_sheet(BOOK, "forces", rows, charts=charts)
 
 
 def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
-    """Return the rows of the mean, of the model, if any, and of each sample, by name."""
+    """Make the records of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
@@ -328,22 +329,22 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
     for test, sample in group.samples.items():
         curves[test] = (sample.displacement, sample.force)
     blocks = {}
-    for name, (across, *forces) in curves.items():
+    for name, (x, *forces) in curves.items():
         head: Record = {
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
-        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * across}
+        columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
         blocks[name] = make_records(head, columns)
     return blocks
 
 
 def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
-    """Write a calibration as an xlsx file.
+    """Write the workbook of a calibration as an xlsx file.
 
     Parameters
     ----------
-    report : of a calibration
+    report : of the calibration
     path : of the file
 
     Raises

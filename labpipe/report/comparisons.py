@@ -1,15 +1,17 @@
-"""Comparisons of groups that differ in one field alone, and the tables of differences."""
+"""Comparisons of groups that differ in one field alone: pairs, families, tables and sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import combinations, groupby
 from math import nan
 
+from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
+from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
 from labpipe.report.wording import (
@@ -27,7 +29,7 @@ from labpipe.statistics.group_fields import (
 )
 
 MAX_COMPARED_GROUPS = 6
-"""Groups in one figure: more curves could not be distinguished."""
+"""Largest number of groups in one figure, whose curves a reader can distinguish."""
 
 _OF_BUNDLES = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
@@ -38,12 +40,12 @@ _OF_BUNDLES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Two groups and their compared numbers.
+    """Two groups and their differences.
 
     Parameters
     ----------
-    first, second : in the order of the differences
-    differences : at least one
+    first, second : each difference is that of the second from the first
+    differences : one per number, at least one
     """
 
     first: Group
@@ -52,18 +54,18 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """Return the one field in which they differ; empty for several or none."""
+        """Return the field in which the groups differ; empty if it is not exactly one."""
         return self.differences[0].single_field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """Groups that all differ from each other in the same single field.
+    """Groups of which each pair differs in the same field alone.
 
     Parameters
     ----------
     field : in which they differ
-    groups : two to `MAX_COMPARED_GROUPS`, in order of the field
+    groups : two to `MAX_COMPARED_GROUPS`, in the order of the values of the field
     """
 
     field: str
@@ -71,7 +73,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return the value of the field of each group."""
+        """Return the value of the field in each group."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
@@ -82,7 +84,10 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
         (difference for difference in campaign.differences if difference.family),
         key=lambda difference: (difference.first, difference.second),
     )
-    return [Pair(groups[one], groups[two], tuple(differences)) for (one, two), differences in pairs]
+    return [
+        Pair(groups[first], groups[second], tuple(differences))
+        for (first, second), differences in pairs
+    ]
 
 
 def list_multi_field_differences(campaign: Campaign) -> list[Difference]:
@@ -105,47 +110,38 @@ def find_families(campaign: Campaign) -> list[Family]:
     """
     families: list[Family] = []
     for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
-        groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
-        sorted_groups = [groups[key] for key in _sort_names(groups, name)]
-        families += [
-            Family(name, part)
-            for clique in _cliques(sorted_groups, set(linked))
-            for part in _parts(clique)
-        ]
+        pairs_of_field = list(pairs)
+        groups = {
+            group.name: group for pair in pairs_of_field for group in (pair.first, pair.second)
+        }
+        values = {key: group.fields.get(name, "") for key, group in groups.items()}
+        order = sorted(groups, key=lambda key: make_field_sort_key(name, values[key]))
+        linked = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
+        for names in _find_cliques(order, linked):
+            first, *others = (groups[key] for key in names)
+            families += [
+                Family(name, (first, *part))
+                for part in split_pages(others, MAX_COMPARED_GROUPS - 1)
+            ]
     return families
 
 
-def _sort_names(groups: Mapping[str, Group], field: str) -> list[str]:
-    return sorted(
-        groups, key=lambda name: make_field_sort_key(field, groups[name].fields.get(field, ""))
-    )
-
-
-def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[list[Group]]:
+def _find_cliques(names: Sequence[str], linked: set[frozenset[str]]) -> Iterator[list[str]]:
     """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
-    both = linked | {(two, one) for one, two in linked}
-    covered: set[tuple[str, str]] = set()
-    for number, first in enumerate(groups):
-        for second in groups[number + 1 :]:
-            if (first.name, second.name) not in both - covered:
-                continue
-            members = [first, second]
-            for other in groups:
-                if other not in members and all((other.name, one.name) in both for one in members):
-                    members.append(other)
-            covered |= {(one.name, two.name) for one in members for two in members}
-            yield [group for group in groups if group in members]
-
-
-def _parts(groups: Sequence[Group]) -> Iterator[tuple[Group, ...]]:
-    first, rest = groups[0], groups[1:]
-    for start in range(0, len(rest), MAX_COMPARED_GROUPS - 1):
-        yield first, *rest[start : start + MAX_COMPARED_GROUPS - 1]
+    covered: set[frozenset[str]] = set()
+    for pair in combinations(names, 2):
+        if frozenset(pair) not in linked - covered:
+            continue
+        members = set(pair)
+        for name in names:
+            if all(frozenset((name, member)) in linked for member in members - {name}):
+                members.add(name)
+        covered |= set(map(frozenset, combinations(members, 2)))
+        yield [name for name in names if name in members]
 
 
 def name_field(field: str) -> str:
-    """Name a field in words, such as ``Taping``."""
+    """Write the name of a field as a heading, such as ``Taping``."""
     return field.replace("_", " ").capitalize()
 
 
@@ -158,7 +154,7 @@ def describe_pair(pair: Pair) -> str:
 
     Returns
     -------
-    Such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
+    Text such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
     """
     before, after = pair.differences[0].fields[pair.field]
     alike = describe_equal_fields((pair.first, pair.second), pair.field)
@@ -189,7 +185,7 @@ def _field_names(group: Group) -> set[str]:
 def describe_context(groups: Sequence[Group], field: str) -> str:
     """List the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
 
-    Sizes of the section are left out: the type or the conduit implies them.
+    The list omits sizes of the section, which follow from the type or the conduit.
     """
     alike = {
         name: word
@@ -218,15 +214,15 @@ _HEADS = ("Number", "Difference (95 %, corrected)", "Irrelevant below", "Verdict
 
 
 def make_pair_table(pair: Pair) -> Table:
-    """Return the table of a pair that differs in one field alone.
+    """Make the table of a pair that differs in one field alone.
 
     Parameters
     ----------
-    pair : its comparison is the title
+    pair : its description is the caption
 
     Returns
     -------
-    A row per number; caveats against the comparison are below the table.
+    A row per number; its notes are the caveats of the comparison.
     """
     rows = tuple(_row(difference, find_display(pair.first)) for difference in pair.differences)
     caveats = dict.fromkeys(
@@ -236,7 +232,7 @@ def make_pair_table(pair: Pair) -> Table:
 
 
 def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
-    """Return comparison, verdict, difference and counts of a pair for its first main number.
+    """Make the cells of a pair: comparison, verdict, difference and counts of its first number.
 
     Parameters
     ----------
@@ -246,22 +242,21 @@ def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     before, after = difference.fields[pair.field]
     alike = describe_context((pair.first, pair.second), pair.field)
     shift = _difference_words(difference, find_display(pair.first))
+    means = (
+        {number.name: number.mean for number in group.numbers}.get(difference.name)
+        for group in (pair.second, pair.first)
+    )
+    counts = ("0" if mean is None else str(mean.chosen.n) for mean in means)
     return (
         Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
         Cell(f"{write_heading(difference.name, '1')} {shift}"),
-        Cell(" v ".join(_count(group, difference.name) for group in (pair.second, pair.first))),
+        Cell(" v ".join(counts)),
     )
 
 
-def _count(group: Group, name: str) -> str:
-    """Return the number of values of a mean."""
-    mean = next((number.mean for number in group.numbers if number.name == name), None)
-    return "0" if mean is None else str(mean.chosen.n)
-
-
 def _difference_words(difference: Difference, display: Mapping[str, str]) -> str:
-    """Write a difference and its corrected interval, or why it has none, in percent or its unit."""
+    """Write a difference in per cent or in its unit, with its corrected interval, if any."""
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     is_beyond = False
     if difference.share is None:
@@ -301,7 +296,7 @@ def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]
 
 
 def describe_fields(difference: Difference) -> str:
-    """List the differing fields of two groups, such as ``taping: half-lap against none``."""
+    """List the fields in which two groups differ, such as ``taping: half-lap against none``."""
     return "; ".join(
         f"{name.replace('_', ' ')}: {after} against {before}"
         for name, (before, after) in difference.fields.items()
@@ -309,24 +304,25 @@ def describe_fields(difference: Difference) -> str:
 
 
 def list_pair_remarks(campaign: Campaign) -> list[str]:
-    """Describe the pairs that the page does not show."""
-    lines = []
+    """List remarks on pairs of groups that the page does not show, or that have no verdict."""
+    remarks = []
     if campaign.compared:
         name = campaign.compared.replace("_", " ")
         if not campaign.differences:
-            lines.append(f"No two groups differ in {name} alone.")
-        lines.append(
-            f"Only pairs of groups that differ in {name} alone are shown (--compare"
-            f" {campaign.compared}); {_count_pairs(campaign.pairs_not_shown)} left out."
+            remarks.append(format_sentence("report.no_pair_differs", field=name))
+        remarks.append(
+            format_sentence(
+                "report.pairs_left_out",
+                field=name,
+                option=campaign.compared,
+                pairs=_count_pairs(campaign.pairs_not_shown),
+            )
         )
     multi_field = list_multi_field_differences(campaign)
     if multi_field:
-        count = len({(difference.first, difference.second) for difference in multi_field})
-        lines.append(
-            f"{_count_pairs(count)} not judged because the groups differ in several fields at once:"
-            " see the sheet 'comparisons' of tables.xlsx."
-        )
-    return lines
+        pairs = _count_pairs(len({(pair.first, pair.second) for pair in multi_field}))
+        remarks.append(format_sentence("report.pairs_without_verdict", pairs=pairs))
+    return remarks
 
 
 def _count_pairs(count: int) -> str:

@@ -1,14 +1,16 @@
-"""Page of a figure: size, style, texts, key of all that is drawn, sentence of an empty panel."""
+"""Pages of figures: their style, size, title, key and footnote, and their files."""
 
 from __future__ import annotations
 
 import base64
 import math
 import textwrap
+import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from labpipe.errors import StoreError
-from labpipe.report.wording import replace_unprintable, shorten
+from labpipe.report.wording import replace_unprintable, shorten, write_footnote, write_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,19 +26,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+    from labpipe.records.result import TestResult
+
 
 T = TypeVar("T")
 
 _STYLE, _JOURNAL = (Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal"))
 DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
-"""mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
+"""Width of a page, mm: 9 pt become 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
-RED = "#b2182b"
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _EDGE = 0.012
-"""Left edge of texts, of the width of the page."""
-DASHED, DOTTED = (0, (4, 1.6)), (0, (1, 1.5))
+"""Left edge of texts, as a share of the width of the page."""
+DASHED = (0, (4, 1.6))
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
     (0, (3, 1, 1, 1, 1, 1)),
@@ -50,9 +53,35 @@ class Look(NamedTuple):
     linestyle: Any
 
 
+def read_look(name: str, **more: Any) -> dict[str, Any]:
+    """Read the look of a line, an area or a mark.
+
+    Parameters
+    ----------
+    name : in ``looks.toml``
+    more : further settings of matplotlib; they replace those of the file
+
+    Raises
+    ------
+    KeyError
+        If the file has no such look.
+    """
+    return {**_read_looks()[name], **more}
+
+
+@cache
+def _read_looks() -> dict[str, dict[str, Any]]:
+    looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
+    for look in looks.values():
+        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
+            offset, lengths = look["linestyle"]
+            look["linestyle"] = (offset, tuple(lengths))
+    return looks
+
+
 @contextmanager
 def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in labpipe's style inside this block, without global changes.
+    """Draw and save in the style of labpipe inside this block, without global changes.
 
     Parameters
     ----------
@@ -61,8 +90,8 @@ def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False)
 
     Notes
     -----
-    Matplotlib's warning about a glyph missing from all fonts is suppressed: the figure shows a box,
-    and summary, page and workbook have the full name.
+    Matplotlib's warning about a letter that is missing from all fonts is suppressed: the figure
+    shows a box instead; summary, page and workbook have the letter.
     """
     import matplotlib as mpl
 
@@ -80,11 +109,11 @@ def make_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
 
     Parameters
     ----------
-    height_mm, width_mm : mm on paper, of its panels; `add_title` adds room for texts
+    height_mm, width_mm : size of the panels on paper, mm; `add_title` adds room for texts
 
     Returns
     -------
-    A figure without axes, laid out when it is drawn.
+    A figure without axes.
     """
     from matplotlib.figure import Figure
 
@@ -92,19 +121,19 @@ def make_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
 
 
 def add_title(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Figure:
-    """Write title, footnote and the key of all labelled artists; the page grows by key and note.
+    """Add the title, a footnote and a key of all labelled artists to a page.
 
     Parameters
     ----------
-    page : with everything drawn; panels with a key of their own are left out of the key, and
-        several panels with a heading get letters
+    page : with everything drawn
     title : one line
-    note : footnote, whose paragraphs are broken into lines here; may be empty
-    columns : of the key; as many as fit if 0
+    note : footnote, broken into lines here; may be empty
+    columns : of the key; 0 for as many as fit
 
     Returns
     -------
-    The same page.
+    The same page, higher by key and footnote. Several panels with a heading have letters; panels
+    with a legend of their own are not in the key.
     """
     import matplotlib as mpl
 
@@ -137,10 +166,16 @@ def add_title(page: Figure, title: str, note: str = "", *, columns: int = 0) -> 
 
 
 def make_empty_page(title: str, reason: str, note: str = "", *, width_mm: float = WIDTH) -> Figure:
-    """Make a page that says why it shows nothing."""
+    """Make a page that gives the reason why it shows nothing."""
     page = make_page(height_mm=40.0, width_mm=width_mm)
     write_reason(page.subplots(), reason)
     return add_title(page, title, note)
+
+
+def make_reason_page(result: TestResult, reason: str) -> Figure:
+    """Make the page of a test that gives the reason why it shows nothing."""
+    title, note = write_title(result), write_footnote(result)
+    return make_empty_page(title, reason, note, width_mm=DOUBLE_COLUMN)
 
 
 def _labelled_artists(panels: Iterable[Axes]) -> dict[str, Any]:
@@ -160,7 +195,7 @@ def _letter_panels(panels: Iterable[Axes]) -> None:
 
 
 def _width_mm(text: str) -> float:
-    """Return the width of a text of a key on paper, mm."""
+    """Return the width of a label of the key on paper, mm."""
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
@@ -171,7 +206,7 @@ def _width_mm(text: str) -> float:
 
 
 def _key_columns(lengths: Sequence[float], room: float) -> int:
-    """Return the columns of a key: one line if all fits, else as the longest label allows."""
+    """Return the number of columns of a key that fit beside each other into a room, mm."""
     handle_mm = 11.8  # sample of a line with its gaps
     widths = [handle_mm + length for length in lengths]
     if sum(widths) <= room:
@@ -181,11 +216,11 @@ def _key_columns(lengths: Sequence[float], room: float) -> int:
 
 
 def finish_layout(page: Figure) -> None:
-    """Lay out a page permanently, with shortened and printable texts.
+    """Lay out a page and fix its layout; shorten its texts and replace unprintable characters.
 
     Parameters
     ----------
-    page : its texts are measured as in SVG, so that the layout is the same for pixels
+    page : drawn; its texts are measured for SVG, so that a PNG has the same layout
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -206,7 +241,7 @@ def fix_fonts(page: Figure) -> Figure:
 
     Returns
     -------
-    The same page, with named fonts, and an image for notebooks.
+    The same page, with the names of installed fonts, and an image for notebooks.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
@@ -215,8 +250,8 @@ def fix_fonts(page: Figure) -> Figure:
     installed = {font.name for font in fontManager.ttflist}
     settings: Any = mpl.rcParams
     families = settings["font.family"]
-    named = [font for family in families for font in settings[f"font.{family}"]]
-    fonts = [font for font in named if font in installed]
+    wanted = [font for family in families for font in settings[f"font.{family}"]]
+    fonts = [font for font in wanted if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
     page.set_dpi(120)
@@ -232,7 +267,7 @@ def _as_png(page: Figure) -> bytes:
 
 
 def _fit_texts(page: Figure) -> None:
-    """Shorten long texts to leave room for panels; page and workbook have the full names."""
+    """Shorten long texts, which would leave no room for panels, and make all printable."""
     max_tick_length, max_line_length = 40, 150
     from matplotlib.ticker import FixedLocator
 
@@ -258,7 +293,7 @@ def _axis_objects(page: Figure) -> Iterator[Axis]:
 
 
 def _texts(page: Figure) -> Iterator[Text]:
-    """Yield all texts but those of ticks, which are made on demand."""
+    """Yield all texts except tick labels, which matplotlib makes on demand."""
     from matplotlib.legend import Legend
     from matplotlib.text import Text
 
@@ -272,24 +307,25 @@ def _texts(page: Figure) -> Iterator[Text]:
 
 
 def write_reason(axes: Axes, sentence: str, line_length: int = 60) -> None:
-    """Write into an empty panel why it is empty."""
+    """Write into an empty panel the reason why it is empty."""
     axes.set_axis_off()
     text = textwrap.fill(sentence, line_length)
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
 
 
 def add_key(axes: Axes, label: str, *, is_area: bool = False, **look: Any) -> None:
-    """Add an entry to the key that no single artist stands for."""
+    """Add an entry to the key without drawing anything."""
     draw: Any = axes.fill if is_area else axes.plot
     draw([], [], label=label, **look)
 
 
 def label_log_axis(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers: at 1, 2 and 5 for few decades, else at 1.
+    """Label a logarithmic axis with plain numbers.
 
     Parameters
     ----------
-    axis : logarithmic, with its limits set
+    axis : logarithmic, with its limits set; up to a ratio of 500 it has ticks at 1, 2 and 5 of
+        each decade, else at 1
     """
     few_decades_ratio = 500.0
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -302,7 +338,7 @@ def label_log_axis(axis: Axis) -> None:
 
 
 def list_style_colours() -> list[str]:
-    """Return the colours of the style."""
+    """List the colours of the current style."""
     import matplotlib as mpl
 
     colours: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
@@ -310,12 +346,12 @@ def list_style_colours() -> list[str]:
 
 
 def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
-    """Return colours of the style's colour map for steps in order.
+    """Return equally spaced colours of the colour map of the current style.
 
     Parameters
     ----------
-    count : of colours
-    end : last one, as a share of the colour map
+    count : number of colours
+    end : place of the last one, as a share of the colour map
     """
     import matplotlib as mpl
     from matplotlib.colors import to_hex
@@ -325,10 +361,10 @@ def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
 
 
 def choose_line_looks(count: int) -> list[Look]:
-    """Give each line a colour and a dash that also differ in grey."""
+    """Choose a colour and a dash for each line; no two lines have the same pair."""
     colours = list_style_colours()
     return [
-        # the dash changes where the colours repeat, so that each pair is unique
+        # one more step of the dash whenever the colours repeat, so that no pair repeats
         Look(colours[number % len(colours)], choose_dash(number + number // len(colours)))
         for number in range(count)
     ]
@@ -344,9 +380,9 @@ def make_panels(page: Figure, count: int, *, columns: int, sharey: bool = False)
 
     Parameters
     ----------
-    page : they are put on
+    page : empty
     count : of panels, at least one
-    columns : at most
+    columns : largest number of panels in a row
     sharey : use one vertical axis for all
     """
     columns = min(columns, count)
@@ -358,17 +394,17 @@ def make_panels(page: Figure, count: int, *, columns: int, sharey: bool = False)
 
 
 def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
-    """Split items into pages."""
+    """Split items into pages of at most `max_items`."""
     return [items[start : start + max_items] for start in range(0, len(items), max_items)]
 
 
 def require_room(count: int, max_count: int, what: str) -> None:
-    """Raise an error if a page is empty or overfull.
+    """Raise an error if a page would be empty or overfull.
 
     Raises
     ------
     ValueError
-        With the number and the allowed range.
+        If `count` is not from 1 to `max_count`.
     """
     if not 1 <= count <= max_count:
         message = f"{what}: expected 1 to {max_count} on a page, found {count}"
@@ -407,17 +443,17 @@ def save_pages(
     dpi: int = 300,
     is_journal: bool = False,
 ) -> list[Path]:
-    """Draw figures in labpipe's style, each as SVG, and as PNG and PDF on request.
+    """Draw figures in the style of labpipe and write each as SVG, on request as PNG and PDF.
 
     Parameters
     ----------
-    wanted : each is drawn and released before the next
-    folder : made if it is not there
-    say : called with the name of each figure as it is drawn
+    wanted : each figure is drawn and released before the next
+    folder : made if it does not exist
+    say : called with the name of each figure before it is drawn
     run : key of the run of the figures, written to SVG and PNG; may be empty
-    png, pdf : each as PNG or PDF, too; the SVG is identical
-    dpi : of the PNG, dots per inch
-    is_journal : serif letters and the colours of journals, instead of the look of the page
+    png, pdf : write each as PNG or PDF, too; the SVG does not depend on it
+    dpi : dots per inch of the PNG
+    is_journal : serif letters and colours of journals, instead of the look of the page
 
     Returns
     -------
@@ -442,7 +478,7 @@ def save_pages(
 
 
 def list_pngs(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
-    """Return the names of the PNGs of figures, which are out of date after an earlier run.
+    """List the PNG files of figures in a folder, which an earlier run may have left.
 
     Parameters
     ----------
@@ -454,17 +490,17 @@ def list_pngs(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
 
 @contextmanager
 def writing(path: Path, what: str) -> Iterator[None]:
-    """Report a file or folder that cannot be written, with a remedy.
+    """Turn errors of writing inside this block into one that names the file and a remedy.
 
     Parameters
     ----------
-    path : written inside this block
-    what : name of the files
+    path : of the file or folder that the block writes
+    what : noun of the message, such as ``figures``
 
     Raises
     ------
     StoreError
-        Instead of errors of the operating system.
+        Instead of an `OSError`.
     """
     try:
         yield
@@ -479,11 +515,15 @@ def save_page(
 
     Parameters
     ----------
-    wanted : figure, with the texts of its files
-    folder : existing
+    wanted : figure with its caption and alternative text
+    folder : exists
     run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
     dpi : of the PNG; None for no PNG
     is_pdf : write a PDF, too
+
+    Returns
+    -------
+    The files: SVG, PNG, PDF.
 
     Raises
     ------
@@ -498,16 +538,16 @@ def save_page(
     finish_layout(page)
     svg, png, pdf = (folder / f"{wanted.name}.{ending}" for ending in FORMATS)
     title, description = replace_unprintable(wanted.alt), replace_unprintable(wanted.caption)
-    stated = {"Title": title, "Description": description, "Identifier": run}
-    told = {name: text for name, text in stated.items() if text}
+    texts = {"Title": title, "Description": description, "Identifier": run}
+    metadata = {"Date": None, **{name: text for name, text in texts.items() if text}}
     vector: Any = FigureCanvasSVG(page)
-    vector.print_svg(str(svg), metadata={"Date": None, **told})
+    vector.print_svg(str(svg), metadata=metadata)
     files = [svg]
     if dpi is not None:
         page.set_dpi(dpi)
         pixels: Any = FigureCanvasAgg(page)
-        about = {"Software": None, "run": run or None}
-        pixels.print_png(str(png), metadata=about, pil_kwargs={"compress_level": 3})
+        metadata = {"Software": None, "run": run or None}
+        pixels.print_png(str(png), metadata=metadata, pil_kwargs={"compress_level": 3})
         files.append(png)
     if is_pdf:
         paper: Any = FigureCanvasPdf(page)

@@ -1,4 +1,4 @@
-"""Figures of one test by their names in protocols; those of its curve, its law and its clocks."""
+"""Figures of one test by their names in protocols: its curve, its measured law, its clocks."""
 
 from __future__ import annotations
 
@@ -22,21 +22,20 @@ from labpipe.records.curve import (
     Interval,
     MeasuredLaw,
 )
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.budget_figures import draw_budget
 from labpipe.report.figure_page import (
-    DASHED,
     DOUBLE_COLUMN,
     GREY,
-    RED,
     FigureToSave,
     add_key,
     add_title,
     finish_layout,
     fix_fonts,
     list_style_colours,
-    make_empty_page,
     make_page,
+    make_reason_page,
+    read_look,
     sample_colour_map,
     save_pages,
     style,
@@ -45,19 +44,18 @@ from labpipe.report.figure_page import (
 from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.plot_records import find_extremes
 from labpipe.report.wording import (
-    Scale,
-    choose_unit,
     explain_missing,
     find_last_place,
+    find_unit,
+    find_units,
     round_to_place,
-    typeset_unit,
     write_count,
     write_footnote,
     write_label,
     write_number,
     write_title,
 )
-from labpipe.statistics.lots import FORCE_LIMIT
+from labpipe.statistics.lots import FORCE_LIMIT, find_result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,12 +63,17 @@ if TYPE_CHECKING:
 
 
 def is_as_recorded(result: TestResult, *names: str) -> bool:
-    """Return whether the curve of a test has the samples that were recorded.
+    """Return whether the curve of a test equals its aligned series sample by sample.
 
     Parameters
     ----------
-    result : its curve is compared with its aligned series
-    names : ``force``, ``displacement``; without aligned series to compare with, they are not
+    result : with a curve and aligned series
+    names : of the signals to compare, ``force`` or ``displacement``
+
+    Returns
+    -------
+    False also if the curve or one of the series is missing, or the curve is NaN throughout.
+    Samples that are NaN in one of them are not compared.
     """
     rounding_share = 1e-9  # of the range of the signal
     series = result.aligned.series if result.aligned is not None else {}
@@ -87,12 +90,12 @@ def is_as_recorded(result: TestResult, *names: str) -> bool:
 
 
 _MAX_CYCLE_COLOURS = 6
-"""Cycles in a key; more cycles get a colour bar."""
+"""Cycles that the key lists; more cycles have a colour bar."""
 _STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: (0, (4, 1.6))}
 
 
 def draw_force_displacement(result: TestResult) -> Figure:
-    """Draw (a) the calibrated samples as recorded and (b) the curve, in one panel if equal."""
+    """Draw the aligned samples and the curve beside them, or one panel if they are equal."""
     if is_as_recorded(result, "force", "displacement"):
         page = make_page(height_mm=82)
         panels = [page.subplots()]
@@ -115,21 +118,22 @@ def draw_force_displacement(result: TestResult) -> Figure:
 
 def _draw_limit(result: TestResult, panels: list[Axes]) -> None:
     """Draw the smallest force allowed, if the protocol asks for one."""
-    limit = _value(result, FORCE_LIMIT)
-    look: dict[str, Any] = {"color": RED, "linewidth": 0.9, "linestyle": DASHED}
-    for axes in panels if limit is not None else ():
-        axes.axhline((limit or 0.0) * _scales(result)[1].factor, **look)
-        add_key(axes, "smallest force allowed", **look)
+    limit = find_result(result.results, FORCE_LIMIT)
+    if limit is None or limit.value is None:
+        return
+    for axes in panels:
+        axes.axhline(limit.value * find_unit(result.display, "force").factor, **read_look("limit"))
+        add_key(axes, "smallest force allowed", **read_look("limit"))
 
 
 def plot_raw(result: TestResult, axes: Axes) -> None:
-    """Draw the unfiltered force against the unfiltered displacement, unloading dashed.
+    """Draw the aligned force against the aligned displacement, unloading dashed.
 
     Parameters
     ----------
-    result : its aligned series ``force`` and ``displacement`` are drawn, coloured by cycle between
-        the turning points of the curve, or in one colour without a curve
-    axes : to draw on; an explaining sentence if there are no such series
+    result : its series are coloured by cycle between the turning points of the curve; without a
+        curve they are grey
+    axes : to draw on; without these series, a sentence says so
     """
     aligned = result.aligned
     if aligned is None or not {"force", "displacement"} <= set(aligned.series):
@@ -147,18 +151,18 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
 
 
 def plot_filtered(result: TestResult, axes: Axes) -> None:
-    """Draw the curve: loading solid, unloading dashed, the peak of each cycle marked.
+    """Draw the curve: loading solid, unloading dashed, with a mark at the peak of each cycle.
 
     Parameters
     ----------
-    result : its curve is drawn
-    axes : to draw on; an explaining sentence if there is no curve
+    result : with a curve
+    axes : to draw on; without a curve, a sentence says so
     """
     curve = result.curve
     if curve is None:
         write_reason(axes, explain_missing(result, "curve"))
         return
-    # one sample more: the lines of two branches meet
+    # with one sample more, the lines of neighbouring branches meet
     parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
     _plot_branches(result, axes, curve.displacement, curve.force, parts)
     _mark_peaks(result, axes, curve)
@@ -167,7 +171,7 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
 def _plot_branches(
     result: TestResult, axes: Axes, x: Floats, y: Floats, parts: list[slice], **look: Any
 ) -> None:
-    """Draw the branches of a test in the colours of their cycles; without branches all in grey."""
+    """Draw the branches of a test in the colours of their cycles; without branches, a grey line."""
     max_grey_bins = 4000
     branches = _branches(result)
     count = max((branch.cycle for branch in branches), default=0)
@@ -175,13 +179,13 @@ def _plot_branches(
     if not branches:
         _plot(result, axes, x, y, bins=max_grey_bins, color=GREY, linewidth=0.5)
     for branch, part in zip(branches, parts, strict=True):
-        named: dict[str, Any] = {"label": f"cycle {branch.cycle}"} if has_names else {}
+        label = f"cycle {branch.cycle}" if has_names else None
         dash = _STYLES[branch.direction]
         colour = colours[branch.cycle - 1]
-        _plot(result, axes, x[part], y[part], color=colour, linestyle=dash, **named, **look)
-    ways = {branch.direction for branch in branches}
-    for direction in _STYLES if count > 1 or len(ways) > 1 else ():
-        if direction in ways:
+        _plot(result, axes, x[part], y[part], color=colour, linestyle=dash, label=label, **look)
+    directions = {branch.direction for branch in branches}
+    for direction in _STYLES if count > 1 or len(directions) > 1 else ():
+        if direction in directions:
             colour = GREY if count > 1 else colours[0]
             add_key(axes, str(direction), color=colour, linestyle=_STYLES[direction])
     _label_axes(result, axes)
@@ -196,33 +200,33 @@ def _plot(
 ) -> None:
     """Draw a thinned line of force against displacement, in SI, in the display units."""
     rows = find_extremes(y, bins=bins)
-    across, up = _scales(result)
-    axes.plot(x[rows] * across.factor, y[rows] * up.factor, **look)
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
+    axes.plot(x[rows] * x_unit.factor, y[rows] * y_unit.factor, **look)
 
 
 def _label_axes(result: TestResult, axes: Axes) -> None:
-    across, up = _scales(result)
-    axes.set(xlabel=across.label("Displacement"), ylabel=up.label("Force"))
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
+    axes.set(xlabel=x_unit.label("Displacement"), ylabel=y_unit.label("Force"))
     axes.locator_params(axis="x", nbins=7)
 
 
 def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
     """Mark the highest force of each cycle with an open triangle."""
-    across, up = _scales(result)
-    look: dict[str, Any] = {"marker": "v", "markerfacecolor": "white", "linestyle": ""}
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
     colours = choose_cycle_colours(int(curve.cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((curve.cycle == number) & ~np.isnan(curve.force))
         if len(inside):
             top = inside[np.argmax(curve.force[inside])]
-            x, y = curve.displacement[top] * across.factor, curve.force[top] * up.factor
-            axes.plot(x, y, color=colour, **look)
+            x, y = curve.displacement[top] * x_unit.factor, curve.force[top] * y_unit.factor
+            axes.plot(x, y, **read_look("peak", color=colour))
     if curve.branches:
-        add_key(axes, "peak", color=GREY if len(colours) > 1 else colours[0], **look)
+        colour = GREY if len(colours) > 1 else colours[0]
+        add_key(axes, "peak", **read_look("peak", color=colour))
 
 
 def choose_cycle_colours(count: int) -> list[str]:
-    """Return the colour of each cycle: of the style for a few, of a colour map for many."""
+    """Return a colour per cycle: those of the style for up to six cycles, else of a colour map."""
     return (
         list_style_colours()[:count]
         if count <= _MAX_CYCLE_COLOURS
@@ -242,14 +246,11 @@ def _draw_colour_bar(page: Figure, panels: list[Axes], count: int) -> None:
 
 
 def draw_stiffness_lines(result: TestResult) -> Figure:
-    """Draw the first loading branch with the lines fitted for stiffness."""
+    """Draw the first loading branch with the lines fitted for stiffness, slips and failure."""
     branches = _branches(result)
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if result.curve is None or first is None:
-        reason = explain_missing(result, "loading branch")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "loading branch"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     _plot_loading(result, result.curve, slice(first.start, first.stop), axes)
@@ -263,88 +264,62 @@ def _plot_loading(result: TestResult, curve: Curve, part: slice, axes: Axes) -> 
     """Draw a loading branch, and the measured one if slips were repaired."""
     loading_bins = 1500
     x, force = curve.displacement[part], curve.force[part]
-    measured: dict[str, Any] = {"color": GREY, "linestyle": DASHED, "linewidth": 0.6}
     if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
         before = result.aligned.series["force"].values[part]
-        _plot(result, axes, x, before, bins=loading_bins, label="as measured", **measured)
-    _plot(result, axes, x, force, bins=loading_bins, label="loading", color="C0", linewidth=0.9)
+        _plot(result, axes, x, before, bins=loading_bins, **read_look("as_measured"))
+    _plot(result, axes, x, force, bins=loading_bins, **read_look("loading"))
 
 
 def _plot_lines(result: TestResult, axes: Axes) -> None:
-    """Draw each fitted line over its window: broad and pale, dotted for segments."""
-    across, up = _scales(result)
+    """Draw each fitted line over its window: a broad pale line, or a dotted one for a segment."""
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
     names = list(dict.fromkeys(line.result for line in result.lines))
     windows = [name for name in names if not name.startswith("segment")]
     colours = list_style_colours()[1:]  # the first is that of the curve
     for line in result.lines:
         x = np.array([line.start, line.stop])
         y = line.level + line.slope * (x - line.start)
-        look: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.6))}
+        look = read_look("fitted_segment")
         if line.result in windows:
             colour = colours[windows.index(line.result) % len(colours)]
-            look = {"color": colour, "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt"}
+            look = read_look("fit_window", color=colour)
         label = _describe_slope(result, line)
-        axes.plot(x * across.factor, y * up.factor, label=label, zorder=4, **look)
+        axes.plot(x * x_unit.factor, y * y_unit.factor, label=label, **look)
 
 
 def _describe_slope(result: TestResult, line: FittedLine) -> str:
     """Write the name and the slope of a line, with the interval of the result, if any."""
-    stiffness = choose_unit(result, "stiffness", "N/m")
-    fitted = _result(result, line.result)
+    stiffness = find_unit(result.display, "stiffness")
+    fitted = next((number for number in result.results if number.name == line.result), None)
     slope, ends = line.slope, None
     if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
         slope, ends = fitted.value, fitted.interval
     number = write_number(slope, ends, stiffness.factor).text
-    return f"{write_label(line.result)}: {number} {typeset_unit(stiffness.unit)}"
+    return f"{write_label(line.result)}: {number} {stiffness.unit}"
 
 
 def _mark_points(result: TestResult, axes: Axes) -> None:
     """Mark break point, kink, onset of a plateau, slips and failure."""
-    across, up = _scales(result)
-    for name, label, dashes in (
-        ("break_point", "break point", ":"),
-        ("kink_displacement", "kink", ":"),
-        ("plateau_displacement", "onset of plateau", (0, (8, 2))),
-    ):
-        place = _value(result, name)
-        if place is not None:
-            look: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": dashes}
-            axes.axvline(place * across.factor, label=label, **look)
-    slip_look: dict[str, Any] = {"color": RED, "linewidth": 0.6, "linestyle": (0, (5, 2))}
+    x_unit, y_unit = find_units(result.display, "displacement", "force")
+    values = {number.name: number.value for number in result.results}
+    for name in ("break_point", "kink_displacement", "plateau_displacement"):
+        position = values.get(name)
+        if position is not None:
+            axes.axvline(position * x_unit.factor, **read_look(name))
     for slip in result.slips:
-        label = f"slip, {result.slips[0].decision}"
-        axes.axvline(slip.position * across.factor, label=label, **slip_look)
-    at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
-    if at is not None and force is not None:
-        x, y = at * across.factor, force * up.factor
-        axes.plot(x, y, color=RED, marker="x", linestyle="", label="failure")
-
-
-def _result(result: TestResult, name: str) -> Result | None:
-    return next((entry for entry in result.results if entry.name == name), None)
-
-
-def _value(result: TestResult, name: str) -> float | None:
-    entry = _result(result, name)
-    return None if entry is None else entry.value
-
-
-def _scales(result: TestResult) -> tuple[Scale, Scale]:
-    return choose_unit(result, "displacement", "m"), choose_unit(result, "force", "N")
-
-
-_BAND: dict[str, Any] = {"color": "black", "alpha": 0.18, "lw": 0}
-_NOISE: dict[str, Any] = {"color": "#e6e6e6", "lw": 0, "zorder": 0}
+        look = read_look("slip_position", label=f"slip, {result.slips[0].decision}")
+        axes.axvline(slip.position * x_unit.factor, **look)
+    displacement, force = values.get("failure_displacement"), values.get("failure_force")
+    if displacement is not None and force is not None:
+        x, y = displacement * x_unit.factor, force * y_unit.factor
+        axes.plot(x, y, **read_look("failure_point"))
 
 
 def draw_moment_curvature(result: TestResult) -> Figure:
-    """Draw (a) the cloud of all branches with the law and (b) the law's stiffnesses."""
+    """Draw (a) the moments of all branches with the law and (b) the stiffness of the law."""
     bending = result.bending
     if bending is None:
-        reason = explain_missing(result, "measured moment-curvature")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "measured moment-curvature"))
     page = make_page(height_mm=92, width_mm=DOUBLE_COLUMN)
     cloud, stiffness = page.subplots(1, 2)
     _plot_cloud(result, bending, cloud)
@@ -358,39 +333,40 @@ def draw_moment_curvature(result: TestResult) -> Figure:
 
 
 def _plot_cloud(result: TestResult, bending: Bending, axes: Axes) -> None:
-    """Draw the points of all branches and the law with its band.
+    """Draw the points of all branches, and the law with its 95 % interval.
 
-    Loading is drawn as dots, unloading as open circles, one colour per cycle, starting where the
-    law puts the specimen at rest; the band is the 95 % interval of the law, the grey stripe the
-    curvatures within noise.
+    Loading is drawn as dots and unloading as open circles, in the colours of the cycles. A grey
+    stripe shows the curvatures below their noise.
     """
     max_cloud_points = 2500
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "moment")
+    x_unit, y_unit = find_units(result.display, "curvature", "moment")
     cloud, branches = bending.cloud, _branches(result)
     x, y = _points_from_rest(bending)
-    every = -(-x.size // max_cloud_points)
-    look: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.4}
+    stride, look = -(-x.size // max_cloud_points), read_look("cloud")
     colours = choose_cycle_colours(int(cloud.cycle.max(initial=1)))
     for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading on top
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
         face = colour if is_loading else "none"
-        points = (x[rows].ravel()[::every] * across.factor, y[rows].ravel()[::every] * up.factor)
+        points = (
+            x[rows].ravel()[::stride] * x_unit.factor,
+            y[rows].ravel()[::stride] * y_unit.factor,
+        )
         axes.plot(*points, markersize=1.8, color=colour, markerfacecolor=face, alpha=0.6, **look)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_COLOURS else (), 1):
         add_key(axes, f"cycle {number}", markersize=3, color=colour, **look)
-    for word, face in (("loading", GREY), ("unloading", "none")):
-        add_key(axes, word, markersize=3, color=GREY, markerfacecolor=face, **look)
+    for label, face in (("loading", GREY), ("unloading", "none")):
+        add_key(axes, label, markersize=3, color=GREY, markerfacecolor=face, **look)
     if bending.law is not None:
-        law, floor = bending.law, bending.law.floor * across.factor
-        ends = law.moment_lower * up.factor, law.moment_upper * up.factor
-        curvature = law.curvature * across.factor
-        axes.plot(curvature, law.moment * up.factor, "k", zorder=4, label="law, secant")
-        # the points show through
-        axes.fill_between(curvature, *ends, zorder=3, label="95 % of the law", **_BAND)
-        axes.axvspan(-floor, floor, label="below noise", **_NOISE)
-    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending moment"))
+        law, floor = bending.law, bending.law.floor * x_unit.factor
+        ends = law.moment_lower * y_unit.factor, law.moment_upper * y_unit.factor
+        curvature = law.curvature * x_unit.factor
+        axes.plot(curvature, law.moment * y_unit.factor, **read_look("law"))
+        look = read_look("band_of_law", label="95 % of the law", zorder=3)
+        axes.fill_between(curvature, *ends, **look)
+        axes.axvspan(-floor, floor, **read_look("below_noise", label="below noise"))
+    axes.set(xlabel=x_unit.label("Curvature"), ylabel=y_unit.label("Bending moment"))
 
 
 def _points_from_rest(bending: Bending) -> tuple[Floats, Floats]:
@@ -399,54 +375,45 @@ def _points_from_rest(bending: Bending) -> tuple[Floats, Floats]:
     if law is None:
         return cloud.curvature, cloud.moment
     size = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
-    begin = np.sign(cloud.moment_at_rest) * size
-    return cloud.curvature + begin, cloud.moment + cloud.moment_at_rest
+    curvature_at_rest = np.sign(cloud.moment_at_rest) * size
+    return cloud.curvature + curvature_at_rest, cloud.moment + cloud.moment_at_rest
 
 
 def _plot_stiffness(result: TestResult, law: MeasuredLaw, axes: Axes) -> None:
-    """Draw secant and tangent stiffness of the law against the logarithm of curvature.
+    """Draw the secant and the tangent stiffness of the law against curvature, logarithmic.
 
-    The law is drawn where curvature is above its noise; the grey stripe is where it is not;
-    tangents are drawn at the knots of the law, where it is measured, with their intervals.
+    Tangents with their intervals are drawn at the knots of the law. A grey stripe shows the
+    curvatures below their noise.
     """
     min_curvature_share = 1e-3  # start of the axis, of the largest curvature
     from matplotlib.ticker import LogFormatter
 
-    across, up = _bending_scale(result, "curvature"), _bending_scale(result, "bending_stiffness")
-    x = law.curvature[1:] * across.factor
+    x_unit, y_unit = find_units(result.display, "curvature", "bending_stiffness")
+    x = law.curvature[1:] * x_unit.factor
     lower, middle, upper = (
-        getattr(law, f"secant{end}")[1:] * up.factor for end in ("_lower", "", "_upper")
+        getattr(law, f"secant{end}")[1:] * y_unit.factor for end in ("_lower", "", "_upper")
     )
-    axes.fill_between(x, lower, upper, **_BAND)
+    axes.fill_between(x, lower, upper, **read_look("band_of_law"))
     axes.plot(x, middle, color="black")
     at = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     at = at[np.isfinite(law.tangent[at])]
     tangent = law.tangent[at]
     ends = np.stack([tangent - law.tangent_lower[at], law.tangent_upper[at] - tangent])
-    axes.errorbar(
-        law.curvature[at] * across.factor, tangent * up.factor, yerr=ends.clip(0.0) * up.factor,
-        color="#D55E00", linestyle="", marker="o", markersize=3.2, capsize=1.5, elinewidth=0.7,
-        markerfacecolor="white", label="tangent, 95 %",
-    )  # fmt: skip
-    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1]) * across.factor
-    axes.axvspan(start, max(law.floor * across.factor, start), **_NOISE)
+    curvature, errors = law.curvature[at] * x_unit.factor, ends.clip(0.0) * y_unit.factor
+    look = read_look("measured_tangent")
+    axes.errorbar(curvature, tangent * y_unit.factor, yerr=errors, **look)
+    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1]) * x_unit.factor
+    axes.axvspan(start, max(law.floor * x_unit.factor, start), **read_look("below_noise"))
     axes.set_xscale("log")
     axes.set_xlim(start, float(x[-1]))
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
-    axes.set(xlabel=across.label("Curvature"), ylabel=up.label("Bending stiffness"))
-
-
-def _bending_scale(result: TestResult, quantity: str) -> Scale:
-    """Return the display unit of curvature, moment or stiffness, typeset."""
-    si_units = {"curvature": "1/m", "moment": "N*m", "bending_stiffness": "N*m^2"}
-    unit = choose_unit(result, quantity, si_units[quantity])
-    return Scale(unit.factor, typeset_unit(unit.unit))
+    axes.set(xlabel=x_unit.label("Curvature"), ylabel=y_unit.label("Bending stiffness"))
 
 
 def draw_timeline(result: TestResult) -> Figure:
-    """Draw force and motion on one time axis, and the residuals of clock alignment, if any."""
+    """Draw force and motion against time, and the residuals of clock alignment, if any."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
     page = make_page(height_mm=110 if fit else 80, width_mm=DOUBLE_COLUMN)
     ratios = [3, 3, 2] if fit else [1, 1]
@@ -454,8 +421,8 @@ def draw_timeline(result: TestResult) -> Figure:
     _plot_force(result, panels[0])
     _plot_motion(result, panels[1])
     if fit is not None:
-        _plot_residuals(fit, choose_unit(result, "time", "s").factor, panels[2])
-    panels[-1].set_xlabel(choose_unit(result, "time", "s").label("Time"))
+        _plot_residuals(fit, find_unit(result.display, "time").factor, panels[2])
+    panels[-1].set_xlabel(find_unit(result.display, "time").label("Time"))
     for axes in panels:
         axes.locator_params(axis="y", nbins=5)
     page.align_ylabels(list(panels))
@@ -463,26 +430,25 @@ def draw_timeline(result: TestResult) -> Figure:
 
 
 def _plot_force(result: TestResult, axes: Axes) -> None:
-    """Draw the force against time: as recorded in grey, and the curve over it if it differs."""
-    up = choose_unit(result, "force", "N")
+    """Draw the force of the curve against time; the force as recorded is grey if it differs."""
+    y_unit = find_unit(result.display, "force")
     aligned, curve = result.aligned, result.curve
     is_untouched = is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
-        force = up.factor * aligned.series["force"].values
-        look: dict[str, Any] = {"color": "#9a9a9a", "linewidth": 0.6, "label": "force as recorded"}
-        _plot_over_time(result, axes, aligned.time, force, **look)
+        force = y_unit.factor * aligned.series["force"].values
+        _plot_over_time(result, axes, aligned.time, force, **read_look("force_as_recorded"))
     if curve is not None:
         label = "force as recorded" if is_untouched else "force as processed"
-        look = {"color": "C0", "linewidth": 0.8, "label": label}
-        _plot_over_time(result, axes, curve.time, up.factor * curve.force, **look)
+        look = read_look("force", label=label)
+        _plot_over_time(result, axes, curve.time, y_unit.factor * curve.force, **look)
     if not axes.lines:
         write_reason(axes, explain_missing(result, "force"))
         return
-    axes.set_ylabel(up.label("Force"))
+    axes.set_ylabel(y_unit.label("Force"))
 
 
 def _plot_motion(result: TestResult, axes: Axes) -> None:
-    """Draw travel, or else displacement, with the turning points."""
+    """Draw travel, or displacement if it was not recorded, with the turning points of the curve."""
     aligned, curve = result.aligned, result.curve
     motions = [
         (word, aligned.time, aligned.series[name].values)
@@ -495,32 +461,30 @@ def _plot_motion(result: TestResult, axes: Axes) -> None:
         write_reason(axes, explain_missing(result, "motion"))
         return
     word, time, values = motions[0]
-    up, along = choose_unit(result, "displacement", "m"), choose_unit(result, "time", "s")
-    _plot_over_time(result, axes, time, values * up.factor, color="C0")
+    y_unit, along = find_units(result.display, "displacement", "time")
+    _plot_over_time(result, axes, time, values * y_unit.factor, color="C0")
     ends = [end for branch in _branches(result) for end in (branch.start_time, branch.stop_time)]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
-        heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * up.factor
-        look: dict[str, Any] = {"color": "C1", "markerfacecolor": "white"}
-        axes.plot(turns * along.factor, heights, "o", label="turning point", **look)
-    axes.set_ylabel(up.label(word))
+        heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * y_unit.factor
+        axes.plot(turns * along.factor, heights, **read_look("turning_point"))
+    axes.set_ylabel(y_unit.label(word))
 
 
 def _plot_residuals(fit: ClockFit, along: float, axes: Axes) -> None:
-    """Draw the residuals of the clock fit at each event, with 95 % of the error of each."""
+    """Draw the residual of the clock fit at each event, with its 95 % interval."""
     normal_quantile = 1.96
-    over = (fit.event_times_force - fit.to_force_time(fit.event_times_motion)) * 1e3
+    residuals = (fit.event_times_force - fit.to_force_time(fit.event_times_motion)) * 1e3
+    errors = normal_quantile * fit.event_errors * 1e3
     axes.axhline(0.0, color=GREY, linewidth=0.6)
-    axes.errorbar(
-        fit.event_times_motion * along, over, yerr=normal_quantile * fit.event_errors * 1e3,
-        fmt="o", color="C1", markerfacecolor="white", elinewidth=0.7, capsize=1.5,
-    )  # fmt: skip
+    times = fit.event_times_motion * along
+    axes.errorbar(times, residuals, yerr=errors, **read_look("clock_residual"))
     axes.set_ylabel("Residual (ms)")
     axes.set_title(_describe_clock_fit(fit), loc="right", color=GREY)
 
 
 def _describe_clock_fit(fit: ClockFit) -> str:
-    """Write offset and drift with half the width of their intervals, and the residual, if any."""
+    """Write offset and drift, each with half its interval, and the residual, if any."""
     clock_parameters = 2  # offset and drift
     events = len(fit.event_times_motion)
     left = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
@@ -543,7 +507,7 @@ def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
     rows = find_extremes(values, bins=900)
-    axes.plot(time[rows] * choose_unit(result, "time", "s").factor, values[rows], **look)
+    axes.plot(time[rows] * find_unit(result.display, "time").factor, values[rows], **look)
     axes.margins(x=0.01)
 
 
@@ -559,13 +523,13 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
 
 
 def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list[Path]:
-    """Draw the figures that the protocol asks for as SVG.
+    """Write the figures that the protocol names as SVG.
 
     Parameters
     ----------
     result : a processed test; a figure without data says why it is empty
-    folder : made if it is not there
-    png : each as PNG, too
+    folder : made if it does not exist
+    png : write each as PNG, too
 
     Returns
     -------
@@ -574,7 +538,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
     Raises
     ------
     ValueError
-        If the protocol asks for a figure that does not exist.
+        If the protocol names a figure that does not exist.
     StoreError
         If a file cannot be written.
 
@@ -591,12 +555,15 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 
 
 def is_for_journal(result: TestResult) -> bool:
-    """Return whether the protocol of a test asks for figures in the style of a journal."""
-    if "style: journal" not in result.protocol_yaml:  # parsing takes longer than a line is drawn
+    """Return whether the protocol of a test sets ``style: journal`` for its figures.
+
+    A protocol of an earlier grammar, which is no longer valid, does not.
+    """
+    if "style: journal" not in result.protocol_yaml:  # saves parsing, which takes longer
         return False
     try:
         return parse_protocol(result.protocol_yaml, result.test).report.style == "journal"
-    except ProtocolError:  # of an earlier grammar
+    except ProtocolError:
         return False
 
 

@@ -1,4 +1,4 @@
-"""Plots of comparisons, and figures of groups and comparisons as files, drawn by matplotlib."""
+"""Figures of groups and of their comparisons as files, and the plots of comparisons."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.group import Band, Campaign, Group
 from labpipe.report.budget_figures import draw_group_budgets, make_group_bars
 from labpipe.report.comparisons import (
@@ -19,11 +20,7 @@ from labpipe.report.comparisons import (
     name_field,
 )
 from labpipe.report.figure_page import (
-    DASHED,
-    DOTTED,
     DOUBLE_COLUMN,
-    GREY,
-    RED,
     WIDTH,
     FigureToSave,
     add_key,
@@ -33,6 +30,7 @@ from labpipe.report.figure_page import (
     make_empty_page,
     make_page,
     make_panels,
+    read_look,
 )
 from labpipe.report.group_plots import (
     N_COLOURS,
@@ -50,7 +48,7 @@ from labpipe.report.wording import (
     describe_counts,
     find_display,
     find_display_unit,
-    find_group_unit,
+    find_units,
     shorten,
     write_count,
     write_group_title,
@@ -61,44 +59,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DOT: dict[str, Any] = {"linestyle": "", "zorder": 5}
-_LOOKS: Mapping[str, dict[str, Any]] = {
-    "curve": {"linewidth": 0.7, "zorder": 2},
-    "unloading": {"linewidth": 0.5, "alpha": 0.3, "zorder": 1.5},
-    "shape": {"linewidth": 0.4, "marker": "o", "markersize": 2.0},
-    "mean": {"linewidth": 1.5, "zorder": 4},
-    "band": {"alpha": 0.16, "linewidth": 0, "zorder": 1},
-    "whole": {"linewidth": 0.6, "linestyle": DASHED, "zorder": 3},
-    "interval": {"linewidth": 1.2, "zorder": 4},
-    "measured": {"color": GREY, "linewidth": 0.8, "linestyle": DASHED},
-    "rejected": {"color": "#9a9a9a", "linewidth": 0.5},
-    "window": {
-        "color": "#946700",
-        "linewidth": 4.0,
-        "alpha": 0.4,
-        "solid_capstyle": "butt",
-        "zorder": 3,
-    },
-    "segment": {"linewidth": 0.8, "linestyle": DOTTED, "zorder": 4},
-    "limit": {"color": RED, "linewidth": 0.9, "linestyle": DASHED, "zorder": 3},
-    "slip": {"color": RED, "marker": "v", **_DOT},
-    "failure": {"color": RED, "marker": "x", **_DOT},
-    "sample": {"marker": "o", "markersize": 3.0, **_DOT},
-    "doubtful": {"marker": "o", "markerfacecolor": "white", **_DOT},
-    "dot": {"marker": "D", **_DOT},
-    "ring": {"color": RED, "marker": "o", "markerfacecolor": "none", "markersize": 8, **_DOT},
-}
-"""Style of each class of lines; those without a colour are black or in the colour of a spool."""
-
 
 def draw_plots(title: str, plots: Sequence[Plot], *, columns: int = 2) -> Figure:
-    """Draw plots of the page on paper.
+    """Draw plots of the page as a figure of a file.
 
     Parameters
     ----------
     title : of the figure
-    plots : a panel each; their captions are the footnote
-    columns : of panels, at most
+    plots : at least one, a panel each; their captions are the footnote
+    columns : largest number of panels side by side
     """
     frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
     plot = plots[0]
@@ -140,9 +109,9 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
 
 
 def _look(classes: str) -> dict[str, Any]:
-    """Return the style of a line by its classes on the page."""
+    """Return the look of a line by its classes on the page."""
     kind, _, colour = classes.partition(" ")
-    look = {"color": "black", **_LOOKS[kind]}
+    look = {"color": "black", **read_look(kind)}
     if colour:
         number, colours = int(colour[1:]), list_style_colours()
         look["color"] = colours[number % len(colours)]
@@ -152,7 +121,7 @@ def _look(classes: str) -> dict[str, Any]:
 
 
 def list_group_figures(group: Group) -> Iterator[FigureToSave]:
-    """List the figures for which a group has data; curves are always included.
+    """List the figures for which a group has data.
 
     Parameters
     ----------
@@ -160,7 +129,8 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    The figures of `make_file_plots`, and budgets, by names without that of the group.
+    The figures of `make_file_plots`, and ``budgets`` of the intervals, by names without the group.
+    Without curves, the figure ``curves`` says why it is empty.
     """
     title = write_group_title(group)
     figures = make_file_plots(group)
@@ -173,15 +143,12 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
         )
     if make_group_bars(group, of_means=False):
         alt = f"Shares of the causes of the intervals of {group.name}, {describe_counts(group)}."
-        caption = (
-            "Contributions to the intervals; numbers per cycle: first cycle only. More samples"
-            " reduce the scatter, but not the hatched causes."
-        )
+        caption = format_sentence("report.budget_caption")
         yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 
 def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of the groups that differ in one field alone.
+    """List a figure for each family of groups that differ in one field alone.
 
     Parameters
     ----------
@@ -207,7 +174,7 @@ def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:
 def make_family_plots(
     family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
 ) -> list[Plot]:
-    """Return the plots of a family: mean curves, and the main number of each group.
+    """Make the plots of a family: mean curves, and the main number of each group.
 
     Parameters
     ----------
@@ -229,9 +196,9 @@ def _curve_plot(
 ) -> Plot | None:
     """Return the plot of the mean first loading of each group with its band."""
     first = family.groups[0]
-    across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
+    x_unit, y_unit = find_units(find_display(first), "displacement", "force")
     if is_scaled:
-        up = Scale(1.0, "")
+        y_unit = Scale(1.0, "")
     lines, keys, bands = [], [], []
     for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
@@ -240,16 +207,16 @@ def _curve_plot(
         look, stem = f"c{at % N_COLOURS}", stems[group.name]
         bands.append(band)
         lines += [
-            *make_band_lines(band, across.factor, up.factor, look, stem),
-            *make_mean_lines(band, across.factor, up.factor, look, stem),
+            *make_band_lines(band, x_unit.factor, y_unit.factor, look, stem),
+            *make_mean_lines(band, x_unit.factor, y_unit.factor, look, stem),
         ]
         keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
     if not lines:
         return None
     kinds = {line.look.partition(" ")[0] for line in lines}
     keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
-    x = make_axis("Displacement", across.unit, [line.x for line in lines])
-    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, up)
+    x = make_axis("Displacement", x_unit.unit, [line.x for line in lines])
+    y = _force_axis("Force / peak force" if is_scaled else "Force", bands, y_unit)
     title = f"Mean force against displacement of {write_count(len(family.groups), 'group')}."
     heading = "Force / peak force" if is_scaled else "First loading"
     return Plot("means", "", title, "", x, y, lines, keys, (392, 200), heading)
@@ -268,7 +235,7 @@ def _force_axis(name: str, bands: Sequence[Band], scale: Scale) -> Axis:
 
 
 def find_main_number(family: Family) -> str:
-    """Return the number by which groups are compared: bending stiffness or the first common one.
+    """Find the number by which groups are compared: bending stiffness, or the first common one.
 
     Parameters
     ----------
@@ -276,7 +243,7 @@ def find_main_number(family: Family) -> str:
 
     Returns
     -------
-    Empty without a common number.
+    Name of the number; empty if the groups have none in common.
     """
     has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
     shared = [

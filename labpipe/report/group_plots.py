@@ -1,4 +1,4 @@
-"""What is drawn of a group, on the page and in files: curves, shapes, laws, slips, numbers."""
+"""Plots of a group, for the page and for files: curves, shapes, measured laws, numbers."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
@@ -20,8 +21,9 @@ from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_
 from labpipe.report.wording import (
     Scale,
     find_display,
-    find_display_unit,
-    find_group_unit,
+    find_number_unit,
+    find_unit,
+    find_units,
     is_first_cycle,
     typeset_unit,
     write_count,
@@ -30,15 +32,23 @@ from labpipe.report.wording import (
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 _BAND_POINTS = 28
-"""Points with which a band or a mean is drawn."""
+"""Largest number of points of a mean, or of one edge of a band."""
 N_COLOURS = 8
-"""Colours of the page for spools and groups; they repeat after this number."""
+"""Number of colours of the page for spools and groups."""
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
-"""Panels of numbers; samples with a row each, else those of a spool share a row."""
+"""Largest number of panels of numbers, and of samples that have a row each in a panel."""
 
 
 class _Points(NamedTuple):
-    """Points of a first loading, of all other branches of a test and of a scaled curve; shapes."""
+    """Largest numbers of points of the lines of a test, and of its shapes.
+
+    Parameters
+    ----------
+    first : of the first loading
+    others : of all other branches together
+    scaled : of the curve over its peak force
+    shapes : number of shapes
+    """
 
     first: int
     others: int
@@ -47,10 +57,9 @@ class _Points(NamedTuple):
 
 
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
-"""On the page: for few samples, and for many, with overlapping lines: a test is below 3 kB."""
+"""On the page for few samples, and for many: a test takes less than 3 kB."""
 _IN_FILES = _Points(120, 80, 120, 6)
 _MAX_OFFSET_SHARE = 0.001
-_BAND_OUTLINE_POINTS = 28
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
@@ -62,8 +71,8 @@ class _GroupView:
     Parameters
     ----------
     group : with or without samples
-    stem : its name in links
-    tests : all of the page; None for files, with more points
+    stem : of its links
+    tests : all of the page; None for a figure in a file, whose lines have more points
     """
 
     group: Group
@@ -71,34 +80,34 @@ class _GroupView:
     tests: PageTests | None = None
 
     @cached_property
-    def across(self) -> Scale:
-        """Display unit of displacement."""
-        return find_group_unit(self.group, "displacement")
+    def x_unit(self) -> Scale:
+        """Return the display unit of displacement."""
+        return find_unit(find_display(self.group), "displacement")
 
     @cached_property
-    def up(self) -> Scale:
-        """Display unit of force."""
-        return find_group_unit(self.group, "force")
+    def y_unit(self) -> Scale:
+        """Return the display unit of force."""
+        return find_unit(find_display(self.group), "force")
 
     @property
     def rejected(self) -> list[PageTest]:
-        """Rejected tests of the group on the page."""
+        """Return the rejected tests of the group on the page; none for a file."""
         return [] if self.tests is None else self.tests.rejected(self.stem)
 
     def number(self, sample: Sample) -> int | None:
-        """Return the number of a test on the page."""
+        """Return the number of a test on the page; None for a file."""
         return None if self.tests is None else self.tests.number[make_key(sample)]
 
     @property
     def points(self) -> _Points:
-        """Numbers of points of its lines."""
+        """Return the largest numbers of points of its lines."""
         if self.tests is None:
             return _IN_FILES
         return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     @cached_property
     def colours(self) -> dict[str, str]:
-        """Classes of the colours of samples: of their spools, or their own for one spool."""
+        """Return the class of the colour of each sample: its spool's, or its own for one spool."""
         samples = self.group.samples
         spools = {sample.specimen.spool: None for sample in samples}
         names = [sample.specimen.spool for sample in samples]
@@ -111,17 +120,17 @@ class _GroupView:
         }
 
     def colour(self, sample: Sample) -> str:
-        """Return the class of a sample's colour."""
+        """Return the class of the colour of a sample."""
         return self.colours[make_key(sample)]
 
 
 def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
-    """Return the plots of a group on the page for which it has data.
+    """Make the plots of a group for the page, as far as it has data for them.
 
     Parameters
     ----------
     group : with or without samples
-    stem : its name in links
+    stem : of its links
     tests : all of the page
 
     Returns
@@ -134,7 +143,7 @@ def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
 
 
 def make_file_plots(group: Group) -> dict[str, list[Plot]]:
-    """Return the plots of a group for files, by the name of the figure.
+    """Make the plots of a group for files, as far as it has data for them.
 
     Parameters
     ----------
@@ -142,8 +151,8 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
 
     Returns
     -------
-    Curves, normalised curves, shapes, measured laws and numbers, as far as the group has data for
-    them.
+    Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
+    ``moment`` and ``numbers``.
     """
     view = _GroupView(group)
     figures: dict[str, list[Plot | None]] = {
@@ -158,7 +167,7 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
 
 
 def find_first_loading(sample: Sample) -> SampleCurve | None:
-    """Return the loading curve of the first cycle; None for a sample without curves."""
+    """Find the first loading curve of a sample that has points; None without one."""
     return next((curve for curve in sample.loading if len(curve.displacement)), None)
 
 
@@ -171,14 +180,14 @@ def _curve_plot(view: _GroupView) -> Plot | None:
     if all(find_first_loading(sample) is None for sample in group.samples):
         return None
     lines = [
-        *make_band_lines(band, view.across.factor, view.up.factor),
+        *make_band_lines(band, view.x_unit.factor, view.y_unit.factor),
         *_rejected_lines(view),
         *(line for sample in group.samples for line in _sample_lines(view, sample)),
         *_window_lines(view),
-        *make_mean_lines(band, view.across.factor, view.up.factor),
+        *make_mean_lines(band, view.x_unit.factor, view.y_unit.factor),
         *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
-    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
     lines += _limit_lines(view, x)
     y = _force_axis(view, band)
     title = (
@@ -198,16 +207,16 @@ def _limits(view: _GroupView) -> list[float]:
 def _limit_lines(view: _GroupView, x: Axis) -> Iterator[Line]:
     """Yield a line for each smallest force allowed."""
     for limit in _limits(view):
-        yield Line("limit", np.array([x.low, x.high]), np.full(2, limit * view.up.factor))
+        yield Line("limit", np.array([x.low, x.high]), np.full(2, limit * view.y_unit.factor))
 
 
 def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axis:
     """Return the axis of force: all curves, and of bands as much as leaves the curves readable.
 
-    The pointwise band is shown up to half the height of the curves beyond them, the simultaneous
-    band in full if a quarter of the height is enough, else clipped.
+    Beyond the curves, the axis shows the pointwise band up to half their height. It shows the
+    simultaneous band in full if that needs at most a quarter more, else clipped.
     """
-    factor = 1.0 if is_scaled else view.up.factor
+    factor = 1.0 if is_scaled else view.y_unit.factor
     forces = [
         edge * (1.0 / (_value(sample, "peak_force.1") or nan) if is_scaled else 1.0)
         for sample in view.group.samples
@@ -221,12 +230,12 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
     if whole[1] - whole[0] <= 1.25 * (high - low):
         low, high = whole
     margin = 0.04 * (high - low) or 1.0
-    name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.up.unit)
+    name, unit = ("Force / peak force", "") if is_scaled else ("Force", view.y_unit.unit)
     return Axis(name, unit, factor * (low - margin), factor * (high + margin))
 
 
 def _sample_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
-    """Yield first loading, other branches, and the measured force if slips were repaired."""
+    """Yield the other branches, the force as measured if slips were repaired, the first loading."""
     test, colour = view.number(sample), view.colour(sample)
     first = find_first_loading(sample)
     others = [
@@ -250,7 +259,7 @@ def _line(
     """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
     rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
-    x, y = branch.displacement[rows] * view.across.factor, force[rows] * view.up.factor
+    x, y = branch.displacement[rows] * view.x_unit.factor, force[rows] * view.y_unit.factor
     return Line(look, x, y, test)
 
 
@@ -274,7 +283,7 @@ def _window_lines(view: _GroupView) -> Iterator[Line]:
                 [(line.start, line.stop, line.slope, line.level) for line in lines]
             ).T
             x, y = _with_gaps(start, stop), _with_gaps(level, level + slope * (stop - start))
-            factors = view.across.factor, view.up.factor
+            factors = view.x_unit.factor, view.y_unit.factor
             yield Line(look, x * factors[0], y * factors[1], view.number(sample))
 
 
@@ -294,32 +303,32 @@ def _event_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
 
 
 def _dot_line(look: str, places: Floats, heights: Floats, view: _GroupView, sample: Sample) -> Line:
-    x, y = _with_gaps(places) * view.across.factor, _with_gaps(heights) * view.up.factor
+    x, y = _with_gaps(places) * view.x_unit.factor, _with_gaps(heights) * view.y_unit.factor
     return Line(look, x, y, view.number(sample))
 
 
 def _with_gaps(*columns: Floats) -> Floats:
-    """Return points row by row, with NaN after each row, which interrupts a line."""
+    """Join the columns row by row with NaN after each row, which interrupts a line."""
     return np.column_stack([*columns, np.full(len(columns[0]), np.nan)]).ravel()
 
 
 def make_band_lines(
-    band: Band, across: float, up: float, look: str = "", group: str = ""
+    band: Band, x_factor: float, y_factor: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Yield the pointwise band of a mean curve as an area and the edges of the simultaneous band.
+    """Yield the pointwise band of a mean curve as an area, and the edges of the simultaneous band.
 
     Parameters
     ----------
-    band : of few curves without an area, nothing is drawn
-    across, up : from SI to the units of the axes
+    band : one of fewer than two curves, or one without an area, is not drawn
+    x_factor, y_factor : factors from SI to the units of the axes
     look : class of its colour
-    group : stem, if several groups are in one plot
+    group : stem, if several groups are in one plot: only the pointwise band is then drawn
     """
     if band.n < 2 or not band.has_area:
         return
     rows = _band_rows(band, band.upper)
-    x = band.displacement[rows] * across
-    lower, upper = band.lower[rows] * up, band.upper[rows] * up
+    x = band.displacement[rows] * x_factor
+    lower, upper = band.lower[rows] * y_factor, band.upper[rows] * y_factor
     finite = np.isfinite(lower) & np.isfinite(upper)
     outline = np.concatenate([x[finite], x[finite][::-1]])
     edge = np.concatenate([upper[finite], lower[finite][::-1]])
@@ -328,44 +337,44 @@ def make_band_lines(
         return
     for edge_all in (band.lower_all, band.upper_all):
         if np.isfinite(edge_all).any():
-            yield Line("whole", x, edge_all[rows] * up)
+            yield Line("whole", x, edge_all[rows] * y_factor)
 
 
 def _band_rows(band: Band, values: Floats) -> Ints:
-    """Return the points with which a band or a mean is drawn."""
+    """Find the points with which a band or a mean is drawn."""
     return simplify_line(
         band.displacement, values, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
 def make_mean_lines(
-    band: Band, across: float, up: float, look: str = "", group: str = ""
+    band: Band, x_factor: float, y_factor: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Yield a mean curve and, for few curves, its intervals at single displacements.
+    """Yield a mean curve, and its intervals at single displacements if it has no area.
 
     Parameters
     ----------
-    band, across, up, look, group : as for `make_band_lines`
+    band, x_factor, y_factor, look, group : as for `make_band_lines`
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
     rows = _band_rows(band, band.mean)
-    x, y = band.displacement[rows] * across, band.mean[rows] * up
+    x, y = band.displacement[rows] * x_factor, band.mean[rows] * y_factor
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
-        mark_places = band.displacement[marks] * across
-        ends = _with_gaps(band.lower[marks] * up, band.upper[marks] * up)
+        mark_places = band.displacement[marks] * x_factor
+        ends = _with_gaps(band.lower[marks] * y_factor, band.upper[marks] * y_factor)
         x = _with_gaps(mark_places, mark_places)
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
 def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[Key]:
-    """Return the key of a plot: its tests if they are few, else its spools; then other signs."""
+    """Make the key of a plot: its tests if they are few, else its spools; then the other signs."""
     group, looks = view.group, {line.look.partition(" ")[0] for line in lines}
     spools = {sample.specimen.spool for sample in group.samples}
     is_few = len(group.samples) <= _MAX_DETAILED_SAMPLES
-    if is_few and (view.tests is not None or len(spools) == 1):  # the page switches each of them
+    if is_few and (view.tests is not None or len(spools) == 1):  # the page shows or hides each
         keys = [
             Key(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
             for sample in group.samples
@@ -399,7 +408,7 @@ _KEY_LABELS = {
 
 
 def _shape_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of markers at equal steps of the first loading, at equal scale."""
+    """Make the plot of the markers at equal steps of the first loading, with one scale."""
     min_height, max_height = 88, 190
     lines, steps = [], np.zeros(0)
     for sample in view.group.samples:
@@ -407,12 +416,12 @@ def _shape_plot(view: _GroupView) -> Plot | None:
         if shapes is None or not np.isfinite(shapes.positions).any():
             continue
         places = shapes.positions[-view.points.shapes :]
-        x, y = (_with_gaps(*places[:, :, way].T) * view.across.factor for way in (0, 1))
+        x, y = (_with_gaps(*places[:, :, way].T) * view.x_unit.factor for way in (0, 1))
         lines.append(Line(f"shape {view.colour(sample)}", x, y, view.number(sample)))
         steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return None
-    unit, width = view.across.unit, _SMALL_PLOT[0]
+    unit, width = view.x_unit.unit, _SMALL_PLOT[0]
     x_axis = make_axis("Along the specimen", unit, [line.x for line in lines])
     y_axis = make_axis("Deflection", unit, [line.y for line in lines], room=0.06)
     ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
@@ -420,7 +429,7 @@ def _shape_plot(view: _GroupView) -> Plot | None:
     scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
     x_axis, y_axis = _spread(x_axis, scale * width), _spread(y_axis, scale * height)
     shown = np.round(steps[-view.points.shapes :], 4) + 0.0
-    deflections = ", ".join(f"{way * view.across.factor:.2g}" for way in shown)
+    deflections = ", ".join(f"{way * view.x_unit.factor:.2g}" for way in shown)
     caption = f"Markers at {deflections} {unit} of the first loading, at equal axis scale."
     title = f"Shapes of {write_count(len(lines), 'sample')} of {view.group.name}."
     keys = _keys(view, lines)
@@ -433,8 +442,8 @@ def _spread(axis: Axis, span: float) -> Axis:
 
 
 def _moment_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
-    across, up = find_group_unit(view.group, "curvature"), find_group_unit(view.group, "moment")
+    """Make the plot of the measured laws, for few samples with 95 % intervals as areas."""
+    x_unit, y_unit = find_units(find_display(view.group), "curvature", "moment")
     samples_with_laws = [
         (sample, sample.law) for sample in view.group.samples if sample.law is not None
     ]
@@ -443,14 +452,14 @@ def _moment_plot(view: _GroupView) -> Plot | None:
     areas, lines = [], []
     for sample, law in samples_with_laws:
         colour, test = view.colour(sample), view.number(sample)
-        x = law.curvature * across.factor
+        x = law.curvature * x_unit.factor
         if len(samples_with_laws) <= _MAX_DETAILED_SAMPLES:
             outline = np.concatenate([x, x[::-1]])
-            edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * up.factor
+            edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * y_unit.factor
             areas.append(Line(f"band {colour}", outline, edge, test, is_closed=True))
-        lines.append(Line(f"curve {colour}", x, law.moment * up.factor, test))
-    x_axis = make_axis("Curvature", across.unit, [line.x for line in lines])
-    y_axis = make_axis("Bending moment", up.unit, [line.y for line in (*areas, *lines)])
+        lines.append(Line(f"curve {colour}", x, law.moment * y_unit.factor, test))
+    x_axis = make_axis("Curvature", x_unit.unit, [line.x for line in lines])
+    y_axis = make_axis("Bending moment", y_unit.unit, [line.y for line in (*areas, *lines)])
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
     title = f"Bending moment against curvature of {view.group.name}."
@@ -460,21 +469,21 @@ def _moment_plot(view: _GroupView) -> Plot | None:
 
 
 def _scaled_plot(view: _GroupView) -> Plot | None:
-    """Return the plot of force over the peak force of each sample."""
+    """Make the plot of force over the peak force of each sample."""
     band = view.group.band_scaled
     if band is None:
         return None
     lines = [
-        *list(make_band_lines(band, view.across.factor, 1.0))[:1],
+        *list(make_band_lines(band, view.x_unit.factor, 1.0))[:1],
         *(line for sample in view.group.samples for line in _scaled_lines(view, sample)),
-        *make_mean_lines(band, view.across.factor, 1.0),
+        *make_mean_lines(band, view.x_unit.factor, 1.0),
     ]
     if not lines:
         return None
-    x = make_axis("Displacement", view.across.unit, [line.x for line in lines])
+    x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
     y = _force_axis(view, band, is_scaled=True)
     title = f"Force over peak force against displacement of {view.group.name}."
-    caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
+    caption = format_sentence("report.scaled_caption")
     keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("scaled", view.stem, title, caption, x, y, lines, keys, _SMALL_PLOT)
 
@@ -486,13 +495,13 @@ def _scaled_lines(view: _GroupView, sample: Sample) -> Iterator[Line]:
     points = view.points.scaled
     line = _line(view, f"curve {view.colour(sample)}", view.number(sample),
                  (first, first.force), points=points)  # fmt: skip
-    yield replace(line, y=line.y / (peak * view.up.factor))
+    yield replace(line, y=line.y / (peak * view.y_unit.factor))
 
 
 def _number_plots(group: Group) -> Iterator[Plot]:
-    """Yield a plot of each number with two or more samples, without later cycles.
+    """Yield a plot for each of the first numbers with two or more samples; no later cycles.
 
-    Its rows are samples, means of spools and the mean.
+    Its rows are the samples and the mean of each spool, and the mean.
     """
     first_cycle = [number for number in group.numbers if is_first_cycle(number.name)]
     numbers = [
@@ -501,9 +510,11 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         if number.mean is not None and number.mean.over_samples.n > 1
     ][:MAX_DOT_NUMBERS]
     drawn = {number.name for number in numbers}
-    rest = "; ".join(write_label(x.name) for x in first_cycle if x.name not in drawn)
+    others = "; ".join(
+        write_label(number.name) for number in first_cycle if number.name not in drawn
+    )
     for number in numbers:
-        scale = find_display_unit(number.name, number.unit, find_display(group))
+        scale = find_number_unit(group, number)
         names: dict[str, int] = {}
         lines = list(_dot_rows(group, number, scale.factor, names))
         if group.lot is not None and number.name in (PEAK_OVER_LIMIT, "peak_force.1"):
@@ -516,7 +527,7 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         looks = {line.look.partition(" ")[0] for line in lines}
         keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
         title = f"Each sample's numbers, with 95 % intervals: {group.name}."
-        caption = f"In the tables only: {rest}." if rest else ""
+        caption = f"In the tables only: {others}." if others else ""
         size = (262, 20 + 11 * len(names))
         yield Plot("numbers", "", title, caption, x, y, lines, keys, size)
 
@@ -533,7 +544,7 @@ _DOT_LABELS = {
 def make_clipped_axis(
     name: str, scale: Scale, lines: Sequence[Line], values: Sequence[Floats]
 ) -> Axis:
-    """Return an axis with all values, and of wide intervals as much as leaves them apart."""
+    """Make an axis that includes all values, and of wide intervals as much as keeps them apart."""
     margin = 0.03
     ends = np.concatenate([line.x for line in lines])
     low, high = clip_range(np.concatenate(values), ends, 1.0)
@@ -561,7 +572,7 @@ class DotRow(NamedTuple):
 def make_dot_lines(
     look: str, value: float, interval: Interval | None, row: DotRow
 ) -> Iterator[Line]:
-    """Yield a number as a dot and its interval as a bar.
+    """Yield the bar of the interval of a number, if any, and its dot.
 
     Parameters
     ----------
@@ -580,7 +591,7 @@ def make_dot_lines(
 def _dot_rows(
     group: Group, number: GroupNumber, factor: float, names: dict[str, int]
 ) -> Iterator[Line]:
-    """Yield dots and intervals of samples and means; names of rows are added in their order."""
+    """Yield the dots and bars of samples and means; add the names of the rows to `names`."""
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     is_crowded = len(group.samples) > MAX_DOT_ROWS
     for at, spool in enumerate(spools):

@@ -1,7 +1,7 @@
-"""Issues to check before the numbers are used, ranked: a line per cause, largest effect first.
+"""Find the issues of a campaign, group them by cause and rank the causes by their effect.
 
-One camera that loses markers in thirty tests is one cause, not two hundred entries. Its effect is
-that on the number that changes most: the shift of its mean without the affected tests.
+One camera that loses markers in thirty tests is one cause with many issues. Its effect is that on
+the number that changes most: the shift of its mean without the affected tests.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from math import inf, isnan, sqrt
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.curve import Slip, SlipDecision
 from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import (
     find_display,
-    find_display_unit,
+    find_number_unit,
+    find_units,
     replace_names,
     typeset_unit,
     write_count,
@@ -30,7 +32,7 @@ from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
 from labpipe.statistics.means import compute_t_quantile
 
 _SLIP_LEDGER_CODES = frozenset(f"slip_{decision}" for decision in SlipDecision)
-"""Notes that only repeat the slip ledger."""
+"""Codes of notes that repeat the slips of a test."""
 
 
 class Kind(StrEnum):
@@ -51,17 +53,17 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Issue:
-    """One issue.
+    """Something to check before the numbers of a test or of a group are used.
 
     Parameters
     ----------
     kind : of issue
-    group, test : affected group and test; empty if it is not a single one
-    what : numbers or place, in words
+    group, test : affected group and test; each is empty if the issue affects several
+    what : labels of the affected numbers, or the place of the issue
     reason : sentences with values
-    code : stable codes of the reasons, if any
-    numbers : names of the affected results; empty for all or unknown ones
-    tests : affected tests of a group, if `test` is empty
+    code : codes of the reasons, separated by commas; may be empty
+    numbers : names of the affected results; empty if all are affected, or it is unknown which
+    tests : affected tests of the group, if `test` is empty
     """
 
     kind: Kind
@@ -75,7 +77,7 @@ class Issue:
 
 
 def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
-    """Collect all doubtful, failed, excluded, marked and repaired results, and all warnings.
+    """Find all issues of a campaign, and the notes without consequences.
 
     Parameters
     ----------
@@ -83,19 +85,19 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
 
     Returns
     -------
-    Issues in the order of `Kind`, then of groups and samples. Numbers of a test with a common
-    reason are one issue.
+    Issues in the order of `Kind`, then of groups and samples. Numbers of a test that share their
+    reasons are one issue.
     """
     issues = [Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
     issues += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
     for group in campaign.groups:
         issues += _group_issues(group)
     order = list(Kind)
-    return tuple(sorted(issues, key=lambda finding: order.index(finding.kind)))
+    return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
 
 
 def write_sentence(message: str) -> str:
-    """Turn a message into a sentence, with names of results as in the tables.
+    """Turn a message into a sentence, with the labels of results in place of their names.
 
     Examples
     --------
@@ -108,17 +110,17 @@ def write_sentence(message: str) -> str:
 
 
 def join_sentences(reasons: Iterable[Reason | None]) -> str:
-    """Join reasons as sentences; None is skipped."""
+    """Join the sentences of reasons, each once; None is skipped."""
     return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
 def join_codes(reasons: Iterable[Reason]) -> str:
-    """List the codes of reasons, each once."""
+    """Join the codes of reasons, each once."""
     return ", ".join(dict.fromkeys(reason.code for reason in reasons))
 
 
 def describe_decision(decision: SlipDecision) -> str:
-    """Describe the treatment of a slip in a sentence."""
+    """Describe the treatment of a slip in one sentence."""
     return {
         SlipDecision.MARKED: "Marked only: the curve is unchanged.",
         SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
@@ -128,13 +130,11 @@ def describe_decision(decision: SlipDecision) -> str:
 
 def describe_slip(slip: Slip, group: Group) -> str:
     """Describe the place and the lost force of a slip with intervals and display units."""
-    display = find_display(group)
-    across, up = find_display_unit("", "m", display), find_display_unit("", "N", display)
-    position = write_number(slip.position, slip.position_interval, across.factor)
-    lost = write_number(slip.drop, slip.drop_interval, up.factor)
-    where = f"{position.value} {typeset_unit(across.unit)}"
-    loss = f"{lost.value} {typeset_unit(up.unit)} ({lost.interval})"
-    return f"{loss} lost at {where} ({position.interval})"
+    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
+    position = write_number(slip.position, slip.position_interval, x_unit.factor)
+    lost = write_number(slip.drop, slip.drop_interval, y_unit.factor)
+    loss = f"{lost.value} {y_unit.unit} ({lost.interval})"
+    return f"{loss} lost at {position.value} {x_unit.unit} ({position.interval})"
 
 
 def _group_issues(group: Group) -> Iterator[Issue]:
@@ -192,10 +192,10 @@ def _number_issues(group: Group, number: GroupNumber) -> Iterator[Issue]:
     }
     name = write_label(number.name)
     for test, why in number.left_out.items():
-        if test not in failed:  # failed ones have their own heading
-            reason_fields = join_sentences(why), join_codes(why), (number.name,)
-            yield Issue(Kind.LEFT_OUT, group.name, test, name, *reason_fields)
-    unit = find_display_unit(number.name, number.unit, find_display(group))
+        if test not in failed:  # a failed number has an issue of its own
+            reason, codes = join_sentences(why), join_codes(why)
+            yield Issue(Kind.LEFT_OUT, group.name, test, name, reason, codes, (number.name,))
+    unit = find_number_unit(group, number)
     for outlier in number.outliers:
         value = write_number(outlier.value, None, unit.factor).value
         reason = f"{value} {typeset_unit(unit.unit)}".strip() + (
@@ -206,7 +206,7 @@ def _number_issues(group: Group, number: GroupNumber) -> Iterator[Issue]:
 
 
 _REPEATED_CODE = "doubtful_in_mean"
-"""Code of a group's note that repeats the reasons of its doubtful numbers."""
+"""Code of the note of a group that repeats the reasons of its doubtful numbers."""
 
 
 def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Issue]:
@@ -215,7 +215,8 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
     for note in notes:
         is_repeated = note.code in _SLIP_LEDGER_CODES or note.code == _REPEATED_CODE
         if note.severity is not Severity.INFO and not is_repeated:
-            message = "" if note.code == PROTOCOLS_DIFFER else note.message  # one entry for a group
+            # all differences between the protocols of a group are one issue
+            message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
     for (code, _), same_notes in notes_by_code.items():
         is_note = test and same_notes[0].severity is not Severity.ERROR
@@ -233,7 +234,7 @@ def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Itera
 
 
 _HEADINGS = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
-"""Headings that differ from the name of the kind."""
+"""Headings of kinds whose names are not headings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,8 +243,8 @@ class Effect:
 
     Parameters
     ----------
-    size : in half widths of the interval of that number; infinite if no value is left
-    text : a clause
+    size : in half widths of the interval of the number; infinite if no value remains
+    text : describes the effect, without a full stop
     """
 
     size: float
@@ -252,14 +253,14 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Issues with one cause.
+    """Issues with a common cause.
 
     Parameters
     ----------
-    kind : what is wrong
-    code : of the first issue, may be empty
-    issues : issues with this cause, at least one
-    effect : None if unknown
+    kind : of the issues
+    code : of the first issue; may be empty
+    issues : at least one
+    effect : None if it is unknown
     """
 
     kind: Kind
@@ -269,12 +270,12 @@ class Cause:
 
     @property
     def heading(self) -> str:
-        """Kind in one or two words."""
+        """Return the kind in one or two words."""
         return _HEADINGS.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property
     def subject(self) -> str:
-        """Test or group, or their number."""
+        """Return the affected test or group, or the number of tests or groups."""
         groups = list(dict.fromkeys(issue.group for issue in self.issues))
         tests = dict.fromkeys(
             (issue.group, test)
@@ -292,7 +293,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """Return the first reason, and the number of further ones."""
+        """Return the first reason, and how many more there are."""
         if self.kind is Kind.UNLIKE:
             places = dict.fromkeys(
                 place for issue in self.issues for place in issue.what.split("; ")
@@ -312,8 +313,8 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
     Returns
     -------
-    Causes by decreasing effect, those of unknown effect last, equal ones in the order of `Kind`.
-    Notes without consequences are not included (`find_notes`).
+    Causes by decreasing effect, those of unknown effect last; causes of equal effect in the order
+    of `Kind`. Notes without consequences are not included (`find_notes`).
     """
     issues = [issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE]
     groups = {group.name: group for group in campaign.groups}
@@ -327,7 +328,7 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
 
 def find_notes(campaign: Campaign) -> list[Cause]:
-    """Group the notes without consequences, those of most tests first.
+    """Group the notes without consequences by code, the most frequent first.
 
     Parameters
     ----------
@@ -359,27 +360,23 @@ def _cluster_issues(issues: Iterable[Issue]) -> list[list[Issue]]:
 
 def _effect(issues: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
     if issues[0].kind is Kind.UNREADABLE:
-        return Effect(inf, "the test is missing from all numbers")
+        return Effect(inf, format_sentence("report.effect_unreadable"))
     if issues[0].kind is Kind.REJECTED:
-        return Effect(0.0, "not in any mean, by decision")
+        return Effect(0.0, format_sentence("report.effect_rejected"))
+    issues_by_group: dict[str, list[Issue]] = {}
+    for issue in issues:
+        issues_by_group.setdefault(issue.group, []).append(issue)
     effects = [
         effect
-        for name, group_issues in _by_group(issues).items()
+        for name, group_issues in issues_by_group.items()
         if name in groups
         for effect in _group_effects(groups[name], group_issues)
     ]
     return max(effects, key=lambda effect: effect.size, default=None)
 
 
-def _by_group(issues: Iterable[Issue]) -> dict[str, list[Issue]]:
-    issues_by_group: dict[str, list[Issue]] = {}
-    for issue in issues:
-        issues_by_group.setdefault(issue.group, []).append(issue)
-    return issues_by_group
-
-
 def _group_effects(group: Group, issues: Sequence[Issue]) -> Iterator[Effect]:
-    """Yield the effects of all affected tests on the numbers of a group."""
+    """Yield the effect of the affected tests on each number of a group."""
     for number in group.numbers:
         tests = {
             test
@@ -396,19 +393,21 @@ def _group_effects(group: Group, issues: Sequence[Issue]) -> Iterator[Effect]:
 
 def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the effect of tests that do not enter the mean of a number."""
-    # Effect, in half intervals, of a cause that leaves one value, without an interval.
-    no_interval_effect = 10.0
+    no_interval_effect = 10.0  # half widths, of a cause that leaves one value, without an interval
     lost = len(tests & number.left_out.keys())
     if not lost:
         return None
     name = f"{write_label(number.name)} of {group.name}"
     if number.mean is None:
-        return Effect(inf, f"no value of {name}")
+        return Effect(inf, format_sentence("report.effect_no_value", number=name))
     n = number.mean.chosen.n
     if n == 1:
-        return Effect(no_interval_effect, f"one value of {name}, without an interval")
+        text = format_sentence("report.effect_one_value", number=name)
+        return Effect(no_interval_effect, text)
     wider = _relative_width(n) / _relative_width(n + lost)
-    text = f"mean of {n} of {n + lost} values of {name}, interval about {wider:.1f} times as wide"
+    text = format_sentence(
+        "report.effect_fewer_values", n=n, n_all=n + lost, number=name, wider=wider
+    )
     return Effect(wider - 1.0, text)
 
 
@@ -417,9 +416,8 @@ def _relative_width(n: int) -> float:
 
 
 def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Return the shift of a mean without the tests."""
-    # Effect, in half intervals, of a cause that affects all values of a number.
-    all_values_effect = 5.0
+    """Return the effect of tests on a mean that includes them: its shift without them."""
+    all_values_effect = 5.0  # half widths, of a cause that affects all values of a number
     touched = tests & number.values.keys()
     mean = number.mean
     if not touched or mean is None:
@@ -432,7 +430,8 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
             spool = "" if mean.is_pooled else spools.get(test, "")
             remaining.setdefault(spool, []).append(result.value)
     if not remaining:
-        return Effect(all_values_effect, f"all values of {name}")
+        text = format_sentence("report.effect_all_values", number=name)
+        return Effect(all_values_effect, text)
     before, half = mean.chosen.mean, mean.chosen.half_width
     moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
     without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"

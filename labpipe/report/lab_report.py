@@ -1,4 +1,4 @@
-"""Report of a campaign: a page, a workbook and, on request, figures, written to a folder."""
+"""Report of a campaign: write its page, its workbook and, on request, figures to a folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from io import BytesIO
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+from markupsafe import Markup
 
 from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
@@ -71,8 +73,7 @@ from labpipe.report.plot_records import (
 )
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import (
-    find_display,
-    find_display_unit,
+    find_number_unit,
     is_first_cycle,
     replace_names,
     replace_unprintable,
@@ -85,21 +86,18 @@ from labpipe.report.wording import (
 )
 from labpipe.statistics.group_fields import make_field_sort_key
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
 _NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
 _ANSWER_HEADS = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
 
 
 @dataclass(frozen=True, slots=True)
 class Letterhead:
-    """Sender and customer of a report; all of it may be empty.
+    """Sender and customer of a report.
 
     Parameters
     ----------
-    facts : names and values, such as laboratory, customer, order
-    logo : picture as a ``data:`` address
+    facts : names and values, such as laboratory, customer and order; may be empty
+    logo : picture as a ``data:`` address; may be empty
     """
 
     facts: tuple[tuple[str, str], ...] = ()
@@ -111,7 +109,7 @@ _MAX_LOGO_BYTES = 200_000
 
 
 def read_logo(path: Path) -> str:
-    """Read a picture for page one.
+    """Read the logo of a report.
 
     Parameters
     ----------
@@ -124,7 +122,7 @@ def read_logo(path: Path) -> str:
     Raises
     ------
     UsageError
-        If it cannot be read, has another format, is damaged or too large for a mailed page.
+        If the file cannot be read, has another format, is damaged or larger than 200 kB.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -162,6 +160,7 @@ def render_page(
     its script. All texts of the campaign are escaped.
     """
     names = make_stems(group.name for group in campaign.groups)
+    tests = PageTests(campaign, names)
     report, script = compute_report_id(campaign), read_page_script()
     style = make_style(write_css_string(f"{campaign.title}  \u00b7  report {report}"), _text(STYLE))
     return fill_template(
@@ -175,18 +174,18 @@ def render_page(
         page_data=write_page_data(campaign, report=report),
         pages=has_test_pages,
         logo=letterhead.logo,
-        **_first_screen(campaign, names, letterhead),
-        **_other_sections(campaign, names),
+        **_first_screen(campaign, names, tests, letterhead),
+        **_other_sections(campaign, names, tests),
     )
 
 
 def _first_screen(
-    campaign: Campaign, names: Sequence[str], letterhead: Letterhead
+    campaign: Campaign, names: Sequence[str], tests: PageTests, letterhead: Letterhead
 ) -> dict[str, Any]:
-    """Return the contents of page one: answers, then numbers, then open decisions."""
+    """Return the contents of the first screen: answers, then numbers, then open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
-    tests, causes = PageTests(campaign, names), find_causes(campaign)
+    causes = find_causes(campaign)
     open_ones, answer_rows = find_open_decisions(causes, tests), make_answers(campaign)
     folds = {
         "answers": min(len(answer_rows), max_answers),
@@ -232,16 +231,17 @@ def _protocols(campaign: Campaign) -> str:
 
 
 def make_answers(campaign: Campaign) -> list[dict[str, Any]]:
-    """Collect the verdicts on pairs of groups by field.
+    """Make an answer for each field in which pairs of groups differ.
 
     Parameters
     ----------
-    campaign : with its differences; the first main number of each pair is used
+    campaign : with its differences; the first number of each pair counts
 
     Returns
     -------
-    For each ``field``, its ``question``, ``verdict`` (for several pairs their number by verdict),
-    ``difference`` and ``counts`` of the pair with the largest one, and the table of its ``pairs``.
+    For each ``field``: its ``question``, its ``verdict`` (for several pairs how many have each
+    verdict), the ``difference`` and the ``counts`` of the pair that differs most, and the table of
+    its ``pairs``.
     """
     return [
         _answer(field, list(pairs))
@@ -254,9 +254,9 @@ def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
     largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
     question, verdict = rows[0][0].text, rows[0][1].text
     if len(pairs) > 1:
-        every = {word for pair in pairs for word in pair.differences[0].fields[field]}
-        values = sorted(every, key=lambda word: make_field_sort_key(field, word))
-        question = f"{name_field(field)}: {', '.join(values)}"
+        values = {value for pair in pairs for value in pair.differences[0].fields[field]}
+        ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
+        question = f"{name_field(field)}: {', '.join(ordered)}"
         counts = Counter(pair.differences[0].verdict for pair in pairs)
         verdict = ", ".join(f"{str(kind).upper()} {counts[kind]}" for kind in Verdict
                             if counts[kind])  # fmt: skip
@@ -272,7 +272,7 @@ def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
 
 
 def _rank_of_pair(pair: Pair) -> tuple[bool, float]:
-    """Rank a pair: differing pairs first, then by the size of the difference."""
+    """Return a rank that is higher for different groups, then for a larger difference."""
     difference = pair.differences[0]
     size = difference.share if difference.share is not None else difference.difference.mean
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
@@ -283,11 +283,11 @@ class KeyRow(NamedTuple):
 
     Parameters
     ----------
-    name, stem : the stem is used in links
-    n : samples
-    strip : drawing of the first number with its interval, if any
+    name, stem : of the group, and of its links
+    n : number of samples
+    strip : drawing of the first number with its interval; None without a mean
     cells : of its first numbers
-    spark : its curve, if any
+    spark : its curve as a path; empty without a curve
     """
 
     name: str
@@ -299,11 +299,11 @@ class KeyRow(NamedTuple):
 
 
 class KeyBlock(NamedTuple):
-    """Groups with one table head.
+    """Groups that share the headings of a table.
 
     Parameters
     ----------
-    heads : of their numbers; without, each cell names its own
+    heads : of their numbers; empty if each cell names its number
     rows : one per group
     """
 
@@ -312,12 +312,16 @@ class KeyBlock(NamedTuple):
 
 
 def make_key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
-    """Return the key numbers of each group: a block for each kind, and one of all single groups.
+    """Make the key numbers of each group.
 
     Parameters
     ----------
     campaign : with the main numbers of the protocol first in each group
     stems : of its groups
+
+    Returns
+    -------
+    A block for groups with the same numbers, and a last one for groups that share them with none.
     """
     by_protocol: dict[str, list[tuple[Group, str]]] = {}
     for group, stem in zip(campaign.groups, stems, strict=True):
@@ -343,7 +347,7 @@ def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ..
     for group, _ in groups:
         for number in group.numbers:
             if is_first_cycle(number.name) and not number.is_set_by_rig:
-                unit = find_display_unit(number.name, number.unit, find_display(group)).unit
+                unit = find_number_unit(group, number).unit
                 heads.setdefault(number.name, write_heading(number.name, unit))
     return tuple(heads.items())[:n_numbers]
 
@@ -351,104 +355,101 @@ def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ..
 def _key_rows(
     groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool = True
 ) -> list[KeyRow]:
-    names = list(heads)
-    ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
+    first = next(iter(heads), "")
+    found = [_find_mean(group, first) for group, _ in groups]
+    means = [mean for _, mean in filter(None, found)]
+    intervals = [mean.interval for mean in means if mean.interval is not None]
+    ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
+    strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
     rows = []
-    for group, stem in groups:
-        strip = _mean_strip(group, names, ends) if has_heads else None
-        cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in names)
+    for (group, stem), number_and_mean in zip(groups, found, strict=True):
+        strip = None
+        if has_heads and number_and_mean is not None:
+            interval = _find_interval(*number_and_mean)[0].interval
+            strip = make_strip(strip_ends, interval, number_and_mean[1].mean)
+        cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
         rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
     return rows
 
 
-def _number(group: Group, names: Sequence[str]) -> GroupNumber | None:
-    return next((number for number in group.numbers if number.name in names), None)
-
-
-def _ends(numbers: Sequence[GroupNumber]) -> tuple[float, float]:
-    """Return the scale of a column: full means, intervals only as far as the means stay apart."""
-    chosen = [number.mean.chosen for number in numbers if number.mean is not None]
-    means = [mean.mean for mean in chosen] or [0.0, 1.0]
-    ends = [end for mean in chosen if mean.interval is not None
-            for end in (mean.interval.lower, mean.interval.upper)]  # fmt: skip
-    return clip_range(means, ends, 1.0)
-
-
-def _mean_strip(group: Group, names: Sequence[str], ends: tuple[float, float]) -> Strip | None:
-    number = _number(group, names[:1])
-    if number is None or number.mean is None:
-        return None
-    interval = _interval_source(number.mean.chosen, number)[0].interval
-    return make_strip(ends, interval, number.mean.chosen.mean)
+def _find_mean(group: Group, name: str) -> tuple[GroupNumber, MeanInterval] | None:
+    """Find a number of a group and its mean; None without a mean."""
+    for number in group.numbers:
+        if number.name == name and number.mean is not None:
+            return number, number.mean.chosen
+    return None
 
 
 def _key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    number = _number(group, [name])
-    if number is None or number.mean is None:
+    found = _find_mean(group, name)
+    if found is None:
         return Cell(DASH, tip="no sample has this number")
-    scale = find_display_unit(name, number.unit, find_display(group))
-    chosen = number.mean.chosen
-    source, tip = _interval_source(chosen, number)
+    number, mean = found
+    scale = find_number_unit(group, number)
+    source, tip = _find_interval(number, mean)
     if source.distinct_estimate is not None:
-        estimate = write_mean(chosen, scale.factor).partition("(")[2].partition(",")[0]
+        estimate = write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
         tip = f"interval of the {estimate}"
-    text = write_with_interval(chosen.mean, source.interval, scale.factor)
+    text = write_with_interval(mean.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)
     return Cell(f"{text} {typeset_unit(scale.unit)}".strip(), small=write_label(name), tip=tip)
 
 
-def _interval_source(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
-    """Return the mean or the single test that has the interval of a number, and a note on it."""
+def _find_interval(number: GroupNumber, mean: MeanInterval) -> tuple[MeanInterval | Result, str]:
+    """Return the mean, or the single test of a mean without interval, and a note on the latter."""
     if mean.interval is None and len(number.values) == 1:
         return next(iter(number.values.values())), "one test: uncertainty of its measurement"
     return mean, ""
 
 
 def _spark(group: Group) -> str:
-    """Write the mean curve of a group, or else its first curve, as a sparkline."""
-    band, first = group.band, None
-    if len(band.displacement) and band.n > 1:
-        first = band.displacement, band.mean
-    else:
-        curves = map(find_first_loading, group.samples)
-        first = next(((one.displacement, one.force) for one in curves if one is not None), None)
-    if first is None:
-        return ""
-    rows = simplify_line(*first, points=24, tolerance=0.01)
-    return write_sparkline(first[0][rows], first[1][rows])
+    """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
+    x, y = group.band.displacement, group.band.mean
+    if group.band.n < 2 or not len(x):
+        curves = (find_first_loading(sample) for sample in group.samples)
+        first = next((curve for curve in curves if curve is not None), None)
+        if first is None:
+            return ""
+        x, y = first.displacement, first.force
+    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    return write_sparkline(x[rows], y[rows])
 
 
-def _limit_rows(blocks: Iterable[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
-    """Limit the number of groups of each block that are shown at first."""
-    shown = []
+def _limit_rows(blocks: Iterable[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
+    """Return each block with the number of its groups that the page shows before it is unfolded."""
+    limited = []
     for block in blocks:
-        count = min(len(block.rows), max(most, 0))
-        shown.append((block, count))
-        most -= count + 1
-    return shown
+        count = min(len(block.rows), max(max_rows, 0))
+        limited.append((block, count))
+        max_rows -= count + 1
+    return limited
 
 
 class OpenDecision(NamedTuple):
-    """A cause that requires a decision, and the affected tests that are not decided."""
+    """A cause that requires a decision, and its tests without one."""
 
     cause: Cause
     tests: tuple[PageTest, ...]
 
 
 def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenDecision]:
-    """List the causes that require a decision: doubtful, failed, marked as outliers.
+    """Find the causes that require a decision: failed, doubtful or marked as outliers.
 
     Parameters
     ----------
     causes : ranked
-    tests : decided ones are left out
+    tests : of the page
+
+    Returns
+    -------
+    Causes of which a test has no decision yet, in their order.
     """
     decisions = []
     for cause in causes:
-        named = (tests.by_name.get(concern.test) for concern in cause.issues)
-        open_ones = (test for test in named if test is not None and not test.sample.decision)
-        undecided = tuple(dict.fromkeys(open_ones))
+        affected = (tests.by_name.get(issue.test) for issue in cause.issues)
+        open_tests = (test for test in affected if test is not None and not test.sample.decision)
+        undecided = tuple(dict.fromkeys(open_tests))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
             decisions.append(OpenDecision(cause, undecided))
     return decisions
@@ -456,7 +457,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
 
 def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
-    undecided = len({test.number for open_one in open_ones for test in open_one.tests})
+    undecided = len({test.number for decision in open_ones for test in decision.tests})
     parts = [
         write_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
@@ -466,9 +467,8 @@ def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> 
     return " \u00b7 ".join(parts)
 
 
-def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
-    """Return the contents below page one."""
-    tests = PageTests(campaign, names)
+def _other_sections(campaign: Campaign, names: Sequence[str], tests: PageTests) -> dict[str, Any]:
+    """Return the contents below the first screen."""
     groups = list(zip(campaign.groups, names, strict=True))
     by_stem = {stem: group.name for group, stem in groups}
     return {
@@ -540,19 +540,17 @@ _OWN_SERVER: Final = "connect-src 'self'"
 
 
 def read_page_script() -> Markup:
-    """Return the script of a page for one ``script`` element.
+    """Read the script of a page for its ``script`` element.
 
-    It sorts and filters tables, zooms figures and stores decisions. It defines no global names and
-    uses no network.
+    The script sorts and filters tables, zooms figures and stores decisions. It defines no global
+    names and uses no network.
     """
-    from markupsafe import Markup
-
     parts = "\n".join(_text(name) for name in SCRIPTS)
     return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
 
 
 def write_page_data(campaign: Campaign, *, report: str) -> Markup:
-    """Return the data of the script for a ``script`` element of type ``application/json``.
+    """Write the data of the script for a ``script`` element of type ``application/json``.
 
     Parameters
     ----------
@@ -563,8 +561,6 @@ def write_page_data(campaign: Campaign, *, report: str) -> Markup:
     -------
     JSON in which no text can end the element.
     """
-    from markupsafe import Markup
-
     data = {
         "schema": _SCHEMA,
         "campaign": campaign.name,
@@ -582,8 +578,8 @@ def fill_template(template: str, **values: Any) -> str:
 
     Parameters
     ----------
-    template : name of the file, or a text with marks of jinja
-    values : all values of the template, by name
+    template : name of the file, or the text of a template
+    values : of all names in the template
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -599,27 +595,23 @@ def fill_template(template: str, **values: Any) -> str:
 
 
 def make_style(footer: str, more: str) -> Markup:
-    """Return the style sheet of a page.
+    """Make the style sheet of a page.
 
     Parameters
     ----------
     footer : of each printed sheet, from `write_css_string`
-    more : rules of that page alone
+    more : rules of this page alone
     """
-    from markupsafe import Markup
-
     return Markup(f"{_text(LOOKS).replace('var(--footer)', footer)}{more}")
 
 
 def compute_style_hash(text: str) -> Markup:
-    """Return the SHA-256 of a style or a script as the page's policy writes it.
+    """Compute the SHA-256 of a style or a script for the security policy of the page.
 
     Parameters
     ----------
-    text : of a style or a script, as in the page
+    text : of the style or the script, as in the page
     """
-    from markupsafe import Markup
-
     digest = hashlib.sha256(replace_unprintable(text).encode()).digest()
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
 
@@ -629,7 +621,7 @@ def write_css_string(text: str) -> str:
 
     Parameters
     ----------
-    text : any
+    text : letters and digits are kept, all other characters escaped
     """
     plain = (
         letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
@@ -639,7 +631,7 @@ def write_css_string(text: str) -> str:
 
 
 def allow_own_server(page: str) -> str:
-    """Allow a page that this machine serves to connect to its server.
+    """Allow a page to connect to the server that it comes from.
 
     Parameters
     ----------
@@ -647,8 +639,8 @@ def allow_own_server(page: str) -> str:
 
     Returns
     -------
-    The page with a policy that allows connections to its own server; unchanged without such a
-    policy: then its decisions are saved as a file.
+    The page with a policy that allows connections to its own server. A page without a policy is
+    unchanged; it saves decisions as a file.
     """
     head, policy, rest = page.partition(_NO_NETWORK)
     return page if "<body" in head or not policy else f"{head}{_OWN_SERVER}{rest}"
@@ -670,8 +662,8 @@ class Extras:
     Parameters
     ----------
     letterhead : of the page
-    formats : of the figures as files: ``svg``, ``png``, ``pdf``; none for no files
-    test_pages : by address below the report, the page of each test
+    formats : of figures as files: ``svg``, ``png``, ``pdf``; empty for no files
+    test_pages : page of each test by its address below the folder of the report
     is_journal : draw the figures in the style of a journal
     """
 
@@ -690,12 +682,12 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
     Parameters
     ----------
     campaign : groups with their statistics; groups may be empty
-    folder : made if it is not there; files of other names stay
+    folder : made if it does not exist; files of other names stay
     extras : letterhead, figures as files, pages of single tests
 
     Returns
     -------
-    The page, the workbook, then the pages of tests and the figures.
+    The files: page, workbook, pages of tests, figures.
 
     Raises
     ------
@@ -717,7 +709,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
 
 
 def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path]:
-    """Draw the figures of each group and those that compare groups, for papers and slides."""
+    """Write the figures of each group, of comparisons and of bundles, each at least as SVG."""
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)

@@ -1,4 +1,4 @@
-"""Markers of a test: their shapes in the rig, and the source of each position."""
+"""Figures of the markers of a test: their shapes in the rig, and how each position was obtained."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ProtocolError
+from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Direction, PointFlag, Shape
@@ -19,13 +20,19 @@ from labpipe.report.figure_page import (
     GREY,
     add_key,
     add_title,
-    make_empty_page,
     make_page,
+    make_reason_page,
+    read_look,
     sample_colour_map,
     write_reason,
 )
 from labpipe.report.plot_records import find_extremes, thin_flags
-from labpipe.report.wording import choose_unit, explain_missing, write_footnote, write_title
+from labpipe.report.wording import (
+    explain_missing,
+    find_unit,
+    write_footnote,
+    write_title,
+)
 from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
@@ -39,30 +46,35 @@ _LOOKS = {
     PointFlag.FILLED: ("o", False),
     PointFlag.CONSTRUCTED: ("D", False),
 }
-"""Marker of a point, and whether it is filled, by the source of its position."""
+"""Sign of a marker, and whether it is filled, by how its position was obtained."""
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Frames to draw, the deflection of the tip at each (m), and its name."""
+    """Frames at which shapes are drawn.
+
+    Parameters
+    ----------
+    frames : numbers, in order
+    levels : deflection of the tip at each, m
+    name : of the deflection, for the key
+    """
 
     frames: Ints
     levels: Floats
-    word: str
+    name: str
 
 
 def draw_wire_shapes(result: TestResult) -> Figure:
-    """Draw shapes in the plane of bending; without branches in two planes."""
+    """Draw shapes in the plane of bending, or in two planes if the curve has no loading branch."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        reason = explain_missing(result, "shape")
-        return make_empty_page(
-            write_title(result), reason, write_footnote(result), width_mm=DOUBLE_COLUMN
-        )
+        return make_reason_page(result, explain_missing(result, "shape"))
     steps, rig = choose_frames(result, shape), read_rig(result)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    heights = [panel_width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
+    length, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
+    heights = [panel_width_mm * float(side / length) for side in sides]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -70,68 +82,72 @@ def draw_wire_shapes(result: TestResult) -> Figure:
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             axes.set_title(f"x-{'xyz'[plane]} view", loc="left")
-    note = " ".join(filter(None, (_offset_note(result, shape, rig), write_footnote(result))))
+    note = " ".join(filter(None, (_describe_offset(result, shape, rig), write_footnote(result))))
     return add_title(page, write_title(result), note)
 
 
 def choose_frames(result: TestResult, shape: Shape) -> Steps:
-    """Choose frames at equal, round steps of the tip.
+    """Choose frames at equal, round steps of the deflection of the tip.
 
     Parameters
     ----------
-    result : steps of tip deflection on its first loading branch, else steps of the distance of the
+    result : the deflection is that of its first loading branch; without one, the distance of the
         tip from its first position
-    shape : at least one frame
+    shape : with at least one frame
 
     Returns
     -------
-    About six frames, the first at rest.
+    About six frames from deflection zero upwards; the first frame alone without a deflection.
     """
     n_steps = 6
     from matplotlib.ticker import MaxNLocator
 
-    way, word = _tip_path(result, shape)
-    if np.isnan(way).all():
-        return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
-    factor = choose_unit(result, "displacement", "m").factor
-    steps = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
-    levels = np.asarray(steps.tick_values(0.0, factor * float(np.nanmax(way)))) / factor
+    deflection, name = _find_tip_deflection(result, shape)
+    if np.isnan(deflection).all():
+        return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
+    factor = find_unit(result.display, "displacement").factor
+    locator = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
+    levels = np.asarray(locator.tick_values(0.0, factor * float(np.nanmax(deflection)))) / factor
     # the first frame at a level: later ones may belong to another motion
-    reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
-    frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
-    return Steps(frames, levels[: len(frames)], word)
+    reached = [np.flatnonzero(deflection >= level - 1e-12) for level in levels]
+    frames = np.array([rows[0] for rows in reached if len(rows)], dtype=np.int64)
+    return Steps(frames, levels[: len(frames)], name)
 
 
 def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
+    """Return start and end of the first loading branch, s; None without one."""
     branches = result.curve.branches if result.curve is not None else ()
     loadings = (branch for branch in branches if branch.direction is Direction.LOADING)
     return next(((branch.start_time, branch.stop_time) for branch in loadings), None)
 
 
-def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
-    """Return the deflection of the tip in every frame, m; NaN outside the first loading."""
+def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
+    """Return the deflection of the tip in every frame, m, and its name.
+
+    It is NaN outside the first loading branch. Without such a branch, it is the distance of the
+    last tracked point from its first position.
+    """
     loading = _find_first_loading(result)
     if loading is None or result.curve is None:
-        tip = shape.positions[:, _last_tracked(shape)]
+        tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
+        tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
         start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
-        far: Floats = np.linalg.norm(tip - start, axis=1)
-        return far, "tip excursion"
+        distance: Floats = np.linalg.norm(tip - start, axis=1)
+        return distance, "tip excursion"
     curve = result.curve
-    travel: Floats = np.interp(shape.time, curve.time, curve.displacement)
-    travel[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
-    is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    return travel, "tip deflection" if is_clamped else "deflection"
+    deflection: Floats = np.interp(shape.time, curve.time, curve.displacement)
+    deflection[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
+    return deflection, "tip deflection" if _is_clamped(shape) else "deflection"
 
 
-def _last_tracked(shape: Shape) -> int:
-    """Return the tracked point nearest to the free end."""
-    tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
-    return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
+def _is_clamped(shape: Shape) -> bool:
+    """Return whether the first point of a shape is constructed, as that of a clamped specimen."""
+    return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
-    """Return the ends of an axis, m: everything drawn with a margin, at least a flat strip."""
+    """Return the ends of an axis, m, around everything drawn, with a margin."""
     margin = 0.04
     min_aspect = 0.1  # height of a panel over the length of the specimen
     curves = [_fitted_curve(shape, int(frame))[axis] for frame in steps.frames]
@@ -146,12 +162,6 @@ def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, flo
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
     return float(middle - half), float(middle + half)
-
-
-def _aspect_ratio(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
-    """Return the height of a panel over its width, at equal axis scale."""
-    (left, right), (low, high) = (_limits(shape, steps, axis, rig) for axis in (0, plane))
-    return (high - low) / (right - left)
 
 
 def _support_centres(rig: Rig) -> list[tuple[float, float]]:
@@ -176,54 +186,50 @@ def _load_centres(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, flo
 def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: float) -> None:
     from matplotlib.patches import Circle
 
-    load = _load_centres(shape, steps, rig)
-    support_look: dict[str, Any] = {"facecolor": "#d9d9d9", "linewidth": 0.6, "label": "supports"}
-    load_look: dict[str, Any] = {
-        "facecolor": "none", "linewidth": 0.8, "linestyle": (0, (3, 1.5)),
-        "label": "load, first and last",
-    }  # fmt: skip
-    ends = [*load[:1], *load[-1:]]
-    for centres, look in ((_support_centres(rig), support_look), (ends, load_look)):
+    loads = _load_centres(shape, steps, rig)
+    ends = [*loads[:1], *loads[-1:]]
+    for centres, name in ((_support_centres(rig), "support_roller"), (ends, "loading_roller")):
         for x, y in centres:
-            circle = Circle((x * factor, y * factor), rig.roller_radius * factor, zorder=0.5)
-            circle.set(edgecolor=GREY, **look)
-            axes.add_patch(circle)
+            centre, radius = (x * factor, y * factor), rig.roller_radius * factor
+            axes.add_patch(Circle(centre, radius, **read_look(name)))
 
 
-def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
-    """Note the offset of markers from the axis of a clamped specimen."""
+def _describe_offset(result: TestResult, shape: Shape, rig: Rig) -> str:
+    """State the offset of the markers from the axis of a clamped specimen, if any."""
     min_offset = 1e-5  # m
-    is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
+    has_curve = bool(shape.coefficients.shape[2])
+    if not _is_clamped(shape) or abs(rig.centre_offset) < min_offset or not has_curve:
         return ""
-    across = choose_unit(result, "displacement", "m")
-    return (
-        f"Centres of markers are {abs(rig.centre_offset) * across.factor:.3g} {across.unit} beside "
-        "the axis, which is the curve."
-    )
+    x_unit = find_unit(result.display, "displacement")
+    offset = abs(rig.centre_offset) * x_unit.factor
+    return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
 
 
 def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
-    """Draw markers and fitted curves at equal steps of the tip, at equal axis scale.
+    """Draw markers and fitted curves at equal steps of the tip, with one scale on both axes.
 
     Parameters
     ----------
-    result : its shape is drawn
-    axes : to draw on; nothing without a shape
+    result : with a shape; without one, nothing is drawn
+    axes : to draw on
     plane : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
     shape = result.shape
     if shape is None:
         return
     steps, rig = choose_frames(result, shape), read_rig(result)
-    way = choose_unit(result, "displacement", "m")
+    unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
-        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
-        axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
-        _draw_markers(shape, int(frame), (plane, way.factor, colour), axes)
-        level = f"{steps.levels[at] * way.factor:g} {way.unit}"
-        label = level if at else f"{steps.word} {level}"
+        x, y = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
+        axes.plot(x, y, color=colour, linewidth=0.9, zorder=1)
+        for flag in _LOOKS:
+            rows = shape.flags[frame] == flag
+            if rows.any():
+                x, y = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
+                axes.plot(x, y, color=colour, **_marker_style(flag, colour))
+        level = f"{steps.levels[at] * unit.factor:g} {unit.unit}"
+        label = level if at else f"{steps.name} {level}"
         add_key(axes, label, color=colour, linewidth=1.6)
     present = set(np.unique(shape.flags[steps.frames]))
     for flag in [flag for flag in _LOOKS if flag in present]:
@@ -231,25 +237,15 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     if shape.coefficients.shape[2]:
         add_key(axes, "fitted curve", color=GREY, linewidth=0.9)
     if plane == 1:
-        _draw_rollers(axes, shape, steps, rig, way.factor)
-    axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
-    axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
+        _draw_rollers(axes, shape, steps, rig, unit.factor)
+    axes.set_xlim(*(end * unit.factor for end in _limits(shape, steps, 0, rig)))
+    axes.set_ylim(*(end * unit.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set(xlabel=way.label("x"), ylabel=way.label("xyz"[plane]))
-
-
-def _draw_markers(shape: Shape, frame: int, how: tuple[int, float, str], axes: Axes) -> None:
-    """Draw the markers of a frame in a plane, with a factor and a colour."""
-    plane, factor, colour = how
-    for flag in _LOOKS:
-        mine = shape.flags[frame] == flag
-        if mine.any():
-            x, up = shape.positions[frame][mine][:, [0, plane]].T * factor
-            axes.plot(x, up, color=colour, **_marker_style(flag, colour))
+    axes.set(xlabel=unit.label("x"), ylabel=unit.label("xyz"[plane]))
 
 
 def _fitted_curve(shape: Shape, frame: int) -> Floats:
-    """Return points on the fitted curve, shape (3, points), m; none without a curve."""
+    """Return points on the fitted curve, shape (3, points), m; no points without a curve."""
     terms = shape.coefficients.shape[2]
     along = np.linspace(0, 1, 81 if terms else 0)
     curve: Floats = shape.coefficients[frame] @ along[None, :] ** np.arange(terms)[:, None]
@@ -268,31 +264,39 @@ FLAG_COLOURS = {
     PointFlag.FILLED: "#e69f00",
     PointFlag.MISSING: "#1a1a1a",
 }
+_FLAGS_BY_RANK = (
+    PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
+    PointFlag.MISSING,
+)  # fmt: skip
+"""Flags of points, the worst last."""
 _PIXEL_BINS = 900
 """Bins in time, about one per pixel."""
 
 
 def draw_marker_quality(result: TestResult) -> Figure:
-    """Draw a row per marker against time, and below them the errors of the rigid bodies."""
+    """Draw a row per marker against time, and below them the error of each rigid body."""
     row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
-    rows = 0 if result.shape is None else int(_is_marker(result.shape).sum())
+    rows = 0 if result.shape is None else int(_are_markers(result.shape).sum())
     upper = max(rows * row_mm, lower_mm)
     page = make_page(width_mm=DOUBLE_COLUMN, height_mm=upper + lower_mm + frames_mm)
     flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
     plot_flags(result, flags)
     plot_tracking(result, lower)
-    lower.set_xlabel(choose_unit(result, "time", "s").label("Time"))
+    lower.set_xlabel(find_unit(result.display, "time").label("Time"))
     return add_title(page, write_title(result), write_footnote(result))
 
 
 def plot_flags(result: TestResult, axes: Axes) -> None:
-    """Draw a row per marker, coloured by the source of its position.
+    """Draw a row per marker, coloured by how its position was obtained.
 
     Parameters
     ----------
-    result : its shape is drawn without constructed points. Each pixel shows the worst of its
-        frames, so that short gaps are visible
-    axes : to draw on; an explaining sentence if there is no shape
+    result : with a shape; constructed points have no row
+    axes : to draw on; without a shape, a sentence says so
+
+    Notes
+    -----
+    Each pixel shows the worst of its frames, so that short gaps are visible.
     """
     shape = result.shape
     if shape is None or not len(shape.time):
@@ -300,11 +304,11 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
         return
     from matplotlib.collections import PolyCollection
 
-    mine = _is_marker(shape)
+    mine = _are_markers(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = thin_flags(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
+    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    edges *= choose_unit(result, "time", "s").factor
+    edges *= find_unit(result.display, "time").factor
     for flag, colour in FLAG_COLOURS.items():
         if (flags == flag).any():
             bars = list(_bar_corners(flags == flag, edges))
@@ -323,14 +327,14 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
     Parameters
     ----------
-    result : the first recording with marker tracks is drawn
-    axes : to draw on; an explaining sentence if there are no marker tracks
+    result : its first recording with marker tracks is drawn
+    axes : to draw on; without marker tracks, a sentence says so
     """
     tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
     if tracks is None or not len(tracks.time):
         write_reason(axes, explain_missing(result, "take"))
         return
-    time = tracks.time * choose_unit(result, "time", "s").factor
+    time = tracks.time * find_unit(result.display, "time").factor
     bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
     if bodies:
         _plot_errors(result, axes, time, bodies)
@@ -345,32 +349,18 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
 
 
 def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    up = choose_unit(result, "displacement", "m")
+    y_unit = find_unit(result.display, "displacement")
     for body in bodies:
-        error = body.error * up.factor
+        error = body.error * y_unit.factor
         rows = find_extremes(error, bins=_PIXEL_BINS)
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
-    axes.set_ylabel(up.label("Body error"))
+    axes.set_ylabel(y_unit.label("Body error"))
     axes.set_ylim(bottom=0.0)
 
 
-def _is_marker(shape: Shape) -> NDArray[np.bool_]:
+def _are_markers(shape: Shape) -> NDArray[np.bool_]:
     constructed: NDArray[np.bool_] = (shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
     return ~constructed
-
-
-def _rank() -> NDArray[np.uint8]:
-    """Return the rank of each flag, the worst highest."""
-    order = [
-        PointFlag.CONSTRUCTED,
-        PointFlag.MEASURED,
-        PointFlag.RELABELLED,
-        PointFlag.FILLED,
-        PointFlag.MISSING,
-    ]
-    rank = np.empty(len(order), dtype=np.uint8)
-    rank[order] = np.arange(len(order))
-    return rank
 
 
 def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:
@@ -384,11 +374,11 @@ def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:
 
 
 class Rig(NamedTuple):
-    """Support of a specimen.
+    """Supports of a specimen, and its sizes.
 
     Parameters
     ----------
-    span : m, between supports; 0 for a clamped specimen
+    span : m, between the supports; 0 for a clamped specimen
     roller_radius : m; 0 if not stated
     section_radius : m, half the outer diameter of the specimen; 0 if not stated
     centre_offset : m, from the axis to the centres of the markers, positive towards the pull
@@ -406,12 +396,15 @@ class Rig(NamedTuple):
 
 
 def read_rig(result: TestResult) -> Rig:
-    """Return the rig of a test from its protocol.
+    """Read the rig of a test from its protocol.
 
     Parameters
     ----------
-    result : with its resolved protocol; without one, or with one of an earlier grammar that is no
-        longer valid, the rig is empty
+    result : with its resolved protocol
+
+    Returns
+    -------
+    All sizes are 0 without a protocol, or with one of an earlier grammar that is no longer valid.
     """
     try:
         protocol = parse_protocol(result.protocol_yaml, result.test)

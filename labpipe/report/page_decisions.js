@@ -143,7 +143,7 @@ async function post() {
     for (const test of tests.values()) if (drafts.has(test.t) && isSaved(test, drafts.get(test.t))) drafts.delete(test.t);
     keep();
     showAll();
-    say(told.said, true);
+    say(told.message, true);
     again.hidden = false;
   } catch {
     say("labpipe serve does not answer: start it again. Your decisions are kept in this page.", true);

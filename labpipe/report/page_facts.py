@@ -1,4 +1,4 @@
-"""Facts of a report: operators, days, instruments, and the list of tests."""
+"""Facts of a report: its tests by number, their states, days, operators and instruments."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class PageTest:
 
     Parameters
     ----------
-    number : of the test, in the order of the table of tests
-    sample : of the test
+    number : in the order of the table of tests
+    sample : with the numbers of the test
     stem : of its group; empty for a rejected test that matches no group
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
     why : reason, person and day of a rejection; else empty
@@ -99,7 +99,7 @@ def make_key(sample: Sample) -> str:
 
 
 def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
-    """Return the group to which a rejected test would belong.
+    """Find the group to which a rejected test would belong.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
 
     Returns
     -------
-    Name of the group of its protocol with the most common fields, among those with the same
-    grouping fields; empty without such a group.
+    Name of the group; empty without one. The group has the protocol of the test and its values of
+    the fields by which the campaign is grouped; of several, the one with most fields in common.
     """
     fields = list_fields(sample.specimen)
     alike = {
@@ -122,18 +122,19 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
 
 
 def find_state(sample: Sample) -> str:
-    """Return the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
+    """Find the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
     states = {result.status for result in sample.results}
     worst = (Status.FAILED, Status.DOUBTFUL)
     return next((str(status) for status in worst if status in states), str(Status.OK))
 
 
 def compute_report_id(campaign: Campaign) -> str:
-    """Return an identifier of the contents of a report: its tests and the decisions on them.
+    """Compute the identifier of a report, ten hexadecimal digits.
 
     Parameters
     ----------
-    campaign : the same tests, decisions and groups give the same identifier
+    campaign : the same title, groups, runs of tests, rejections and version of labpipe give the
+        same identifier
     """
     digest = hashlib.sha256()
     for group in campaign.groups:
@@ -178,7 +179,7 @@ class InstrumentLine:
     Parameters
     ----------
     name : its channel, and the certificate of its calibration
-    due : text of the due date of its calibration, or since when it is overdue
+    due : when its calibration is due, or since when and in how many tests it is overdue
     is_overdue : a test was made after the due date
     """
 
@@ -188,7 +189,7 @@ class InstrumentLine:
 
 
 def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
-    """List the instruments of tests, each calibration once.
+    """List the instruments of tests, each certificate once.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tables of a report's page: of each group, of all tests, of issues and methods."""
+"""Tables of the page of a report: of each group, of all tests, of issues and of methods."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from urllib.parse import quote
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import (
-    COLOURS_OF_CAUSES,
-    OTHER_COLOUR,
+    find_cause_colour,
     list_shown_causes,
     make_group_bars,
     sort_shares,
@@ -35,9 +35,10 @@ from labpipe.report.wording import (
     describe_counts,
     find_display,
     find_display_unit,
+    find_number_unit,
+    find_units,
     is_main,
     replace_names,
-    typeset_unit,
     write_count,
     write_heading,
     write_label,
@@ -55,13 +56,13 @@ class Cell:
 
     Parameters
     ----------
-    text : large
-    small : below it
-    mark : behind the text: ``?`` for doubtful
-    tip : sentence or code shown on hover
-    sort : value by which the column is sorted, SI; None for the text
-    drawing : in place of the text
-    link : address on the page
+    text : in the first line
+    small : in the second line, in smaller letters
+    mark : after the text: ``?`` for doubtful, ``!`` for an outlier
+    tip : sentence or code that the page shows on hover
+    sort : value by which the column is sorted, SI; None to sort by the text
+    drawing : replaces the text
+    link : address of the text on the page
     """
 
     text: str
@@ -79,10 +80,10 @@ class Table:
 
     Parameters
     ----------
-    caption : title
-    heads : one per column
-    rows : cells
-    notes : sentences below it
+    caption : above the table
+    heads : headings, one per column
+    rows : as many cells as headings
+    notes : sentences below the table
     """
 
     caption: str
@@ -92,23 +93,23 @@ class Table:
 
 
 MAX_SAMPLE_COLUMNS = 4
-"""Samples as columns of the table of numbers; larger groups have tables with a row per sample."""
+"""Samples with a column in the table of numbers; a larger group has tables of samples, too."""
 
 
 def describe_group(group: Group) -> str:
-    """Describe a group: counts of samples and spools, protocol, days, operators."""
+    """Describe a group: counts of samples and spools, protocol, days and operators."""
     tested = f"tested {describe_days(group.samples)} by {describe_operators(group.samples)}"
     return f"{describe_counts(group)}, protocol {group.protocol}, {tested}."
 
 
 def make_number_table(group: Group) -> Table:
-    """Return the table of a group: a row per number with mean, interval and few samples.
+    """Make the table of a group: a row per number with its mean, and the samples if they are few.
 
     Parameters
     ----------
-    group : with samples
+    group : with or without samples
     """
-    n_drawn = 8
+    n_drawn = 8  # rows with a drawing
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     heads = ("Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns))
     rows = tuple(
@@ -121,13 +122,13 @@ def make_number_table(group: Group) -> Table:
 def _number_row(
     group: Group, number: GroupNumber, columns: Sequence[Sample], *, is_drawn: bool
 ) -> tuple[Cell, ...]:
-    unit = find_display_unit(number.name, number.unit, find_display(group))
+    unit = find_number_unit(group, number)
     head = Cell(write_heading(number.name, unit.unit), tip=number.name)
     samples = [_sample_cell(number, column, unit.factor) for column in columns]
     mean = number.mean
     if mean is None:
-        nothing = Cell(DASH, tip="no sample has this number")
-        return head, Cell(""), nothing, Cell("0"), Cell(DASH), *samples
+        missing = Cell(DASH, tip="no sample has this number")
+        return head, Cell(""), missing, Cell("0"), Cell(DASH), *samples
     count = f"{mean.chosen.n}"
     if not mean.is_pooled:
         count = write_count(mean.chosen.n, "spool")
@@ -163,13 +164,13 @@ def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
 
 
 def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
-    """Return the cell of a test's number: ``?`` marks a doubtful one, ``!`` an outlier.
+    """Make the cell of a test's number: ``?`` marks a doubtful one, ``!`` an outlier.
 
     Parameters
     ----------
-    result : None if it was not requested
-    factor : from SI to the unit that is shown
-    is_outlier : marked as outlier
+    result : None if the protocol of the test does not name it
+    factor : from SI to the display unit
+    is_outlier : among the samples of its group
     """
     if result is None:
         return Cell(DASH, tip="not requested")
@@ -185,13 +186,13 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
 def _table_notes(group: Group) -> Iterator[str]:
     """Yield the notes on signs and averages of the table."""
     if any(not number.mean.is_pooled for number in group.numbers if number.mean):
-        yield "n in spools: the mean is over spool means, each counted once."
+        yield format_sentence("report.n_in_spools")
     names = [write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
     if names:
-        yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
+        yield format_sentence("report.set_by_rig", numbers="; ".join(names))
     spools = {sample.specimen.spool for sample in group.samples}
     if len(spools) == 1 and len(group.samples) > 1:
-        yield "One spool: differences between spools are unknown; intervals hold for this spool."
+        yield format_sentence("report.one_spool")
     yield from _interval_notes(group)
     yield from _reason_notes(group)
 
@@ -204,44 +205,44 @@ def _interval_notes(group: Group) -> Iterator[str]:
         if member.mean is not None and member.mean.chosen.reason:
             reasons.setdefault(member.mean.chosen.reason, []).append(write_label(member.name))
     for why, names in reasons.items():
-        of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
-        yield f"No interval of the mean: {join_sentences([why])} ({of})"
+        numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
+        yield format_sentence("report.no_mean_interval", why=join_sentences([why]), numbers=numbers)
     means = [number.mean for number in group.numbers if number.mean is not None]
     if any(not mean.is_pooled and mean.chosen.n == min_tests for mean in means):
-        yield (
-            "Intervals over two spool means are wide because two values leave one degree of"
-            " freedom, where Student's t is 12.7. More samples of these spools hardly help; a"
-            " third spool reduces t to 4.3, a fourth to 3.2."
-        )
+        yield format_sentence("report.two_spool_means")
 
 
 def _reason_notes(group: Group) -> Iterator[str]:
     """Yield the reasons of doubtful (?), missing and outlying (!) numbers with their tests."""
     names = {number.name for number in group.numbers}
-    named: dict[str, dict[str, None]] = {}
+    tests_by_reason: dict[str, dict[str, None]] = {}
     for sample in group.samples:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 sign = DASH if result.status is Status.FAILED else "?"
                 reason = f"{sign} {join_sentences(result.reasons)}"
-                named.setdefault(reason, {})[sample.test] = None
-    for reason, tests in named.items():
+                tests_by_reason.setdefault(reason, {})[sample.test] = None
+    for reason, tests in tests_by_reason.items():
         yield f"{reason} ({', '.join(tests)})"
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
         for outlier in number.outliers:
             outliers.setdefault(outlier.sample, []).append(write_label(number.name).lower())
     for test, numbers in outliers.items():
-        yield f"! {test} is an outlier in {'; '.join(numbers)}. It is included in all means."
+        yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(numbers))
 
 
 def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
-    """Return tables with a row per sample for groups with many samples.
+    """Make tables with a row per sample and eight numbers each.
 
     Parameters
     ----------
-    group : any
+    group : with or without samples
     tests : all of the page
+
+    Returns
+    -------
+    No tables if `make_number_table` shows the samples.
     """
     numbers_per_table = 8
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
@@ -254,8 +255,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
 def _samples_table(
     group: Group, numbers: Sequence[GroupNumber], tests: PageTests, is_more: bool
 ) -> Table:
-    display = find_display(group)
-    scales = [find_display_unit(number.name, number.unit, display) for number in numbers]
+    scales = [find_number_unit(group, number) for number in numbers]
     heads = [
         write_heading(number.name, unit.unit) for number, unit in zip(numbers, scales, strict=True)
     ]
@@ -273,7 +273,7 @@ def _samples_table(
 
 
 def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the budgets of the first means, or of a single test, for a drawing.
+    """Make the bars of budgets: of the first means, or else of the medians over the tests.
 
     Parameters
     ----------
@@ -281,7 +281,8 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
 
     Returns
     -------
-    Bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause once.
+    Up to five bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause
+    once.
     """
     n_bars = 5
     means = [bar for bar in make_group_bars(group, of_means=True) if bar.shares]
@@ -300,18 +301,18 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
 
 
 def _cause_look(cause: str) -> dict[str, Any]:
-    colour = COLOURS_OF_CAUSES.get(cause, OTHER_COLOUR)
+    colour = find_cause_colour(cause)
     return {"cause": cause, "colour": colour, "is_common": IS_COMMON.get(cause, False)}
 
 
 def make_spool_table(group: Group) -> Table:
-    """Return the table of spool means and of the decisions how to average them."""
+    """Make the table of the spool means and of the decisions how to average them."""
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     rows, above = [], ""
     for number in group.numbers:
         if number.mean is None:
             continue
-        unit = find_display_unit(number.name, number.unit, find_display(group))
+        unit = find_number_unit(group, number)
         cells = [Cell(write_heading(number.name, unit.unit))]
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
@@ -329,39 +330,37 @@ def make_spool_table(group: Group) -> Table:
 
 
 def make_slip_table(group: Group) -> Table | None:
-    """Return the slip table of a group; None without slips."""
-    display = find_display(group)
-    across, up = find_display_unit("", "m", display), find_display_unit("", "N", display)
+    """Make the table of the slips of a group; None without slips."""
+    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
     rows = tuple(
         (
             Cell(sample.test),
-            Cell(write_with_interval(slip.position, slip.position_interval, across.factor)),
-            Cell(write_with_interval(slip.drop, slip.drop_interval, up.factor)),
+            Cell(write_with_interval(slip.position, slip.position_interval, x_unit.factor)),
+            Cell(write_with_interval(slip.drop, slip.drop_interval, y_unit.factor)),
             Cell(describe_decision(slip.decision)),
         )
         for sample in group.samples
         for slip in sample.slips
     )
-    units = typeset_unit(across.unit), typeset_unit(up.unit)
-    heads = ("Sample", f"Displacement ({units[0]})", f"Force lost ({units[1]})", "Treatment")
+    heads = ("Sample", x_unit.label("Displacement"), y_unit.label("Force lost"), "Treatment")
     return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
 
 
 def make_cause_table(cause: Cause) -> Table:
-    """Return the table of a cause: a row per issue."""
+    """Make the table of a cause: a row per issue."""
     rows = tuple(
         (
-            Cell(concern.test or ", ".join(concern.tests) or "the whole group", concern.group),
-            Cell(concern.what or DASH),
-            Cell(concern.reason, tip=concern.code),
+            Cell(issue.test or ", ".join(issue.tests) or "the whole group", issue.group),
+            Cell(issue.what or DASH),
+            Cell(issue.reason, tip=issue.code),
         )
-        for concern in cause.issues
+        for issue in cause.issues
     )
     return Table(f"{cause.kind} ({len(cause.issues)})", ("Test", "What", "Why"), rows)
 
 
 def make_note_table(campaign: Campaign) -> Table | None:
-    """Return the table of notes without consequences, a row per kind; None without notes."""
+    """Make the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
             Cell(note.issues[0].reason, tip=note.code),
@@ -375,13 +374,13 @@ def make_note_table(campaign: Campaign) -> Table | None:
 
 
 def make_method_tables(campaign: Campaign) -> list[Table]:
-    """Return a table per protocol of the methods of each number and its interval."""
+    """Make a table per protocol of the methods of each number and its interval."""
     methods: dict[str, dict[str, dict[str, None]]] = {}
     for group in campaign.groups:
+        numbers = methods.setdefault(group.protocol, {}) if group.samples else {}
         for sample in group.samples:
-            of_protocol = methods.setdefault(group.protocol, {})
             for result in sample.results:
-                of_protocol.setdefault(result.name, {}).update(dict.fromkeys([result.method]))
+                numbers.setdefault(result.name, {})[result.method] = None
     return [
         Table(
             f"Protocol {protocol}: method of each number",
@@ -389,7 +388,10 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
             tuple(
                 (
                     Cell(write_label(name), tip=name),
-                    Cell(replace_names("; ".join(filter(None, method))) or _NO_METHOD),
+                    Cell(
+                        replace_names("; ".join(filter(None, method)))
+                        or "No sample has this number."
+                    ),
                 )
                 for name, method in numbers.items()
             ),
@@ -398,11 +400,8 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
     ]
 
 
-_NO_METHOD = "No sample has this number."
-
-
 def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
-    """Return the rows of the table of tests.
+    """Make the rows of the table of tests.
 
     Parameters
     ----------
@@ -412,9 +411,9 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
 
     Returns
     -------
-    For each ``test``, its ``group``, its ``first`` main number, the decision (``decided``, as
-    ``accept`` or ``reject``, and its ``words``), the ``address`` of its page, and ``why`` it is
-    doubtful, failed or rejected.
+    For each ``test``: its ``group``, the cell ``first`` of its first main number, the decision
+    (``decided``: ``accept``, ``reject`` or empty; its ``words``), the file ``page`` and its
+    ``address``, and ``why`` the test is doubtful, failed or rejected.
     """
     mains = {
         stem: next((number.name for number in group.numbers if is_main(number.name)), "")
@@ -436,11 +435,11 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
 
 
 def name_page_file(label: str) -> str:
-    """Name the page of a test, below the folder of the report.
+    """Name the file of the page of a test, below the folder of the report.
 
     Parameters
     ----------
-    label : of the test
+    label : of the test, with ``/`` between folders
 
     Examples
     --------
@@ -451,7 +450,7 @@ def name_page_file(label: str) -> str:
 
 
 def _first_number_cell(test: PageTest, main: str) -> Cell:
-    """Return the cell of the first main number with its unit, as the quantities differ."""
+    """Make the cell of the first main number of a test, with the name and the unit below it."""
     result = next((result for result in test.sample.results if result.name == main), None)
     if result is None:
         return Cell(DASH)
@@ -461,7 +460,7 @@ def _first_number_cell(test: PageTest, main: str) -> Cell:
 
 
 def describe_problems(test: PageTest) -> str:
-    """Return the reasons of doubtful and failed results of a test, or of its rejection.
+    """Join the reasons of the doubtful and failed results of a test, or of its rejection.
 
     Parameters
     ----------
@@ -474,7 +473,7 @@ def describe_problems(test: PageTest) -> str:
 
 
 def make_source_table(tests: PageTests) -> Table:
-    """Return the table of recorded files of each test with their SHA-256.
+    """Make the table of the recorded files of each test with their SHA-256.
 
     Parameters
     ----------

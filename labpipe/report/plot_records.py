@@ -1,8 +1,8 @@
-"""What is drawn, as records: plots with axes, lines and keys, strips and sparklines of the page.
+"""Records of plots, which the page draws as SVG and files by matplotlib; thinning of their lines.
 
-A page draws them with the template ``plots.html``, complete without a script, and files with
-`group_figures`. The curves of a plot are its data: an inner drawing with whole coordinates from 0
-to 65535 and the ends of both axes, from which the page's script enlarges the plot.
+The page draws a plot with the template ``plots.html``, files with `group_figures`. On the page,
+the lines of a plot are also its data: they have whole coordinates from 0 to 65535 between the ends
+of both axes, from which the script of the page enlarges the plot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
 
 FULL = 65535
-"""Width and height of the inner drawing: 16 bit."""
+"""Width and height of the area of a plot, in its own coordinates of 16 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,9 @@ class Axis:
 
     Parameters
     ----------
-    name, unit : as they are written; an empty unit for a pure number
+    name, unit : typeset; the unit of a pure number is empty
     low, high : ends, in `unit`
-    names : of rows at 0, -1, -2 ..., in place of numbers; not written on the page
+    names : of rows at 0, -1, -2 and so on, which replace the numbers; the page does not write them
     """
 
     name: str
@@ -45,8 +45,16 @@ class Axis:
         """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
-    def find_ticks(self, most: int) -> list[tuple[float, str]]:
-        """Return places along the axis from 0 to 1, and round numbers there; at most so many.
+    def find_ticks(self, max_count: int) -> list[tuple[float, str]]:
+        """Find round numbers along the axis.
+
+        Parameters
+        ----------
+        max_count : number of steps, at most
+
+        Returns
+        -------
+        The place of each from 0 to 1, and its text; none for an axis with names.
 
         Examples
         --------
@@ -58,8 +66,8 @@ class Axis:
         if self.names:
             return []
         span = self.high - self.low
-        power = 10.0 ** floor(log10(span / most))
-        step = next(power * step for step in nice_steps if power * step * most >= span)
+        power = 10.0 ** floor(log10(span / max_count))
+        step = next(power * step for step in nice_steps if power * step * max_count >= span)
         first = int(np.ceil(self.low / step - flat_span))
         last = int(np.floor(self.high / step + flat_span))
         return [
@@ -74,11 +82,11 @@ class Line:
 
     Parameters
     ----------
-    look : class of its style, with the number of its colour
-    x, y : shape (n,), in the units of the axes; NaN interrupts it
-    test : number of its test on the page, if any
-    group : stem of its group, if several groups are in one plot
-    is_closed : an area
+    look : its class on the page, such as ``curve c2`` with the number of its colour
+    x, y : shape (n,), in the units of the axes; NaN interrupts the line
+    test : number of its test on the page; None for no single test
+    group : stem of its group if the plot shows several groups; else empty
+    is_closed : fill the area within the line
     """
 
     look: str
@@ -89,11 +97,11 @@ class Line:
     is_closed: bool = False
 
     def write_path(self, x: Axis, y: Axis) -> str:
-        """Write the line as its first point and whole steps, with a new start after each gap.
+        """Write the line as a path of SVG: its first point, then whole steps; again after a gap.
 
         Parameters
         ----------
-        x, y : axes
+        x, y : axes of the plot
 
         Examples
         --------
@@ -103,11 +111,11 @@ class Line:
         'M0 65530l9 0 1-4'
         """
         finite = np.isfinite(self.x) & np.isfinite(self.y)
-        across = _grid_numbers(self.x, x)
-        up = FULL - _grid_numbers(self.y, y)
+        x_grid = _grid_numbers(self.x, x)
+        y_grid = FULL - _grid_numbers(self.y, y)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(np.int8)))
         strokes = [
-            _stroke(across[start:stop], up[start:stop])
+            _stroke(x_grid[start:stop], y_grid[start:stop])
             for start, stop in zip(edges[::2], edges[1::2], strict=True)
         ]
         return "".join(strokes) + ("z" if self.is_closed and strokes else "")
@@ -118,23 +126,24 @@ def _grid_numbers(values: Floats, axis: Axis) -> Floats:
     return np.clip(scaled, -FULL, 2 * FULL)
 
 
-def _stroke(across: Floats, up: Floats) -> str:
-    first = f"M{across[0]:.0f} {up[0]:.0f}"
-    if len(across) == 1:
+def _stroke(x_grid: Floats, y_grid: Floats) -> str:
+    first = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
+    if len(x_grid) == 1:
         return f"{first}h0"
-    steps = np.column_stack([np.diff(across), np.diff(up)]).astype(np.int64).ravel().tolist()
+    steps = np.column_stack([np.diff(x_grid), np.diff(y_grid)]).astype(np.int64).ravel().tolist()
     return f"{first}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """An entry of the key below a plot.
+    """Entry of the key below a plot.
 
     Parameters
     ----------
-    look : class of the sign
-    label : of the sign
-    attribute, value : of the lines of that entry: ``t``, ``class`` or ``group``
+    look : class of its sign
+    label : beside the sign
+    attribute, value : by which the page finds the lines of the entry: ``t``, ``class`` or
+        ``group``, and its value; empty if the entry switches no lines
     """
 
     look: str
@@ -145,19 +154,19 @@ class Key:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plot:
-    """A figure of the page, or a panel of a figure in a file.
+    """A plot on the page, or a panel of a figure in a file.
 
     Parameters
     ----------
-    kind : ``curves``, ``shapes``, ``moment`` ...
+    kind : ``curves``, ``means``, ``moment``, ``numbers``, ``scaled`` or ``shapes``
     group : stem of its group; empty for several groups
     title : alternative text
-    caption : how to read it
+    caption : how to read the plot
     x, y : axes
-    lines : later ones are drawn over earlier ones
-    keys : entries below the plot
-    size : width and height in points of the drawing, without its frame
-    heading : above it, where a figure has several plots
+    lines : from the lowest to the topmost
+    keys : entries of the key
+    size : width and height of the area of the lines, points
+    heading : above the plot if a figure has several plots
     """
 
     kind: str
@@ -173,13 +182,13 @@ class Plot:
 
 
 def make_axis(name: str, unit: str, values: Iterable[Floats], *, room: float = 0.03) -> Axis:
-    """Return an axis that shows all values, with a margin at both ends.
+    """Make an axis that shows all values, with a margin at both ends.
 
     Parameters
     ----------
     name, unit : of the axis
     values : in `unit`; values that are not finite are ignored
-    room : at each end, as a share of the range
+    room : margin at each end, as a share of the range of the values
     """
     ends = [
         end
@@ -193,13 +202,13 @@ def make_axis(name: str, unit: str, values: Iterable[Floats], *, room: float = 0
 
 
 def clip_range(values: Iterable[float], wide: Iterable[float], room: float) -> tuple[float, float]:
-    """Return a range with all values, and of wide intervals as much as leaves the values apart.
+    """Return a range that includes all values, and of wide intervals as much as keeps values apart.
 
     Parameters
     ----------
-    values : shown in full
-    wide : ends of intervals or bands, shown up to `room`; numbers that are not finite are ignored
-    room : beyond the values, as a share of their range; a single value has all of it
+    values : to be shown; without any, 0 and 1
+    wide : ends of intervals or bands; numbers that are not finite are ignored here and in `values`
+    room : limit of the range beyond the values, as a share of their range; none for a single value
     """
     shown = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
     low, high = min(shown), max(shown)
@@ -209,13 +218,13 @@ def clip_range(values: Iterable[float], wide: Iterable[float], room: float) -> t
 
 
 class Strip(NamedTuple):
-    """A mean with its interval and its samples in a line of a table; places from 0 to 120.
+    """Drawing of a mean in a cell of a table; places are from 0 to 120.
 
     Parameters
     ----------
-    mean : None without a mean
-    bar : ends of its interval; empty without one
-    dots : samples
+    mean : place; None without a mean
+    bar : places of the ends of its interval; empty without one
+    dots : places of samples
     """
 
     mean: int | None
@@ -226,14 +235,14 @@ class Strip(NamedTuple):
 def make_strip(
     ends: tuple[float, float], interval: Interval | None, mean: float, samples: Sequence[float] = ()
 ) -> Strip:
-    """Place a mean, its interval and its samples on a scale.
+    """Make the drawing of a mean, its interval and its samples on a scale.
 
     Parameters
     ----------
     ends : of the scale
-    interval : of the mean, if any
+    interval : of the mean, if any; in the unit of the ends
     mean : in the unit of the ends; NaN without a mean
-    samples : dots
+    samples : in the unit of the ends
     """
     strip_width = 120
 
@@ -249,7 +258,7 @@ def make_strip(
 
 
 def write_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes, which fills its frame."""
+    """Write a small curve without axes as a path of SVG that fills its frame."""
     axes = make_axis("", "", [x], room=0.0), make_axis("", "", [y], room=0.05)
     return Line("", x, y).write_path(*axes)
 
@@ -259,7 +268,7 @@ _Segment: TypeAlias = tuple[float, int, int, int]
 
 
 def find_extremes(values: Floats, *, bins: int) -> Ints:
-    """Return the samples of a thinned line that keeps its extremes.
+    """Find the samples of a thinned line that keeps its extremes.
 
     Parameters
     ----------
@@ -268,9 +277,9 @@ def find_extremes(values: Floats, *, bins: int) -> Ints:
 
     Returns
     -------
-    Sorted sample numbers: the lowest and the highest sample of each bin, which keeps the width of
-    noise, its first NaN, which keeps gaps, and the two ends. All samples if there are at most
-    four per bin.
+    Sorted sample numbers: the lowest and the highest sample of each bin, which keep the width of
+    noise, the first NaN of each bin, which keeps gaps, and both ends of the line. All samples if
+    there are at most four per bin.
 
     Raises
     ------
@@ -296,26 +305,30 @@ def find_extremes(values: Floats, *, bins: int) -> Ints:
     return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
 
 
-def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
-    """Return the samples of a simplified line that keeps its shape.
+def simplify_line(
+    positions: Floats, values: Floats, *, points: int, tolerance: float = 0.002
+) -> Ints:
+    """Find the samples of a simplified line that keeps its shape.
 
     Parameters
     ----------
-    across, values : shape (n,), in order of drawing
-    points : at most, besides the ends of gaps, which are always kept
-    tolerance : invisible distance from the line, as a share of the range of the values
+    positions, values : shape (n,), in order of drawing
+    points : largest number of samples; the ends of gaps are kept even beyond it
+    tolerance : distance from the line that cannot be seen, as a share of the range of the values
 
     Returns
     -------
-    Sorted sample numbers: the two ends, then repeatedly the sample furthest, along the values, from
-    the line through those kept so far, until none is further than the tolerance. Corners, steps
-    and the largest excursions of noise are kept; of a gap, its ends and its first NaN.
+    Sorted sample numbers: both ends, then one after another the sample whose value is furthest
+    from the line through the samples so far, until all are within the tolerance. Corners, steps
+    and the largest excursions of noise remain; of a gap, its ends and its first NaN. Without finite
+    samples, the first one.
 
     Notes
     -----
-    Douglas and Peucker, Cartographica 10 (1973) 112, the furthest of all segments first.
+    Douglas and Peucker, Cartographica 10 (1973) 112; of all segments, the one with the furthest
+    sample is split first.
     """
-    finite = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
+    finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
     if not len(finite):
         return np.arange(min(len(values), 1), dtype=np.int64)
     broken = np.flatnonzero(np.diff(finite) > 1)
@@ -324,7 +337,7 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
     rows = {*starts.tolist(), *stops.tolist(), *(finite[broken] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
-        _furthest_sample(across, values, int(start), int(stop))
+        _furthest_sample(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
@@ -333,18 +346,18 @@ def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: flo
         if -distance <= max_distance:
             break
         rows.add(furthest)
-        heapq.heappush(segments, _furthest_sample(across, values, start, furthest))
-        heapq.heappush(segments, _furthest_sample(across, values, furthest, stop))
+        heapq.heappush(segments, _furthest_sample(positions, values, start, furthest))
+        heapq.heappush(segments, _furthest_sample(positions, values, furthest, stop))
     return np.array(sorted(rows), dtype=np.int64)
 
 
-def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _Segment:
-    """Return the sample between two that is furthest from the line through them."""
+def _furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
+    """Find the sample between two that is furthest from the line through them."""
     if stop - start < 2:
         return (0.0, start, start, stop)
-    x, y = across[start : stop + 1], values[start : stop + 1]
+    x, y = positions[start : stop + 1], values[start : stop + 1]
     width = x[-1] - x[0]
-    # a vertical part is drawn sample by sample
+    # along a vertical segment, the samples count instead of their places
     share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
     # two ufuncs take half as long as np.clip, and this runs 100 times a curve
     share = np.minimum(np.maximum(share, 0.0), 1.0)
@@ -354,26 +367,27 @@ def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _
 
 
 def thin_flags(
-    flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int
+    flags: NDArray[np.uint8], flags_by_rank: Sequence[int], *, bins: int
 ) -> NDArray[np.uint8]:
-    """Thin flags along time, keeping the worst.
+    """Thin flags along time and keep the worst.
 
     Parameters
     ----------
     flags : shape (frames, points)
-    rank : badness of each flag, by its number
-    bins : columns, at most
+    flags_by_rank : all flags, the worst last
+    bins : largest number of columns
 
     Returns
     -------
-    Shape (columns, points): the flag of highest rank within each bin of frames.
+    Shape (columns, points): the worst flag within each bin of frames.
     """
-    frames = len(flags)
+    frames, order = len(flags), np.array(flags_by_rank, dtype=np.uint8)
+    ranks = np.argsort(order).astype(np.uint8)[flags]
     starts = np.unique(np.linspace(0, frames, min(bins, frames), endpoint=False).astype(np.int64))
-    badness = np.maximum.reduceat(rank[flags], starts, axis=0) if frames else rank[flags]
-    by_rank = np.argsort(rank).astype(np.uint8)
-    columns: NDArray[np.uint8] = by_rank[badness]
-    return columns
+    thinned: NDArray[np.uint8] = order[
+        np.maximum.reduceat(ranks, starts, axis=0) if frames else ranks
+    ]
+    return thinned
 
 
 def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
@@ -381,11 +395,12 @@ def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
 
     Parameters
     ----------
-    sure : shape (n,), true up to some point, and at the first
+    sure : shape (n,); true up to some point, at least at the first
 
     Yields
     ------
-    The points of a part, shape (n,), and its opacity.
+    Whether each point belongs to the part, shape (n,), and the opacity of the part. The doubtful
+    part starts with the last sure point; there is none if all points are sure.
     """
     yield sure, 1.0
     if not sure.all():

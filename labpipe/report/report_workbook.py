@@ -42,7 +42,8 @@ from labpipe.report.wording import (
     Scale,
     find_display,
     find_display_unit,
-    find_group_unit,
+    find_number_unit,
+    find_units,
     is_main,
     list_key_numbers,
     typeset_unit,
@@ -72,7 +73,7 @@ BOOK = "report"
 
 
 def save_workbook(campaign: Campaign, path: Path) -> None:
-    """Write the tables of a report as an xlsx file.
+    """Write the workbook of a report as an xlsx file.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
 
 
 def _answer(pair: Pair) -> Record:
-    """Return the verdict on the first main number of a pair."""
+    """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
     before, after = difference.fields[pair.field]
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
@@ -170,12 +171,12 @@ def _answer(pair: Pair) -> Record:
 
 
 def _key_record(group: Group) -> Record:
-    """Return the first numbers of the specimen and of its first cycle, a row per group."""
+    """Make the record of the first three numbers of a group; no later cycles."""
     row: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
     for number in list_key_numbers(group)[:3]:
-        scale = find_display_unit(number.name, number.unit, find_display(group))
+        scale = find_number_unit(group, number)
         cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
         name, unit = write_label(number.name), typeset_unit(scale.unit)
         parts = zip(("", ", lower", ", upper"), cells.values(), strict=True)
@@ -184,7 +185,7 @@ def _key_record(group: Group) -> Record:
 
 
 def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
-    """Return a mean and the ends of its interval; empty cells without a mean."""
+    """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
     if mean is None:
         return make_interval_cells(None, None, name="mean")
     return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
@@ -204,7 +205,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
                 why = "; ".join(map(join_reasons, number.left_out.values()))
                 yield _mean_record(group, number, None, "all") | {"reason": why}
                 continue
-            scale = find_display_unit(number.name, number.unit, find_display(group))
+            scale = find_number_unit(group, number)
             within, between = (
                 make_number_cell(spread, mean.chosen.interval, scale.factor)
                 for spread in (mean.within, mean.between_spools)
@@ -222,7 +223,7 @@ def _means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
-    scale = find_display_unit(number.name, number.unit, find_display(group))
+    scale = find_number_unit(group, number)
     head: Record = {
         "group": group.name, "number": write_label(number.name), "over": over,
         "unit": typeset_unit(scale.unit), **_mean_cells(mean, scale),
@@ -247,7 +248,7 @@ _OF_ALL_SAMPLES: tuple[str, ...] = (
 
 
 def _tests_sheet(campaign: Campaign) -> Sheet:
-    """Return the sheet of tests, rejected ones last, with a column per number."""
+    """Make the sheet of tests with a column per number; rejected tests are last."""
     last = ("decision", "key of the run")
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
@@ -309,15 +310,15 @@ _BAND_COLUMNS = {
 
 
 def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
-    """Return the sheet of the mean curves of all groups in common units, a chart per protocol."""
+    """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
     first = next((group for group in campaign.groups if group.samples), None)
-    across, up = Scale(1.0, "m"), Scale(1.0, "N")
+    x_unit, y_unit = Scale(1.0, "m"), Scale(1.0, "N")
     if first is not None:
-        across, up = find_group_unit(first, "displacement"), find_group_unit(first, "force")
-    up = Scale(1.0, "") if is_scaled else up
+        x_unit, y_unit = find_units(find_display(first), "displacement", "force")
+    y_unit = Scale(1.0, "") if is_scaled else y_unit
     bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
     blocks = {
-        group.name: _band_records(group.name, band, across, up)
+        group.name: _band_records(group.name, band, x_unit, y_unit)
         for group, band in bands.items()
         if band is not None
     }
@@ -326,31 +327,31 @@ def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
     for group, band in bands.items():
         if band is not None and len(band.displacement):
             lines.setdefault(group.protocol, []).append(Line(group.name, ends[group.name], 1, 2))
-    title, label = ("Mean force", up.label("Force"))
+    title, label = ("Mean force", y_unit.label("Force"))
     if is_scaled:
         title, label = ("Mean force over peak force", "Force / peak force")
     charts = [
-        Chart(f"{title} on first loading ({protocol})", across.label("Displacement"), label, own)
+        Chart(f"{title} on first loading ({protocol})", x_unit.label("Displacement"), label, own)
         for protocol, own in lines.items()
     ]
-    columns = [write_column_heading(part, up.unit) for part in _BAND_COLUMNS]
-    heads = ["group", across.label("displacement"), *columns, "n", "mean over", "reason"]
+    columns = [write_column_heading(part, y_unit.unit) for part in _BAND_COLUMNS]
+    heads = ["group", x_unit.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
     return make_sheet(BOOK, name, rows, heads=heads, charts=charts)
 
 
-def _band_records(group: str, band: Band, across: Scale, up: Scale) -> list[Record]:
-    """Return a record per point of a mean curve; the first, or the only one, has the reason."""
-    columns = {across.label("displacement"): across.factor * band.displacement}
+def _band_records(group: str, band: Band, x_unit: Scale, y_unit: Scale) -> list[Record]:
+    """Make a record per point of a mean curve, at least one; the first holds the reason."""
+    columns = {x_unit.label("displacement"): x_unit.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
-        columns[write_column_heading(part, up.unit)] = up.factor * getattr(band, field)
+        columns[write_column_heading(part, y_unit.unit)] = y_unit.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first, *others = points or [{"group": group}]
     return [first | {"reason": str(band.reason or "")}, *others]
 
 
 def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
-    """Return the difference of two groups in one number."""
+    """Make the record of the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
     scale = find_display_unit(difference.name, difference.unit, display)
     in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
@@ -382,7 +383,7 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
 
 
 def _budgets(campaign: Campaign) -> list[Record]:
-    """Return the shares of the causes for the mean of each number, and their medians over tests."""
+    """Make the records of the shares of causes: of each mean, and their medians over the tests."""
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
@@ -403,7 +404,7 @@ def _budgets(campaign: Campaign) -> list[Record]:
 
 
 def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
-    scale = find_display_unit(number.name, number.unit, find_display(group))
+    scale = find_number_unit(group, number)
     half = None if interval is None else 0.5 * (interval.upper - interval.lower)
     return {
         "group": group.name,
@@ -415,7 +416,7 @@ def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval 
 
 
 def _places(campaign: Campaign) -> Iterator[Record]:
-    """Yield the bending stiffness of each bundle between the bounds of its model."""
+    """Yield the records of measured bending stiffnesses between the bounds of the bundle model."""
     scales = choose_place_units(campaign)
     for place in campaign.places:
         scale, ends = scales[place.group], place.share_interval
@@ -429,7 +430,7 @@ def _places(campaign: Campaign) -> Iterator[Record]:
         yield {
             "group": place.group,
             "test": place.test or "mean",
-            "unit": typeset_unit(scale.unit),
+            "unit": scale.unit,
             **make_interval_cells(
                 place.value, place.interval, scale.factor, name="bending stiffness"
             ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labpipe.records.quality import Severity
-from labpipe.records.result import Instrument, Result, Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.figure_page import encode_figure, style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
@@ -18,8 +18,8 @@ from labpipe.report.lab_report import (
 from labpipe.report.page_tables import DASH, Cell, Table
 from labpipe.report.wording import (
     find_display_unit,
+    find_unit,
     replace_names,
-    typeset_unit,
     write_heading,
     write_with_interval,
 )
@@ -31,14 +31,16 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
     Parameters
     ----------
-    result : with the figures of its protocol
+    result : of the test; figures that its protocol names are drawn
     report : id of the report that links to the page; may be empty
 
     Returns
     -------
     An HTML document that needs no other file, no network and no script.
     """
-    inputs = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
+    inputs = tuple(
+        (Cell(source.role), Cell(source.file), Cell(source.sha256)) for source in result.inputs
+    )
     names = [name for name in result.figures if name in FIGURES]
     with style(is_journal=is_for_journal(result)):
         figures = [
@@ -62,16 +64,22 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 def _facts(result: TestResult) -> list[tuple[str, str]]:
     specimen = result.specimen
-    across = find_display_unit("", "m", result.display)
+    x_unit = find_unit(result.display, "displacement")
     sizes = [
-        f"{name.replace('_', ' ')} {across.factor * size:.4g} {typeset_unit(across.unit)}"
+        f"{name.replace('_', ' ')} {x_unit.factor * size:.4g} {x_unit.unit}"
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
-    seen = [f"{name.replace('_', ' ')}: {word}" for name, word in specimen.observed.items()]
+    answers = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
     share = find_result(result.results, PEAK_OVER_LIMIT)
-    verdict = [] if share is None else [("Verdict", "; ".join([judge_sample(share).text, *seen]))]
-    instruments = ", ".join(map(_instrument, result.instruments))
+    verdict = []
+    if share is not None:
+        verdict = [("Verdict", "; ".join([judge_sample(share).text, *answers]))]
+    instruments = ", ".join(
+        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
+        f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
+        for instrument in result.instruments
+    )
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
         *verdict,
@@ -84,13 +92,6 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
         ("Protocol", result.protocol),
         ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
     ]
-
-
-def _instrument(instrument: Instrument) -> str:
-    due = f"due {instrument.due}" if instrument.due else "no due date"
-    return (
-        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated}, {due})"
-    )
 
 
 def _numbers(result: TestResult) -> Table:

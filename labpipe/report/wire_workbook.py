@@ -1,4 +1,4 @@
-"""Workbook of a sheet of wires: a row per wire, and their laws."""
+"""Workbook of a wire sheet: a row per wire, then laws, end loads, slips and strands."""
 
 from __future__ import annotations
 
@@ -37,18 +37,11 @@ from labpipe.report.workbook_file import (
 )
 
 REPORTED_DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
-"""Tip deflections at which the end load is reported, m."""
-
-
-def _doubtful_deflection(table: WireTable) -> float | None:
-    """Return the tip deflection beyond the linear range of the insulation, mm, if reached."""
-    if not len(table.tip_deflection) or table.doubtful_deflection >= table.tip_deflection[-1]:
-        return None
-    return LENGTH.factor * table.doubtful_deflection
+"""Deflections of the tip, m, at which the summary gives the end load."""
 
 
 def compute_orientation_spread(table: WireTable) -> float | None:
-    """Return the largest difference of the moments of all orientations, per cent of the moment.
+    """Compute the largest difference between the moments of all orientations of a wire.
 
     Parameters
     ----------
@@ -56,7 +49,7 @@ def compute_orientation_spread(table: WireTable) -> float | None:
 
     Returns
     -------
-    None if the table has only zero curvature.
+    In per cent of the moment at the same curvature; None if the table has only zero curvature.
     """
     use = is_curved(table)
     if not use.any():
@@ -66,34 +59,39 @@ def compute_orientation_spread(table: WireTable) -> float | None:
 
 
 def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
-    """Return the rows of the law that a sheet of limited length shows.
+    """Choose the rows of the law of a wire that the sheet of laws shows.
 
     Parameters
     ----------
     table : of the wire
-    max_rows : rows, at least 2
+    max_rows : largest number of rows, at least 2
 
     Returns
     -------
-    Sorted row numbers: zero curvature, and those that keep the shape of the law in logarithms
-    (`simplify_line`), so that its first slips count as much as its end; all if they are few.
+    Sorted row numbers: all rows if they are few enough; else zero curvature and the rows that keep
+    the shape of the law in logarithms (`simplify_line`), so that the first slips count as much as
+    the end of the law.
     """
     count = len(table.curvature)
     use = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
     if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
-    across, up = np.log(table.curvature[use]), np.log(table.moment[use])
-    rows = use[simplify_line(across, up, points=max_rows - 1, tolerance=0.0)]
+    x, y = np.log(table.curvature[use]), np.log(table.moment[use])
+    rows = use[simplify_line(x, y, points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
 def compute_row_error(table: WireTable, rows: Ints) -> float:
-    """Return the largest error of straight lines between rows of the law, per cent of the moment.
+    """Compute the largest error of linear interpolation between rows of a law.
 
     Parameters
     ----------
     table : of the wire
-    rows : numbers of the rows
+    rows : their numbers
+
+    Returns
+    -------
+    In per cent of the moment at the same curvature.
     """
     use = is_curved(table)
     lines = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
@@ -102,13 +100,15 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 
 
 def make_summary_record(table: WireTable) -> Record:
-    """Return the cells of a wire in the summary, after its name; None if not available."""
+    """Make the cells of a wire in the summary, after its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
-    area, up = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2)), STIFFNESS.factor
+    area = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
+    factor = STIFFNESS.factor
     spread = compute_orientation_spread(table)
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
-    rest = table.rest
+    rest, deflection = table.rest, table.tip_deflection
+    has_doubtful = len(deflection) > 0 and table.doubtful_deflection < deflection[-1]
     return {
         "strands": len(layout.layer),
         "layers": " + ".join(map(str, spec.layer_counts)),
@@ -119,8 +119,8 @@ def make_summary_record(table: WireTable) -> Record:
         "thinnest strand (mm)": LENGTH.factor * min(layout.diameter),
         "thickest strand (mm)": LENGTH.factor * max(layout.diameter),
         "conductor area (mm²)": area,
-        "stick stiffness (N·mm²)": up * table.stick_stiffness,
-        "slip stiffness (N·mm²)": up * table.slip_stiffness,
+        "stick stiffness (N·mm²)": factor * table.stick_stiffness,
+        "slip stiffness (N·mm²)": factor * table.slip_stiffness,
         "first slip (1/m)": table.slip_onset(0),
         "last slip (1/m)": table.slip_onset(-1),
         "range, curvature (1/m)": curvature,
@@ -129,18 +129,20 @@ def make_summary_record(table: WireTable) -> Record:
         "insulation's share there (%)": None if share is None else 100.0 * float(share),
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
         "moment at the end (N·mm)": MOMENT.factor * float(table.moment[-1]),
-        "secant stiffness at the end (N·mm²)": up * float(table.secant_stiffness[-1]),
-        "tangent stiffness at the end (N·mm²)": up * float(table.tangent_stiffness[-1]),
+        "secant stiffness at the end (N·mm²)": factor * float(table.secant_stiffness[-1]),
+        "tangent stiffness at the end (N·mm²)": factor * float(table.tangent_stiffness[-1]),
         "spread over orientations, largest (%)": spread,
         "axial stiffness, without rotation (N)": table.axial_stiffness,
-        "torsional stiffness, fixed length (N·mm²)": up * table.torsional_stiffness,
-        "torsional stiffness, free length (N·mm²)": up * table.free_torsional_stiffness,
+        "torsional stiffness, fixed length (N·mm²)": factor * table.torsional_stiffness,
+        "torsional stiffness, free length (N·mm²)": factor * table.free_torsional_stiffness,
         "coupling of stretch and twist (N·mm)": MOMENT.factor * table.stretch_twist_coupling,
         "mass per length (g/m)": 1e3 * table.mass_per_length,
         "sag at rest (mm)": None if rest is None else LENGTH.factor * rest.sag,
         "force at the tip at rest (mN)": None if rest is None else 1e3 * rest.force,
         "cantilever length (mm)": LENGTH.factor * spec.length,
-        "doubtful beyond, deflection (mm)": _doubtful_deflection(table),
+        "doubtful beyond, deflection (mm)": (
+            LENGTH.factor * table.doubtful_deflection if has_doubtful else None
+        ),
         **{
             f"end load at {LENGTH.factor * at:g} {LENGTH.unit} ({FORCE.unit})": (
                 FORCE.factor * force_at(table, at)
@@ -177,14 +179,14 @@ def save_wire_workbook(
     refused: Mapping[str, str] | None = None,
     stated: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the results of a sheet of wires as an xlsx file.
+    """Write the workbook of a wire sheet as an xlsx file.
 
     Parameters
     ----------
-    tables : of the wires, in the order of the sheet
+    tables : of the wires, in the order of the wire sheet
     path : of the file
-    refused : name of each wire without a table -> reason
-    stated : name of a wire -> description of its stress tables
+    refused : reason by the name of each wire without a table
+    stated : description of its stress tables by the name of a wire
 
     Raises
     ------
@@ -193,8 +195,8 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of laws shows some rows of each, 12 000 together but at least
-    40 of each; the summary gives their number and the error of straight lines between them.
+    With many wires, the sheet of laws shows some rows of each law: 12 000 together, but at least 40
+    of each. The summary gives their number and the error of linear interpolation between them.
     """
     sheets = list(_sheets(tables, refused or {}, stated or {}))
     save_book(About("Laws of wires", how_to_read(BOOK)), sheets, path)
@@ -203,9 +205,8 @@ def save_wire_workbook(
 def _sheets(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
 ) -> Iterator[Sheet]:
-    # Rows of all laws together: with more, writing takes longer than the model.
-    max_law_rows = 12_000
-    min_law_rows = 40  # straight lines between them are within 1 %
+    max_law_rows = 12_000  # of all wires: with more, writing takes longer than the model
+    min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
@@ -219,18 +220,18 @@ def _sheets(
         }
         for table, rows in zip(tables, law_rows, strict=True)
     ]
-    lost: list[Record] = [
+    failed: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
     links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}
-    heads = unite_heads([*summary, *lost])
-    yield make_sheet(BOOK, "wires", [*lost, *summary], heads=heads, links=links)
+    heads = unite_heads([*summary, *failed])
+    yield make_sheet(BOOK, "wires", [*failed, *summary], heads=heads, links=links)
     yield laws
     yield _cantilevers_sheet(tables)
     onsets = [
         row
         for table in tables
-        for row in _doubted(
+        for row in _mark_doubtful(
             table,
             {CURVATURE.label("strands begin to slip"): CURVATURE.factor * table.slip_onsets},
             table.slip_onsets > table.doubtful_curvature,
@@ -242,19 +243,21 @@ def _sheets(
     yield make_sheet(BOOK, "notes", _note_records(tables, refused))
 
 
-def _doubted(table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags) -> list[Record]:
-    """Return the rows of a wire with a mark at doubtful ones."""
-    rows = make_records({"wire": table.name}, columns)
+def _mark_doubtful(
+    table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
+) -> list[Record]:
+    """Make the records of a wire, and mark the doubtful ones."""
+    records = make_records({"wire": table.name}, columns)
     return [
-        row | {"doubtful": "yes" if doubt else None}
-        for row, doubt in zip(rows, is_doubtful.tolist(), strict=True)
+        record | {"doubtful": "yes" if doubt else None}
+        for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
     ]
 
 
 def _laws_sheet(
     tables: Sequence[WireTable], law_rows: Sequence[Ints]
 ) -> tuple[Sheet, dict[str, tuple[int, int]]]:
-    """Return the sheet of the laws of all wires; first and last row of each by its name."""
+    """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
     moment_column, secant_column = 2, 8  # drawn
     blocks = {}
     for table, rows_of_law in zip(tables, law_rows, strict=True):
@@ -262,7 +265,7 @@ def _laws_sheet(
             scale.label(label): scale.factor * getattr(table, field)[rows_of_law]
             for label, field, scale in _LAW_COLUMNS
         }
-        blocks[table.name] = _doubted(table, columns, table.is_doubtful[rows_of_law])
+        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows_of_law])
     rows, ends = stack_blocks(blocks)
     heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
     charts = []
@@ -270,14 +273,14 @@ def _laws_sheet(
         # without the point at zero curvature
         lines = [Line(name, (first + 1, last), 1, column) for name, (first, last) in ends.items()
                  if last > first]  # fmt: skip
-        title, across = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
+        title, x_label = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
         if lines:
-            charts.append(Chart(title.capitalize(), across, heads[column], lines, is_log=True))
+            charts.append(Chart(title.capitalize(), x_label, heads[column], lines, is_log=True))
     return make_sheet(BOOK, "laws", rows, heads=heads, charts=charts), ends
 
 
 def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
-    """Return the sheet of end loads against deflection, with a chart."""
+    """Make the sheet of end loads against deflection, with a chart."""
     blocks = {}
     for table in tables:
         columns = {
@@ -285,7 +288,7 @@ def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
             FORCE.label("end load"): FORCE.factor * table.tip_force,
         }
         is_doubtful = table.tip_deflection > table.doubtful_deflection
-        blocks[table.name] = _doubted(table, columns, is_doubtful)
+        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
     rows, ends = stack_blocks(blocks)
     lines = [Line(name, (first, last), 1, 2) for name, (first, last) in ends.items()
              if last > first]  # fmt: skip

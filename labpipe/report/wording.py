@@ -1,4 +1,4 @@
-"""Texts of reports: labels of results, units, numbers with significant digits."""
+"""Texts of reports: labels of results, units, counts, numbers with significant digits."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
 from labpipe.statistics.lots import FORCE_LIMIT
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
 
 
 class Scale(NamedTuple):
-    """Display unit of a quantity: SI numbers are multiplied by `factor`."""
+    """Display unit of a quantity: `factor` times a number in SI is the number in `unit`."""
 
     factor: float
     unit: str
@@ -32,32 +32,15 @@ class Scale(NamedTuple):
         return f"{quantity} ({self.unit})"
 
 
-def choose_unit(result: TestResult, quantity: str, si_unit: str) -> Scale:
-    """Return the display unit of a quantity; SI if the protocol gives none.
-
-    Parameters
-    ----------
-    result : with the display units
-    quantity : ``displacement``, ``force``, ``time`` ...
-    si_unit : its SI unit
-
-    Returns
-    -------
-    Factor from SI to the display unit, and the unit's name.
-    """
-    unit = result.display.get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), unit)
-
-
 def write_title(result: TestResult) -> str:
-    """Write test, specimen and protocol in one line."""
+    """Write the test, its specimen and its protocol in one line."""
     specimen = result.specimen
     what = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
     return f"{result.test}  ·  {what}  ·  {result.protocol}"
 
 
 def write_footnote(result: TestResult) -> str:
-    """Count doubtful and failed results; empty if there are none."""
+    """Count the doubtful and failed results of a test; empty if there are none."""
     counts = {
         status: sum(entry.status is status for entry in result.results)
         for status in (Status.DOUBTFUL, Status.FAILED)
@@ -81,12 +64,12 @@ def replace_unprintable(text: str) -> str:
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
-def shorten(word: str, max_length: int) -> str:
-    """Shorten a long name in its middle.
+def shorten(name: str, max_length: int) -> str:
+    """Shorten a long name by replacing its middle.
 
     Parameters
     ----------
-    word : any text
+    name : any text
     max_length : characters, at least 3
 
     Examples
@@ -94,10 +77,10 @@ def shorten(word: str, max_length: int) -> str:
     >>> shortened("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
-    if len(word) <= max_length:
-        return word
+    if len(name) <= max_length:
+        return name
     end = (max_length - 1) // 2
-    return f"{word[: max_length - 1 - end]}…{word[len(word) - end :]}"
+    return f"{name[: max_length - 1 - end]}…{name[len(name) - end :]}"
 
 
 def write_count(number: int, noun: str) -> str:
@@ -112,12 +95,12 @@ def describe_counts(group: Group) -> str:
 
 
 def write_group_title(group: Group) -> str:
-    """Write name, protocol and counts of a group in one line."""
+    """Write the name, protocol and counts of a group in one line."""
     return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {describe_counts(group)}"
 
 
 def explain_missing(result: TestResult, what: str) -> str:
-    """Explain a missing stage of a test with its first error."""
+    """Say that a test has nothing to draw of a kind, and why by its first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
     return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
 
@@ -131,7 +114,7 @@ _RESULT_LABELS: Mapping[str, str] = {
     "modulus_thin_wall": "Modulus, thin wall",
     "modulus_annulus": "Modulus, annulus",
 }
-"""Labels of results: of the kinds of results, and of names in the shipped protocols."""
+"""Labels of the kinds of results, and of other names in the shipped protocols."""
 _QUANTITIES = {
     "m": "displacement",
     "N": "force",
@@ -145,7 +128,7 @@ _QUANTITIES = {
     "rad": "angle",
     "1": "strain",
 }
-"""Quantity of the display unit by SI unit."""
+"""Quantity that sets the display unit, by SI unit."""
 _PER_PEAK = "_per_peak_force"
 _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 """Name of a stiffness at a curvature in the shipped protocols."""
@@ -157,15 +140,15 @@ SUPERSCRIPTS = str.maketrans(
 
 
 def write_label(name: str) -> str:
-    """Return the label of a result.
+    """Write the label of a result.
 
     Parameters
     ----------
-    name : of a result, snake case, with a cycle or a part after a dot
+    name : in snake case, with the number of a cycle or a slip after a dot
 
     Returns
     -------
-    The label; of an unknown name, its own words.
+    The label; an unknown name is split into its words.
 
     Examples
     --------
@@ -192,7 +175,7 @@ def write_label(name: str) -> str:
 
 _NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
 _FREE_PREFIXES = ("stiffness_", "modulus_")
-"""Beginnings of names that a protocol continues freely."""
+"""Beginnings of names that a protocol may continue as it likes."""
 
 
 def replace_names(sentence: str) -> str:
@@ -200,7 +183,7 @@ def replace_names(sentence: str) -> str:
 
     Parameters
     ----------
-    sentence : names of files and keys of a protocol are kept
+    sentence : names of files, and keys of a protocol with dots, are kept
 
     Examples
     --------
@@ -219,53 +202,83 @@ def replace_names(sentence: str) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number is of the specimen, not of a slip, of the clocks, or a limit."""
+    """Return whether a number describes the specimen, not a slip, the clocks or a limit."""
     return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:
-    """Return whether a number is of the whole specimen or of its first cycle."""
+    """Return whether a number belongs to no single cycle, or to the first one."""
     return name.partition(".")[2] in {"", "1"}
 
 
 def list_key_numbers(group: Group) -> list[GroupNumber]:
     """List the numbers of the specimen and of its first cycle that the rig does not set."""
-    numbers = group.numbers
-    return [one for one in numbers if is_first_cycle(one.name) and not one.is_set_by_rig]
+    return [
+        number
+        for number in group.numbers
+        if is_first_cycle(number.name) and not number.is_set_by_rig
+    ]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Return the display unit of a result.
+    """Find the display unit of a result.
 
     Parameters
     ----------
-    name, unit : of the result, in SI
+    name : of the result; may be empty
+    unit : of the result, in SI
     display : display unit by quantity
 
     Returns
     -------
-    Factor from SI to the display unit, and its name; SI without a display unit.
+    Factor from SI to the display unit, and its name, not typeset; SI without a display unit. Drift
+    of clocks is in ppm.
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
     wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / si_factor(wanted, unit), wanted)
+    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
-    """Return the display units of a group: those of its first sample, as all share a protocol."""
+    """Return the display units of a group by quantity, those of its first sample."""
     return group.samples[0].display if group.samples else {}
 
 
-def find_group_unit(group: Group, quantity: str) -> Scale:
-    """Return the display unit of displacement, force, curvature or moment in a group."""
-    si_unit = {"displacement": "m", "force": "N", "curvature": "1/m", "moment": "N*m"}[quantity]
-    unit = find_display(group).get(quantity, si_unit)
-    return Scale(1.0 / si_factor(unit, si_unit), typeset_unit(unit))
+def find_number_unit(group: Group, number: GroupNumber) -> Scale:
+    """Return the display unit of a number in its group."""
+    return find_display_unit(number.name, number.unit, find_display(group))
+
+
+def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
+    """Find the display unit of a quantity.
+
+    Parameters
+    ----------
+    display : display unit by quantity
+    quantity : ``displacement``, ``force``, ``time``, ``moment`` and others
+
+    Returns
+    -------
+    Factor from SI to the display unit, and its name, typeset; SI without a display unit.
+
+    Raises
+    ------
+    KeyError
+        If the quantity is unknown.
+    """
+    si_units = {name: unit for unit, name in _QUANTITIES.items()} | {"moment": "N*m"}
+    unit = display.get(quantity, si_units[quantity])
+    return Scale(1.0 / find_si_factor(unit, si_units[quantity]), typeset_unit(unit))
+
+
+def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:
+    """Find the display units of several quantities with `find_unit`."""
+    return [find_unit(display, quantity) for quantity in quantities]
 
 
 def typeset_unit(unit: str) -> str:
-    """Typeset a unit: ``N*mm^2`` as N·mm², empty for a pure number.
+    """Typeset a unit, such as ``N*mm^2`` as N·mm²; empty for a pure number.
 
     Examples
     --------
@@ -289,7 +302,7 @@ def write_heading(name: str, unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A number as text, with the ends of its interval, if any, and an estimate that differs."""
+    """A number as text, with the ends of its interval and a different estimate, if any."""
 
     value: str
     lower: str = ""
@@ -298,7 +311,7 @@ class Written:
 
     @property
     def interval(self) -> str:
-        """Return the interval as text, such as ``46.3 to 58.3``; may be empty."""
+        """Return estimate and interval as text, such as ``46.3 to 58.3``; may be empty."""
         about = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{about}{self.lower} to {self.upper}" if self.lower else ""
 
@@ -347,13 +360,13 @@ def write_number(
 def find_last_place(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Return the power of ten of the last digit of a number with an interval, or of `digits`.
+    """Find the power of ten of the last digit with which a number is written.
 
     Parameters
     ----------
     value, interval : in SI
     factor : from SI to the display unit
-    digits : significant digits of a number without an interval
+    digits : significant digits of a number without an interval, or with one of no width
 
     Examples
     --------
@@ -370,11 +383,11 @@ def find_last_place(
 def make_number_writer(
     value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> Callable[[float], str]:
-    """Return a function that writes a number and its interval to the same digit.
+    """Make a function that writes a number and the ends of its interval to the same digit.
 
     Parameters
     ----------
-    value, interval, factor, digits : as of `find_last_place`
+    value, interval, factor, digits : see `find_last_place`
 
     Examples
     --------
@@ -425,13 +438,13 @@ def write_with_interval(
     Parameters
     ----------
     value, interval : in SI
-    factor : from SI to the unit that is shown
+    factor : from SI to the display unit
     estimate : estimate that differs from the value, if any
 
     Returns
     -------
-    ``value ± half`` for a symmetric interval, else ``value (lower to upper)``; without an interval
-    the value alone.
+    ``value ± half`` if both sides of the interval differ by at most a tenth, else ``value (lower
+    to upper)``; the value alone without an interval.
 
     Examples
     --------
@@ -440,32 +453,29 @@ def write_with_interval(
     >>> with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
-    max_uneven_share = 0.1  # difference of both sides of a symmetric interval, of half its width
+    max_uneven_share = 0.1  # difference of both sides of the interval, of the longer one
     written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
-    up, down = interval.upper - value, value - interval.lower
-    half = max(up, down)
-    if estimate is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
+    above, below = interval.upper - value, value - interval.lower
+    half = max(above, below)
+    if estimate is not None or not isfinite(half) or abs(above - below) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
-    number, times, power = written.value.partition(" \u00d7 ")
-    size = float(f"1e{power[2:].translate(_PLAIN_DIGITS)}") if times else 1.0
-    decimals = len(number.partition(".")[2])
-    two_digits = float(f"{abs(factor) * half / size:.1e}")
-    text = f"{number} \u00b1 {two_digits:.{decimals}f}"
+    two_digits = float(f"{abs(factor) * half:.1e}")
+    numbers = [factor * number for number in (value, *_ends(interval))]
+    place = find_last_place(value, interval, factor)
+    number, *_, half_text = _round_together([*numbers, two_digits], place)
+    number, times, power = number.partition(" \u00d7 ")
+    text = f"{number} \u00b1 {half_text.partition(times)[0] if times else half_text}"
     return f"({text}){times}{power}" if times else text
 
 
-_PLAIN_DIGITS = str.maketrans("\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079",
-                       "-0123456789")  # fmt: skip
-
-
 def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
-    """Write a mean with its interval, as `write_with_interval`.
+    """Write a mean with its interval as `write_with_interval` does.
 
     Parameters
     ----------
     mean : in SI
-    factor : from SI to the unit that is shown
+    factor : from SI to the display unit
     """
     return write_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)

@@ -26,9 +26,9 @@ _WRAPPED_WIDTH = 46
 _LINE_HEIGHT = 15.0
 """Height of a line of text, points."""
 _FILTER_WIDTH = 3
-"""Characters covered by the button of a filter."""
+"""Characters that the button of a filter covers."""
 _RISKY = frozenset("=+-@#")
-"""First letters of a text that would become a formula or an error when it is edited."""
+"""First characters of a text that becomes a formula or an error when a person edits it."""
 _MADE = datetime(2000, 1, 1)
 """Date of creation in each file: the same sheets give the same bytes."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -37,52 +37,52 @@ _DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
 class Line(NamedTuple):
-    """A line of a chart.
+    """Line of a chart.
 
     Parameters
     ----------
     name : in the legend
-    rows : first and last, from 0 below the heading
-    across, up : numbers of the columns
+    rows : first and last row of the sheet, from 0 below the headings
+    x_column, y_column : numbers of the columns of x and y, from 0
     """
 
     name: str
     rows: tuple[int, int]
-    across: int
-    up: int
+    x_column: int
+    y_column: int
 
 
 class Chart(NamedTuple):
-    """A chart of cells beside a table.
+    """Chart of cells of a sheet.
 
     Parameters
     ----------
-    title : above it; may be empty
-    across, up : labels of the axes, with units
-    lines : the first 12 are drawn
-    is_log : both axes are logarithmic
+    title : above the chart; may be empty
+    x_label, y_label : labels of the axes with units
+    lines : of which the first 12 are drawn
+    is_log : make both axes logarithmic
     """
 
     title: str
-    across: str
-    up: str
+    x_label: str
+    y_label: str
     lines: Sequence[Line]
     is_log: bool = False
 
 
 class Sheet(NamedTuple):
-    """A sheet before it is written.
+    """Contents of a sheet.
 
     Parameters
     ----------
-    name : valid and unique
-    heads : headings, with units
-    rows : below them
-    frozen : columns at the left that stay in view, like the headings
-    links : text of the first column -> target, such as ``'laws'!A12``
+    name : valid in a spreadsheet, and unique
+    heads : headings with units
+    rows : as many cells as headings
+    frozen : number of columns at the left that stay in view, as the headings do
+    links : target by the text of the first column, such as ``'laws'!A12``
     question : that the sheet answers
-    charts : below the table; to the right of a long one
-    wrapped : headings of columns with wrapped text
+    charts : below the table, or to the right of a long one
+    wrapped : headings of the columns whose text is wrapped
     """
 
     name: str
@@ -154,11 +154,11 @@ def stack_blocks(
 
 
 def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
-    """Return a record per element of arrays, each with the same first cells.
+    """Make a record per element of arrays.
 
     Parameters
     ----------
-    head : first cells
+    head : first cells, the same in each record
     columns : arrays of one length by heading
     """
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
@@ -166,13 +166,13 @@ def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Rec
 
 
 class About(NamedTuple):
-    """Description of a book.
+    """Description of a workbook.
 
     Parameters
     ----------
-    title : of the book
-    lines : how to read it
-    footer : of each printed page
+    title : of the workbook
+    lines : paragraphs on how to read it
+    footer : of each printed page; the title if empty
     """
 
     title: str
@@ -181,15 +181,16 @@ class About(NamedTuple):
 
 
 READ_ME = "read me"
+"""Name of the first sheet."""
 
 
 def save_book(about: About, sheets: Sequence[Sheet], path: Path) -> None:
-    """Write sheets as an xlsx file, after one that describes them.
+    """Write sheets as an xlsx file, after the sheet `READ_ME`, which describes and links them.
 
     Parameters
     ----------
-    about : contents of the sheet `READ_ME`, which lists and links the others
-    sheets : in order; the first is shown first
+    about : contents of the first sheet
+    sheets : in order; a spreadsheet program opens the first of them
     path : of the file
 
     Raises
@@ -199,8 +200,8 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path) -> None:
 
     Notes
     -----
-    Text stays text: a sample named ``=1+1`` is not a formula. Numbers that are not finite are empty
-    cells. Unprintable characters are replaced by U+FFFD. The same sheets give the same bytes.
+    A text such as ``=1+1`` is no formula. Numbers that are not finite are empty cells. Unprintable
+    characters are replaced by U+FFFD. The same sheets give the same bytes.
     """
     memory = io.BytesIO()
     book = _WorkbookWriter(memory, about)
@@ -234,7 +235,7 @@ class _WorkbookWriter:
         return self.forms[key]
 
     def read_me(self, about: About, sheets: Sequence[Sheet]) -> None:
-        """Write how to read the book, and the question of each sheet."""
+        """Write how to read the workbook, and the question of each sheet."""
         page = self.book.add_worksheet(READ_ME)
         page.set_column(0, 0, 26)
         page.set_column(1, 1, 100)
@@ -253,7 +254,7 @@ class _WorkbookWriter:
         self._set_up_print(page)
 
     def add(self, sheet: Sheet, *, is_first: bool) -> None:
-        """Write one sheet: table, charts, print layout."""
+        """Write one sheet: its table, charts and print layout."""
         page = self.book.add_worksheet(sheet.name)
         if is_first:
             page.activate()
@@ -306,17 +307,17 @@ class _WorkbookWriter:
         _write_text(page, *place, word, self.form(**look))
 
     def _draw(self, page: Any, sheet: Sheet) -> None:
-        """Draw the charts, two abreast; below a long table nobody would find them."""
+        """Place the charts in rows of two, below the table or beside a long one."""
         long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
         top, left = len(sheet.rows) + 2, 0
         if len(sheet.rows) > long_table:
             top, left = 1, len(sheet.heads) + 1
             page.print_area(0, 0, len(sheet.rows), len(sheet.heads) - 1)
         for number, chart in enumerate(sheet.charts):
-            down, across = divmod(number, 2)
+            row, column = divmod(number, 2)
             drawn = _chart(self.book, sheet.name, chart)
             drawn.set_size({"width": width - gap, "height": height - gap})
-            offset = {"x_offset": across * width, "y_offset": down * height, "object_position": 3}
+            offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
             page.insert_chart(top, left, drawn, offset)
 
     def _set_up_print(self, page: Any) -> None:
@@ -328,7 +329,7 @@ class _WorkbookWriter:
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
-    """Make headings of a table unique, ignoring case, and not empty."""
+    """Make headings of a table unique regardless of case, not empty, and at most 250 long."""
     make_unique_heads: list[str] = []
     taken: set[str] = set()
     for head in heads:
@@ -346,16 +347,16 @@ def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
     page.write_string(row, column, _cell_text(text), form)
 
 
-@lru_cache(maxsize=256)  # names repeat in many rows
+@lru_cache(maxsize=256)  # the same names stand in many rows
 def _cell_text(text: str) -> str:
-    max_units = 32_767  # of UTF-16, as Excel counts
+    max_units = 32_767  # of UTF-16, the limit of Excel
     return (
         replace_unprintable(text).encode("utf-16-le")[: 2 * max_units].decode("utf-16-le", "ignore")
     )
 
 
 def _column_widths(sheet: Sheet) -> list[int]:
-    """Return the width of each column: of its longest text; headings are wrapped."""
+    """Return the width of each column in characters, that of its longest text or heading word."""
     widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
         for i, value in enumerate(row):
@@ -373,8 +374,8 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
         dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
         drawn.add_series({
             "name": _escape_formula(line.name),
-            "categories": [name, first, line.across, last, line.across],
-            "values": [name, first, line.up, last, line.up],
+            "categories": [name, first, line.x_column, last, line.x_column],
+            "values": [name, first, line.y_column, last, line.y_column],
             "line": {"color": colour, "width": 1.5, "dash_type": dash},
         })  # fmt: skip
     look: dict[str, Any] = {
@@ -382,8 +383,8 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
     look |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    drawn.set_x_axis({"name": _escape_formula(chart.across), **look})
-    drawn.set_y_axis({"name": _escape_formula(chart.up), **look})
+    drawn.set_x_axis({"name": _escape_formula(chart.x_label), **look})
+    drawn.set_y_axis({"name": _escape_formula(chart.y_label), **look})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
     drawn.set_legend({"position": "right", "font": {"size": 9}})
@@ -391,12 +392,12 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
 
 
 def _escape_formula(text: str) -> str:
-    """Escape a text of a chart that would begin like a formula."""
+    """Escape a text of a chart that begins like a formula."""
     return re.sub("^=", "\u200a=", replace_unprintable(text))
 
 
 class NumberCell(NamedTuple):
-    """A number with all digits, and its number format.
+    """A number with all its digits, and its number format.
 
     Parameters
     ----------
@@ -416,7 +417,7 @@ Record: TypeAlias = dict[str, Value]
 def make_number_cell(
     value: float | None, interval: Interval | None, factor: float = 1.0
 ) -> NumberCell | None:
-    """Return a cell that displays a number to the second digit of half its interval.
+    """Make a cell that displays a number to the second digit of half its interval.
 
     Parameters
     ----------
@@ -436,7 +437,7 @@ def make_number_cell(
 def make_interval_cells(
     value: float | None, interval: Interval | None, factor: float = 1.0, *, name: str = "value"
 ) -> Record:
-    """Return cells that display a number and the ends of its interval to the same digit.
+    """Make cells that display a number and the ends of its interval to the same digit.
 
     Parameters
     ----------
@@ -446,7 +447,7 @@ def make_interval_cells(
 
     Returns
     -------
-    Three cells by heading; None for missing ones.
+    Three cells by heading; a missing number is None.
     """
     cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
@@ -458,19 +459,19 @@ def make_interval_cells(
 
 
 def make_percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
-    """Return the cell of a share in per cent, such as 38.2% for 0.382.
+    """Make the cell of a share in per cent, such as 38.2% for 0.382.
 
     Parameters
     ----------
-    share : or an interval of one
-    part : of the interval, such as ``lower``
+    share : or an interval of shares; None and NaN give None
+    part : field of the interval, such as ``lower``
     """
     value = getattr(share, part) if isinstance(share, Interval) else share
     return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
 
 
 def choose_number_format(value: float, place: int) -> str:
-    """Return the number format that displays a number down to a power of ten.
+    """Choose the number format that displays a number down to a power of ten.
 
     Parameters
     ----------
@@ -499,21 +500,30 @@ def _decimals(count: int) -> str:
 
 
 def find_column_place(column: Sequence[Value]) -> int | None:
-    """Return the place of the last digit of the plain numbers of a column; None for integers."""
-    column_digits = 5  # digits of the largest number of a column
-    plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
+    """Find the power of ten of the last digit of the numbers of a column without a format.
+
+    Parameters
+    ----------
+    column : its integers, texts and cells with a format do not count
+
+    Returns
+    -------
+    The largest number has five digits; None if there is no number other than zero.
+    """
+    column_digits = 5
+    plain = [abs(x) for x in column if isinstance(x, float) and math.isfinite(x)]
     if not any(plain):
         return None
     return find_last_place(max(plain), None, digits=column_digits)
 
 
 def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell:
-    """Give a plain number the format of its column, or its own if it is too small for it.
+    """Give a number the format of its column, or one of its own if it is too small for that.
 
     Parameters
     ----------
     value : a cell with a format keeps it
-    place : of the last digit of the column (`find_column_place`)
+    place : power of ten of the last digit of the column, from `find_column_place`
     """
     min_digits = 3  # of a small number that would have fewer in its column
     if isinstance(value, NumberCell):

@@ -17,14 +17,14 @@ from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake,
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.results.stiffness import Context, OfStiffness
+from labpipe.results.stiffness import Context, FromStiffness
 from labpipe.uncertainty.extractors import Trace, combine_numbers
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
 """Divisors of L^3: end load on a cantilever, central load on a span."""
 
 
-def beam_factor(length: float, support: str) -> float:
+def compute_beam_factor(length: float, support: str) -> float:
     """Return the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
 
     Parameters
@@ -49,7 +49,7 @@ def beam_factor(length: float, support: str) -> float:
 
     Examples
     --------
-    >>> round(480.0 * beam_factor(0.1, "three-point"), 9)
+    >>> round(480.0 * compute_beam_factor(0.1, "three-point"), 9)
     0.01
     """
     if support not in DIVISORS:
@@ -61,7 +61,7 @@ def beam_factor(length: float, support: str) -> float:
     return length**3 / DIVISORS[support]
 
 
-def held_at_rest(self_weight: float, length: float) -> float:
+def compute_prop_force(self_weight: float, length: float) -> float:
     """Return the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
 
     Parameters
@@ -94,7 +94,7 @@ class Rollers:
     friction: float = 0.0
 
 
-def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
+def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
     """Compute deflection and load of an elastic beam of EI = 1 N m^2 on rollers.
 
     Parameters
@@ -144,7 +144,7 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
     return np.append(0.0, deflection), np.append(0.0, load)
 
 
-def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
+def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
     """Return the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
 
     Parameters
@@ -164,14 +164,14 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
 
     Examples
     --------
-    >>> round(stiffness_ratio(Rollers(0.1), low=0.0, high=0.001), 4)
+    >>> round(compute_stiffness_ratio(Rollers(0.1), low=0.0, high=0.001), 4)
     0.9991
     """
     window_samples = 200
     # Below this share of the stiffness at small deflections, geometry has more effect than the
     # specimen.
     min_ratio = 0.5
-    deflection, load = path_of_load(rollers)
+    deflection, load = compute_roller_load(rollers)
     falling = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling[0]) if len(falling) else len(deflection) - 1
     if high > deflection[last]:
@@ -204,7 +204,7 @@ _FORMULAS = {"cantilever": ("length", "L^3 / 3"), "three-point": ("span", "L^3 /
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BendingStiffness(OfStiffness):
+class BendingStiffness(FromStiffness):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
     result: ClassVar = "bending-stiffness"
@@ -230,7 +230,7 @@ class BendingStiffness(OfStiffness):
         return _FORMULAS[self.support][0]
 
     @staticmethod
-    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
+    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a correction without its inputs."""
         corrections = entry.get("corrections")
         names = corrections if isinstance(corrections, list | tuple) else []
@@ -250,7 +250,7 @@ class BendingStiffness(OfStiffness):
                 remedy = f"Add 'roller: {{{key}: ...}}'."
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
-    def methods(self, test: ReducedTest) -> tuple[str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the formula with its length."""
         del test
         key, formula = _FORMULAS[self.support]
@@ -276,7 +276,7 @@ class BendingStiffness(OfStiffness):
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
         ratio = return_failure(self._ratio)(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
-        beam_stiffness = stiffness * beam_factor(length, self.support)
+        beam_stiffness = stiffness * compute_beam_factor(length, self.support)
         return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
     def _ratio(self, sizes: Mapping[str, float], window: tuple[float, float]) -> tuple[float, str]:
@@ -290,7 +290,7 @@ class BendingStiffness(OfStiffness):
                 continue
             taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
             rollers = self._rollers(taken, span, sizes.get("outer_diameter", 0.0))
-            next_ratio = stiffness_ratio(rollers, low=window[0], high=window[1])
+            next_ratio = compute_stiffness_ratio(rollers, low=window[0], high=window[1])
             corrections.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
             ratio = next_ratio
         return ratio, f"corrected as an elastic beam: {', '.join(corrections)}"

@@ -130,7 +130,7 @@ class MarkerLayout:
         )
 
 
-def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> MarkerLayout:
+def find_marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> MarkerLayout:
     """Return the layout that a shape was fitted with.
 
     Parameters
@@ -157,7 +157,7 @@ def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> Mark
     return MarkerLayout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
 
 
-def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> MeanFrames:
+def average_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> MeanFrames:
     """Average consecutive frames of a branch.
 
     Parameters
@@ -218,7 +218,7 @@ class StationCurves:
     curvature: Floats
 
 
-def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> StationCurves:
+def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> StationCurves:
     """Evaluate fitted curves in the plane of bending.
 
     Parameters
@@ -254,7 +254,7 @@ def _second(u: Floats, terms: int) -> Floats:
     return rates
 
 
-def curvature_gain(
+def compute_curvature_gain(
     layout: MarkerLayout, markers: Floats, shape: StationCurves, arc_length: Floats
 ) -> Floats:
     """Return the standard error of curvature per standard deviation of a marker coordinate.
@@ -306,7 +306,7 @@ def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floa
     return np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
 
 
-def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Floats:
+def compute_weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Floats:
     """Return the moment of the specimen beyond stations, per weight per length, m^2.
 
     Parameters
@@ -325,7 +325,7 @@ def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Fl
     return np.asarray(along @ rise.T - (length - arc_length) * (along @ compute_powers(u, terms).T))
 
 
-def moments(curves: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
+def compute_moments(curves: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
     """Return the bending moment at stations under a force at the tip.
 
     Parameters
@@ -397,7 +397,9 @@ class BendingTest:
     @cached_property
     def layout(self) -> MarkerLayout:
         """Return the layout of the markers."""
-        return marker_layout(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
+        return find_marker_layout(
+            self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip
+        )
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
@@ -409,7 +411,7 @@ class BendingTest:
             If fewer than two frames at rest show all markers.
         """
         branch = np.where(self.rest, 0, -1)
-        frames = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
+        frames = average_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
         is_complete = np.isfinite(frames.markers).all(axis=(1, 2))
         n_frames = int(is_complete.sum())
         if n_frames < 2:
@@ -437,7 +439,7 @@ class BendingTest:
         ValueError
             If no mean has both a shape and a force.
         """
-        means = mean_frames(self.shape, self.force, branch, per_mean=per_mean)
+        means = average_frames(self.shape, self.force, branch, per_mean=per_mean)
         fit = self.layout.fit(means.markers)
         usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(means.force)
         if not usable.any():
@@ -450,7 +452,7 @@ class BendingTest:
             tip_gain=fit.gain[usable, :2].max(axis=1),
         )
 
-    def moments(
+    def compute_moments(
         self, coefficients: Floats, reading: Floats, places: Floats, *, pull: TipPull | None = None
     ) -> Floats:
         """Return bending moments along fitted curves.
@@ -467,12 +469,12 @@ class BendingTest:
         shape (n, stations), N m.
         """
         length, pull = self.layout.length, self.pull if pull is None else pull
-        tip = curves_at(coefficients, length, np.array([length]))
+        tip = evaluate_curves(coefficients, length, np.array([length]))
         force = pull.force(reading, tip.x[:, 0])
-        moment = moments(curves_at(coefficients, length, places), tip, force)
+        moment = compute_moments(evaluate_curves(coefficients, length, places), tip, force)
         if pull.self_weight == 0.0:
             return moment
-        return moment - pull.self_weight * weight_levers(coefficients, length, places)
+        return moment - pull.self_weight * compute_weight_levers(coefficients, length, places)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from labpipe.records.arrays import Floats, Ints, average_between
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.signals import Clocks, FilterFunction, Signal
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
-from labpipe.results.sample_noise import have_no_effect
+from labpipe.results.sample_noise import have_no_filter_effect
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
@@ -44,7 +44,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     curve, unfiltered = test.curve, test.unfiltered
     if curve is None or unfiltered is None or not curve.branches:
         return None
-    measured = traced(test)
+    measured = make_trace(test)
     both = test.signals.displacement, test.signals.force
     starts = _starts(_corners(test), curve)
     grid_time = _means(curve.time, starts)
@@ -52,7 +52,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     signals = _displacements(test, curve), _forces(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
-        _means(filtered if have_no_effect(act) else raw, starts)
+        _means(filtered if have_no_filter_effect(act) else raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
     blocks = replace(
@@ -82,14 +82,14 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     )
 
 
-def traced(test: ReducedTest) -> Trace:
+def make_trace(test: ReducedTest) -> Trace:
     """Return the trace of the curve of a test.
 
     Parameters
     ----------
     test : with a curve
     """
-    curve, failure = test.known_curve, test.failure
+    curve, failure = test.required_curve, test.failure
     return Trace(
         time=curve.time,
         displacement=curve.displacement,
@@ -100,7 +100,7 @@ def traced(test: ReducedTest) -> Trace:
     )
 
 
-def loading_of(trace: Trace) -> slice:
+def select_first_loading(trace: Trace) -> slice:
     """Return the samples of the first loading, up to a failure in it; may be empty.
 
     Parameters
@@ -119,7 +119,7 @@ def loading_of(trace: Trace) -> slice:
 
 def _corners(test: ReducedTest) -> list[int]:
     """Return the samples at which a new piece of the record begins: turns, failure, slips."""
-    curve, failure = test.known_curve, test.failure
+    curve, failure = test.required_curve, test.failure
     cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
     if isinstance(failure, FailurePoint):
         cuts.append(failure.sample + 1)
@@ -148,7 +148,7 @@ def _means(values: Floats, starts: Ints) -> Floats:
     return values if len(starts) == len(values) else average_between(values, starts)
 
 
-def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
     """Return the samples of a signal at which a new piece begins.
 
     Parameters
@@ -230,7 +230,7 @@ def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterF
     """Return the filters of a signal for the grid; none if it was thinned."""
     signals = test.signals
     filters, raw = signals.filters.get(name, ()), signals.raw[name].time
-    if name == signals.displacement and len(raw) != len(test.known_curve.time):
+    if name == signals.displacement and len(raw) != len(test.required_curve.time):
         return []
     acts = list[FilterFunction]()
     for act, stride in filters:
@@ -256,12 +256,12 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats])
     """Yield the uncertain inputs of the whole record."""
     yield from _scales_and_zeros(test)
     yield from _levels_of_force(test, starts)
-    displacement, time = test.displacement, test.known_curve.time
+    displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == causes.SHAPE else "normal"
-        yield Input(cause, partial(displaced, by=change), law=law)
+        yield Input(cause, partial(shift_displacement_by, by=change), law=law)
     for cause, clocks in test.clocks.perturbed.items():
         later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
         yield Input(cause, partial(_later, by=_means(later, starts)))
@@ -285,7 +285,7 @@ def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
 
     def scaled(trace: Trace, x: float) -> Trace:
         whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
-        return displaced(trace, x * displacement.relative_error, by=whole)
+        return shift_displacement_by(trace, x * displacement.relative_error, by=whole)
 
     if force.relative_error:
         yield Input(causes.SCALE_OF_FORCE, gain)
@@ -294,15 +294,17 @@ def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
     if displacement.relative_error:
         yield Input(causes.SCALE_OF_DISPLACEMENT, scaled)
     if displacement.zero_error:
-        yield Input(causes.ZERO_OF_DISPLACEMENT, partial(displaced, by=displacement.zero_error))
+        yield Input(
+            causes.ZERO_OF_DISPLACEMENT, partial(shift_displacement_by, by=displacement.zero_error)
+        )
 
 
 def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
     if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
         yield Input(causes.RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
-    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
-    since = np.abs(_means(test.known_curve.time, starts) - _zeroed_at(test))
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.required_curve.force)))
+    since = np.abs(_means(test.required_curve.time, starts) - _zeroed_at(test))
     for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
         yield Input(
             causes.DRIFT_OF_ZERO, _raised(test, wave), stream=f"{causes.DRIFT_OF_ZERO} {number}"
@@ -358,7 +360,7 @@ def _zeroed_at(test: ReducedTest) -> float:
 
     The middle of a mean, or the outer end of a line; else the first sample.
     """
-    signals, time = test.signals, test.known_curve.time
+    signals, time = test.signals, test.required_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
     if name in signals.zero_stretches:
         return test.clocks.to_curve(0.5 * sum(signals.zero_stretches[name]), clock)
@@ -374,7 +376,7 @@ def _more_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
     return replace(trace, force=trace.force + more, displacement=displacement)
 
 
-def displaced(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:
     """Shift the displacement of a trace by a multiple of a length.
 
     Parameters

@@ -19,23 +19,23 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import traced
+from labpipe.results.curve_replicates import make_trace
 from labpipe.results.kinds import Computed, Errors, Kind
 from labpipe.results.least_squares import (
-    finite_samples,
-    line_in,
-    polynomial_weights,
+    compute_polynomial_weights,
+    compute_slope,
+    compute_zero_crossing,
+    find_finite_samples,
+    fit_chosen_lines,
     require_samples,
-    slope_of_line,
-    zero_of_line,
 )
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 
 
-def energy_of(displacement: Floats, force: Floats) -> Floats:
+def integrate_energy(displacement: Floats, force: Floats) -> Floats:
     """Integrate force over displacement by trapezoids, J, shape (...).
 
     Parameters
@@ -44,7 +44,7 @@ def energy_of(displacement: Floats, force: Floats) -> Floats:
 
     Examples
     --------
-    >>> energy_of(np.array([0.0, 1.0, 3.0]), np.array([[0.0, 2.0, 2.0], [1.0, 1.0, 1.0]]))
+    >>> integrate_energy(np.array([0.0, 1.0, 3.0]), np.array([[0.0, 2.0, 2.0], [1.0, 1.0, 1.0]]))
     array([5., 3.])
     """
     steps = np.empty_like(displacement)
@@ -71,7 +71,7 @@ _MIN_ZERO_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unloaded:
+class UnloadingEnd:
     """How an unloading ends, with the samples for its residual displacement chosen.
 
     Parameters
@@ -80,26 +80,26 @@ class Unloaded:
         foot of the force is followed to zero
     limit : N, up to which a force counts as zero
     n : samples used for the displacement
-    of : returns the displacement at zero force, m, shape (...), from displacements and forces of
-        the branch, shape (..., n)
-    of_each : the same for rows with noise, each with its own foot; None if it is `of`
+    compute : returns the displacement at zero force, m, shape (...), from displacements and forces
+        of the branch, shape (..., n)
+    compute_rows : the same for rows with noise, each with its own foot; None if it is `compute`
     """
 
     how: Literal["through zero", "at rest", "followed"]
     limit: float
     n: int
-    of: Callable[[Floats, Floats], Floats]
-    of_each: Callable[[Floats, Floats], Floats] | None = None
+    compute: Callable[[Floats, Floats], Floats]
+    compute_rows: Callable[[Floats, Floats], Floats] | None = None
 
 
-def unloaded(
+def find_unloading_end(
     time: Floats,
     displacement: Floats,
     force: Floats,
     *,
     force_below: float,
-    like: Unloaded | None = None,
-) -> Unloaded:
+    like: UnloadingEnd | None = None,
+) -> UnloadingEnd:
     """Choose the samples for the displacement at zero force after unloading.
 
     Parameters
@@ -131,7 +131,7 @@ def unloaded(
     max_zero_share = 0.02
     # Standard deviations of noise above which a force is not zero.
     noise_deviations = 4.0
-    finite = finite_samples(displacement, force)
+    finite = find_finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
     require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     least = min(force_below, max_zero_share * float(f.max()))
@@ -150,8 +150,8 @@ def unloaded(
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
-        zero_time = float(zero_of_line(from_end[foot], -f[foot]))
-        slope = float(slope_of_line(from_end[foot], f[foot]))
+        zero_time = float(compute_zero_crossing(from_end[foot], -f[foot]))
+        slope = float(compute_slope(from_end[foot], f[foot]))
     falls = not np.isnan(zero_time)
     zero = float(t[last]) + zero_time if falls else float(t[last])
     rest = t > zero + 0.2
@@ -164,23 +164,23 @@ def unloaded(
             del force
             return np.asarray(displacement[..., at_rest].mean(axis=-1))
 
-        return Unloaded("at rest", limit, int(rest.sum()), mean)
+        return UnloadingEnd("at rest", limit, int(rest.sum()), mean)
     near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
     if near.sum() < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
     of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, near))
     of = partial(_follow, foot=of_foot if falls else None, near=of_near)
     each = partial(_follow_each, samples=as_slice(finite), time=from_end, limit=limit, least=least)
-    return Unloaded("followed", limit, int(near.sum()), of, each)
+    return UnloadingEnd("followed", limit, int(near.sum()), of, each)
 
 
-def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Unloaded:
+def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
     require_samples(int(near.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
     samples, after = as_slice(finite[near]), time[near] - middle
-    weights = polynomial_weights(after, degree=2).T
+    weights = compute_polynomial_weights(after, degree=2).T
 
     def of(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
@@ -192,7 +192,7 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
         value: Floats = place + zero * (speed + zero * curve)
         return value
 
-    return Unloaded("through zero", limit, len(after), of)
+    return UnloadingEnd("through zero", limit, len(after), of)
 
 
 def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
@@ -200,7 +200,7 @@ def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: flo
     if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(force).max() > 2.0 * limit:
         return False
     centred_time, values = time - time.mean(), path[rest]
-    slope = float(slope_of_line(centred_time, values))
+    slope = float(compute_slope(centred_time, values))
     noise = values - values.mean() - slope * centred_time
     still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
     return abs(slope) * float(np.ptp(centred_time)) <= still
@@ -217,10 +217,10 @@ def _follow(
 
     Samples come with their times, s, from the end of the foot, where the force is zero without it.
     """
-    zero = np.zeros(()) if foot is None else zero_of_line(foot[1], -force[..., foot[0]])
+    zero = np.zeros(()) if foot is None else compute_zero_crossing(foot[1], -force[..., foot[0]])
     samples, time = near
     d = displacement[..., samples]
-    value: Floats = d.mean(axis=-1) + slope_of_line(time, d) * (zero - time.mean())
+    value: Floats = d.mean(axis=-1) + compute_slope(time, d) * (zero - time.mean())
     return value
 
 
@@ -245,7 +245,7 @@ def _follow_each(
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-    middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
+    middle, level, slope = fit_chosen_lines(foot, time[stretch], f[:, stretch])
     falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
     zeros = np.where(falls, middle - divide(level, slope), time[end])
     part = slice(
@@ -253,7 +253,7 @@ def _follow_each(
     )
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     near = (t >= start) & (t <= zeros[:, np.newaxis])
-    middle, level, slope = line_in(near, t, d[:, part])
+    middle, level, slope = fit_chosen_lines(near, t, d[:, part])
     ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
@@ -266,7 +266,7 @@ def _last_flagged(flags: Flags) -> Ints:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OfCycle(Kind):
+class PerCycle(Kind):
     """A kind of result with one number per cycle of the curve."""
 
     complete_branches: ClassVar[int] = 0
@@ -276,7 +276,7 @@ class OfCycle(Kind):
     the loading, 1 its end, 2 the end of unloading."""
 
     @abstractmethod
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Return the choice of the samples of a cycle.
 
         Parameters
@@ -285,12 +285,12 @@ class OfCycle(Kind):
         number : of the cycle, from 1
         """
 
-    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
+    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is read from more samples than the curve has."""
         del test, branches
         return None
 
-    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return further doubts about the number of a cycle."""
         del test, branches
         return ()
@@ -298,29 +298,33 @@ class OfCycle(Kind):
     def measure(self, test: ReducedTest) -> Computed:
         """Measure a number per cycle."""
         if not test.cycles:
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
 
     def _of_cycle(self, test: ReducedTest, branches: list[Branch]) -> Result:
         number = branches[0].cycle
-        return self.number(
+        return self.make_result(
             test,
             return_failure(test.measure_one)(
-                self.decider(test, number), self.plain(test, branches)
+                self.make_decider(test, number), self.measure_directly(test, branches)
             ),
             during=_time_of_part(branches, self.reads),
-            doubts=cut_short(test, branches[: self.complete_branches], self.outputs[0].rests_on)
-            + self.doubts(test, branches),
+            doubts=find_cut_cycle(
+                test, branches[: self.complete_branches], self.outputs[0].rests_on
+            )
+            + self.list_doubts(test, branches),
             part=f".{number}",
         )
 
 
-def rectangle(estimate: Estimate, other: Estimate) -> Errors:
+def compute_shape_error(estimate: Estimate, other: Estimate) -> Errors:
     """Return the error of a rectangle with the change by another assumption as half width."""
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
-def gap_at_peak(test: ReducedTest, branches: list[Branch], what: Quantity) -> tuple[Reason, ...]:
+def find_gap_at_peak(
+    test: ReducedTest, branches: list[Branch], what: Quantity
+) -> tuple[Reason, ...]:
     """Return a doubt if samples next to the largest one of a cycle are missing.
 
     Parameters
@@ -328,9 +332,9 @@ def gap_at_peak(test: ReducedTest, branches: list[Branch], what: Quantity) -> tu
     test, branches : the cycle
     what : quantity of the curve
     """
-    curve = test.known_curve
+    curve = test.required_curve
     values: Floats = getattr(curve, what)
-    signed_values = sense_of(curve, values) * values[stretch_of_cycle(curve, branches)]
+    signed_values = find_loading_sign(curve, values) * values[find_cycle_samples(curve, branches)]
     if np.isnan(signed_values).all():
         return ()
     top = int(np.nanargmax(signed_values))
@@ -351,7 +355,7 @@ def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch
     return ends[0], ends[1]
 
 
-def cut_short(
+def find_cut_cycle(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
     """Return a doubt if the record ends before the branches of a number.
@@ -365,7 +369,7 @@ def cut_short(
     ends = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
     if not branches or ends == np.inf:
         return ()
-    part, failure, curve = branches[-1], test.failure, test.known_curve
+    part, failure, curve = branches[-1], test.failure, test.required_curve
     if ends >= part.stop_time and part is not curve.branches[-1]:
         return ()
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
@@ -378,13 +382,13 @@ def cut_short(
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
     """Return whether the force had fallen below 90 % of its peak when the record ended."""
-    curve = test.known_curve
-    values = (sense_of(curve, curve.force) * curve.force)[part.start : part.stop]
+    curve = test.required_curve
+    values = (find_loading_sign(curve, curve.force) * curve.force)[part.start : part.stop]
     values = values[~np.isnan(values)]
     return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
 
-def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
+def find_cycle_samples(curve: Curve | Trace, branches: list[Branch]) -> slice:
     """Return the samples of a cycle from its first turn to its last one, both included.
 
     A rest between two cycles is divided at its extreme. A last loading without unloading includes
@@ -404,14 +408,14 @@ def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
 def _turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
     rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
-    seen = sense_of(curve, curve.displacement) * curve.displacement[rest]
+    seen = find_loading_sign(curve, curve.displacement) * curve.displacement[rest]
     if np.isnan(seen).all():
         return rest.stop - 1
     is_top = curve.branches[number - 1].direction is Direction.LOADING
     return rest.start + int(np.nanargmax(seen) if is_top else np.nanargmin(seen))
 
 
-def sense_of(curve: Curve | Trace, values: Floats) -> float:
+def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
     """Return the sign of a quantity of a curve during the first loading.
 
     Parameters
@@ -420,10 +424,10 @@ def sense_of(curve: Curve | Trace, values: Floats) -> float:
     values : shape (n,), of the quantity
     """
     branch = curve.branches[0]
-    return sense_of_loading(values[branch.start : branch.stop])
+    return compute_loading_sign(values[branch.start : branch.stop])
 
 
-def cycle_of(trace: Trace, number: int) -> list[Branch]:
+def select_cycle(trace: Trace, number: int) -> list[Branch]:
     """Return the branches of a cycle of a curve, in order.
 
     Parameters
@@ -435,7 +439,7 @@ def cycle_of(trace: Trace, number: int) -> list[Branch]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Energy(OfCycle):
+class Energy(PerCycle):
     """``energy.<cycle>`` (J): dissipated over one cycle."""
 
     result: ClassVar = "energy"
@@ -447,19 +451,19 @@ class Energy(OfCycle):
     complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples for the integral of the force over a cycle."""
         del test
 
         def decide(trace: Trace) -> Reading:
-            branches = cycle_of(trace, number)
-            unloading_of(branches)
-            return work_over(trace, stretch_of_cycle(trace, branches))
+            branches = select_cycle(trace, number)
+            require_unloading(branches)
+            return choose_work_samples(trace, find_cycle_samples(trace, branches))
 
         return decide
 
 
-def unloading_of(branches: list[Branch]) -> Branch:
+def require_unloading(branches: list[Branch]) -> Branch:
     """Return the unloading branch of a cycle.
 
     Raises
@@ -472,7 +476,7 @@ def unloading_of(branches: list[Branch]) -> Branch:
     return branches[1]
 
 
-def work_over(trace: Trace, stretch: slice) -> Reading:
+def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
     """Choose the samples for the work over a part of a curve, J: trapezoids.
 
     Parameters
@@ -492,15 +496,15 @@ def work_over(trace: Trace, stretch: slice) -> Reading:
     require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
-    coarse = energy_of(displacement[halves], force[halves])
-    correction = (energy_of(displacement, force) - coarse) / 3.0
+    coarse = integrate_energy(displacement[halves], force[halves])
+    correction = (integrate_energy(displacement, force) - coarse) / 3.0
     return Reading(
-        read_part(energy_of, stretch), len(force), sampling_correction=(float(correction),)
+        read_part(integrate_energy, stretch), len(force), sampling_correction=(float(correction),)
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualDisplacement(OfCycle):
+class ResidualDisplacement(PerCycle):
     """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
 
     result: ClassVar = "residual-displacement"
@@ -521,25 +525,25 @@ class ResidualDisplacement(OfCycle):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Use the limit of zero force, and the kind of end, of the measured curve."""
-        measured = return_failure(self._ends)(traced(test), number)
+        measured = return_failure(self._ends)(make_trace(test), number)
         like = None if isinstance(measured, Failure) else measured
 
         def decide(trace: Trace) -> Reading:
-            ending, part = self._ends(trace, number, like), cycle_of(trace, number)[1]
+            ending, part = self._ends(trace, number, like), select_cycle(trace, number)[1]
             branch = slice(part.start, part.stop)
-            in_noise = read_part(ending.of_each, branch) if ending.of_each else None
-            return Reading(read_part(ending.of, branch), ending.n, in_noise)
+            in_noise = read_part(ending.compute_rows, branch) if ending.compute_rows else None
+            return Reading(read_part(ending.compute, branch), ending.n, in_noise)
 
         return decide
 
-    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded:
-        parts = on_branch(trace, unloading_of(cycle_of(trace, number)))
-        return unloaded(*parts, force_below=self.force_below, like=like)
+    def _ends(self, trace: Trace, number: int, like: UnloadingEnd | None = None) -> UnloadingEnd:
+        parts = cut_branch(trace, require_unloading(select_cycle(trace, number)))
+        return find_unloading_end(*parts, force_below=self.force_below, like=like)
 
 
-def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
+def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     """Return time (s), displacement (m) and force (N) of a branch.
 
     Parameters
@@ -585,11 +589,14 @@ def _largest(
     steps : sampling steps of its signal per sample of the curve
     """
     values: Floats = getattr(trace, quantity)
-    sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
+    sense, stretch = (
+        find_loading_sign(trace, values),
+        find_cycle_samples(trace, select_cycle(trace, number)),
+    )
     seen = sense * values[stretch]
     if np.isnan(seen).all():
         raise UnavailableError.of("results.no_sample")
-    travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
+    travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
     reach = reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
@@ -612,7 +619,7 @@ def _largest(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeakForce(OfCycle):
+class PeakForce(PerCycle):
     """``peak_force.<cycle>`` (N): the largest force of a cycle."""
 
     result: ClassVar = "peak-force"
@@ -623,28 +630,28 @@ class PeakForce(OfCycle):
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the largest sample of the force."""
-        return partial(peak_of, test, number=number)
+        return partial(choose_peak_sample, test, number=number)
 
-    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
-        return gap_at_peak(test, branches, "force")
+        return find_gap_at_peak(test, branches, "force")
 
-    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
+    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
-        signal, curve = test.force, test.known_curve
+        signal, curve = test.force, test.required_curve
         if signal.clock == test.clocks.curve:
             return None
-        stretch = stretch_of_cycle(curve, branches)
+        stretch = find_cycle_samples(curve, branches)
         ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
         first, last = (test.clocks.from_curve(float(end), signal.clock) for end in ends)
         values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
-        sense = sense_of(curve, curve.force)
+        sense = find_loading_sign(curve, curve.force)
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
 
 
-def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
+def choose_peak_sample(test: ReducedTest, trace: Trace, number: int) -> Reading:
     """Choose the sample of the largest force of a cycle, N.
 
     Parameters
@@ -659,7 +666,7 @@ def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeakDisplacement(OfCycle):
+class PeakDisplacement(PerCycle):
     """``peak_displacement.<cycle>`` (m): the largest displacement of a cycle."""
 
     result: ClassVar = "peak-displacement"
@@ -677,10 +684,10 @@ class PeakDisplacement(OfCycle):
     reads: ClassVar = (0.9, 1.1)
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the largest sample of the displacement."""
         return partial(_largest, test, quantity="displacement", number=number)
 
-    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
-        return gap_at_peak(test, branches, "displacement")
+        return find_gap_at_peak(test, branches, "displacement")

@@ -19,16 +19,16 @@ from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.cycles import (
-    OfCycle,
-    cycle_of,
-    gap_at_peak,
+    PerCycle,
+    choose_work_samples,
+    find_cycle_samples,
+    find_gap_at_peak,
+    find_loading_sign,
     reach_beyond_top,
-    sense_of,
-    stretch_of_cycle,
-    work_over,
+    select_cycle,
 )
 from labpipe.results.kinds import Computed, Kind
-from labpipe.results.least_squares import finite_samples
+from labpipe.results.least_squares import find_finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
@@ -54,7 +54,7 @@ class LossOfForce:
     at_end_below: float | None = None
 
 
-def final_loss(
+def find_loss_start(
     time: Floats, force: Floats, rule: LossOfForce, goes_back: Flags | None = None
 ) -> int | Failure:
     """Find the sample at which the final loss of force begins.
@@ -104,7 +104,7 @@ def final_loss(
     return int(finite[first])
 
 
-def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
+def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
     """Find the last sample with the share of the peak, if the motion continues during the loss.
 
     Parameters
@@ -117,9 +117,9 @@ def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | N
     Number of the sample. None if the force is not below the share at the end, or if the motion
     stops or goes back during the loss, as for a specimen that relaxes.
     """
-    finite = finite_samples(displacement, force)
+    finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    last = last_above(f, rule.force_below)
+    last = find_last_above(f, rule.force_below)
     if last >= len(f) - 1:
         return None
     # At least 1 % more travel, and at most every second step back.
@@ -127,7 +127,7 @@ def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | N
     return int(finite[last]) if goes_on and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
 
-def last_above(force: Floats, share: float) -> Any:
+def find_last_above(force: Floats, share: float) -> Any:
     """Return the last sample with at least a share of the largest one, of rows (..., n)."""
     holds = force >= share * np.max(force, axis=-1, keepdims=True)
     return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
@@ -149,7 +149,7 @@ def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: flo
     return last
 
 
-def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
+def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> float:
     """Return the largest share of the peak that was suddenly and permanently lost before the end.
 
     Parameters
@@ -184,7 +184,7 @@ class FailureResult(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """Of a slow loss, the last sample with a share of the peak."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_below is not None:
@@ -203,8 +203,8 @@ class FailureResult(Kind):
         at_end = during[1], during[1]
         return Computed(
             (
-                self.number(test, place, during=at_end, doubts=doubts),
-                self.number(test, force, output=1, during=during, doubts=doubts),
+                self.make_result(test, place, during=at_end, doubts=doubts),
+                self.make_result(test, force, output=1, during=during, doubts=doubts),
             )
         )
 
@@ -217,7 +217,7 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
     """
     sample = trace.failed_at
     if sample is None:
-        raise test.unavailable(NO_LOADING)
+        raise test.make_error(NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
         singles = _single_samples(test, trace, sample)
         return _at_slow_loss(test.failure.slow_below, trace, singles)
@@ -245,7 +245,7 @@ def _single_samples(
 
     @cache
     def around(quantity: Quantity) -> SampleNoise | None:
-        loading = slice(loading_before(trace, sample).start, sample + 1)
+        loading = slice(find_loading_before(trace, sample).start, sample + 1)
         return SampleNoise.around(test, trace, quantity, loading, sample)
 
     def drawn(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
@@ -259,12 +259,12 @@ def _at_slow_loss(
     share: float, trace: Trace, singles: Callable[[Quantity, tuple[int, ...]], Floats]
 ) -> Reading:
     """Choose the sample at which each curve falls below a share of its peak."""
-    sense = sense_of(trace, trace.force)
+    sense = find_loading_sign(trace, trace.force)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
         finite = np.flatnonzero(~np.isnan(trace.force.reshape(-1, trace.force.shape[-1])[0]))
         force, place = trace.force[..., finite], trace.displacement[..., finite]
-        last = last_above(sense * force, share)[..., np.newaxis]
+        last = find_last_above(sense * force, share)[..., np.newaxis]
         ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
         more = trace.steps_beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
@@ -282,10 +282,10 @@ def _loss_before(test: ReducedTest) -> tuple[float, bool]:
 
     A loss above noise is the start of a loss over several samples.
     """
-    failure, curve = test.failure, test.known_curve
+    failure, curve = test.failure, test.required_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
         return 0.0, False
-    sense = sense_of(curve, curve.force)
+    sense = find_loading_sign(curve, curve.force)
     fall = sense * float(curve.force[failure.sample - 1] - curve.force[failure.sample])
     if not fall > 0.0:
         return 0.0, False
@@ -309,18 +309,18 @@ def _failure(test: ReducedTest) -> FailurePoint:
     if isinstance(test.failure, Failure):
         raise UnavailableError(test.failure)
     if test.failure is None:
-        raise test.unavailable(NO_LOADING)
+        raise test.make_error(NO_LOADING)
     return test.failure
 
 
 def _until_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
     """Return the time from the start of the loading of the failure to the failure, s."""
-    curve = test.known_curve
-    start = loading_before(curve, failure.sample).start
+    curve = test.required_curve
+    start = find_loading_before(curve, failure.sample).start
     return float(curve.time[start]), float(curve.time[failure.sample])
 
 
-def loading_before(curve: Curve | Trace, sample: int) -> Branch:
+def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """Return the last loading branch that begins by a sample, or else the first one."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [part for part in loading if part.start <= sample or part is loading[0]][-1]
@@ -332,7 +332,7 @@ def _doubts_of_steps(failure: FailurePoint) -> tuple[Reason, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeakForceDisplacement(OfCycle):
+class PeakForceDisplacement(PerCycle):
     """``displacement_at_peak_force.<cycle>`` (m): where the force of a cycle is largest."""
 
     result: ClassVar = "displacement-at-peak-force"
@@ -343,13 +343,13 @@ class PeakForceDisplacement(OfCycle):
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "displacement at the largest force of the cycle, in the sense of loading"
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the sample of the largest force of each curve."""
         return partial(_at_largest_force, test, number=number)
 
-    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
-        return gap_at_peak(test, branches, "force")
+        return find_gap_at_peak(test, branches, "force")
 
 
 def _at_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
@@ -357,11 +357,11 @@ def _at_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
 
     If the specimen breaks there, the peak lies up to a step after the sample.
     """
-    part = stretch_of_cycle(trace, cycle_of(trace, number))
-    finite = part.start + finite_samples(trace.displacement[part], trace.force[part])
+    part = find_cycle_samples(trace, select_cycle(trace, number))
+    finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
     if not len(finite):
         raise UnavailableError.of("results.no_sample")
-    senses = [sense_of(trace, values) for values in (trace.displacement, trace.force)]
+    senses = [find_loading_sign(trace, values) for values in (trace.displacement, trace.force)]
     place, force = (
         sense * values[finite]
         for sense, values in zip(senses, (trace.displacement, trace.force), strict=True)
@@ -401,15 +401,15 @@ class EnergyToBreak(Kind):
         failure = _failure(test)
         outcome = test.measure_one(partial(_work, test))
         doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
-        return Computed((self.number(test, outcome, during=during, doubts=doubts),))
+        return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))
 
 
 def _work(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for the work up to the failure."""
     sample = trace.failed_at
     if sample is None:
-        raise test.unavailable(NO_LOADING)
-    work = work_over(trace, slice(loading_before(trace, sample).start, sample + 1))
+        raise test.make_error(NO_LOADING)
+    work = choose_work_samples(trace, slice(find_loading_before(trace, sample).start, sample + 1))
     step, _ = _next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:

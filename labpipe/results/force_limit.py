@@ -70,14 +70,14 @@ class ForceLimit(Kind):
     conductor: Annotated[str, "Section that `at_least` holds for, such as AWG 20"] = ""
 
     @staticmethod
-    def between(data: Mapping[str, Any]) -> Iterator[Fault]:
+    def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
         """Find a limit that is missing or stated twice, and a card without its column."""
         if (data.get("card") is None) == (data.get("at_least") is None):
             yield Fault.of("protocol.one_limit")
         elif data.get("card") is not None and not data.get("column"):
             yield Fault.of("protocol.no_card_column", ("card",))
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """Name the source of the limit."""
         del test
         source = "stated by the protocol"
@@ -88,9 +88,11 @@ class ForceLimit(Kind):
     def measure(self, test: ReducedTest) -> Computed:
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
-        (of_limit, of_share), status = self.methods(test), Status.OK
+        (of_limit, of_share), status = self.list_methods(test), Status.OK
         peak = max(PeakForce().compute(test).results, key=lambda peak: peak.value or -inf)
-        reasons = tuple(dict.fromkeys([*peak.reasons, *test.doubts_of(("observation",), None)]))
+        reasons = tuple(
+            dict.fromkeys([*peak.reasons, *test.collect_doubts(("observation",), None)])
+        )
         if peak.value is None or reasons:
             status = Status.FAILED if peak.value is None else Status.DOUBTFUL
         share = replace(

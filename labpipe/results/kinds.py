@@ -75,7 +75,7 @@ class Kind(ABC):
             If the test has none of the outputs.
         """
 
-    def methods(self, test: ReducedTest) -> tuple[str, ...]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, ...]:
         """Return the method of each output."""
         del test
         return (self.method,) * len(self.outputs)
@@ -93,21 +93,21 @@ class Kind(ABC):
             parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
             return Computed(
                 tuple(
-                    self.number(test, error.failure, output=place, part=part)
+                    self.make_result(test, error.failure, output=place, part=part)
                     for place, part in enumerate(parts)
                 )
             )
 
-    def numbers(
+    def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> tuple[Result, ...]:
         """Give several outputs in order, from the `first`, what `number` gives one."""
         return tuple(
-            self.number(test, outcome, output=place, **common)
+            self.make_result(test, outcome, output=place, **common)
             for place, outcome in enumerate(outcomes, start=first)
         )
 
-    def number(
+    def make_result(
         self,
         test: ReducedTest,
         outcome: Outcome,
@@ -129,7 +129,7 @@ class Kind(ABC):
             without an interval gets the normal one
         errors : further standard errors
         output : place in `outputs`; settings are filled into its name
-        method : by default that of `Kind.methods`
+        method : by default that of `Kind.list_methods`
         during : s, on the clock of the curve, the interval that it was read from; None for all
         doubts : further reasons to doubt it
         part : of the name, such as ``.1``
@@ -139,10 +139,10 @@ class Kind(ABC):
         lengths = {f"{name}_mm": 1e3 * x for name, x in settings.items() if isinstance(x, float)}
         declared = self.outputs[output]
         name, made_of = declared.name.format_map(settings) + part, settings.get("of", "")
-        method = method or self.methods(test)[output].format_map(settings | lengths)
+        method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _completed(outcome, errors or {})
         if isinstance(outcome, Failure):
-            seen = test.doubts_of((*declared.rests_on, *_BOTH_SIGNS), during)
+            seen = test.collect_doubts((*declared.rests_on, *_BOTH_SIGNS), during)
             why = [doubt for doubt in seen if doubt.code in _CURVE_ERRORS]
             both = [*why, outcome] if outcome.code in _TOO_SHORT else [outcome, *why]
             reasons, failed = tuple(dict.fromkeys(both)), Status.FAILED
@@ -150,7 +150,7 @@ class Kind(ABC):
         signs = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}.get(declared.unit, ())
         known = outcome.doubts if isinstance(outcome, Measured) else ()
         own = [reason for quantity, reason in known if quantity in ("", *declared.rests_on)]
-        seen = test.doubts_of((*declared.rests_on, *signs), during)
+        seen = test.collect_doubts((*declared.rests_on, *signs), during)
         reasons = tuple(dict.fromkeys([*seen, *doubts, *own]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
@@ -171,7 +171,7 @@ class Kind(ABC):
         )
 
 
-def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
+def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:
     """Return the error from the scale of the force, of a number in proportion to it."""
     if isinstance(outcome, Failure):
         return {}
@@ -203,7 +203,7 @@ def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contrib
     return outcome, budget
 
 
-def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
+def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
     """Return a doubt for a stretch with a slip that was only marked.
 
     Parameters
@@ -235,10 +235,10 @@ class ClockResult(Kind):
         """Return offset and drift of force time against marker time."""
         fit = test.clocks.force
         if fit is None:
-            raise test.unavailable(Failure.of("results.one_clock"))
+            raise test.make_error(Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure.of("results.one_event")
-        return Computed(self.numbers(test, (offset, drift), method=fit.method))
+        return Computed(self.make_results(test, (offset, drift), method=fit.method))

@@ -24,7 +24,7 @@ def require_travel(values: Floats, quantity: str = "displacement") -> None:
         raise UnavailableError.of("results.no_travel", quantity=quantity)
 
 
-def slope_of_line(x: Floats, y: Floats) -> Floats:
+def compute_slope(x: Floats, y: Floats) -> Floats:
     """Return the slope of the least-squares line of each row.
 
     Parameters
@@ -37,14 +37,14 @@ def slope_of_line(x: Floats, y: Floats) -> Floats:
 
     Examples
     --------
-    >>> slope_of_line(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 2.0, 6.0], [5.0, 5.0, 5.0]]))
+    >>> compute_slope(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 2.0, 6.0], [5.0, 5.0, 5.0]]))
     array([2.5, 0. ])
     """
     lever = x - x.mean(axis=-1, keepdims=True)
     return divide(np.vecdot(lever, y), np.vecdot(lever, lever))
 
 
-def zero_of_line(x: Floats, y: Floats) -> Floats:
+def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
     """Return the zero of the rising least-squares line of each row.
 
     Parameters
@@ -58,16 +58,16 @@ def zero_of_line(x: Floats, y: Floats) -> Floats:
     Examples
     --------
     >>> rows = np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]])
-    >>> zero_of_line(np.array([5.0, 6.0, 7.0]), rows)
+    >>> compute_zero_crossing(np.array([5.0, 6.0, 7.0]), rows)
     array([ 4., nan])
     """
-    slope = slope_of_line(x, y)
+    slope = compute_slope(x, y)
     slope = np.where(slope > 0.0, slope, np.nan)
     zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
     return zero
 
 
-def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """Fit the least-squares line through chosen samples of each row.
 
     Parameters
@@ -86,7 +86,7 @@ def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats
     return middle, level, divide(np.vecdot(lever, y), np.vecdot(lever, x))
 
 
-def polynomial_weights(x: Floats, *, degree: int) -> Floats:
+def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
     """Return the weights of values in their least-squares polynomial.
 
     Parameters
@@ -101,7 +101,7 @@ def polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
     Examples
     --------
-    >>> weights = polynomial_weights(np.arange(4.0), degree=2)
+    >>> weights = compute_polynomial_weights(np.arange(4.0), degree=2)
     >>> (weights @ np.array([5.0, 6.0, 9.0, 14.0])).round(12).tolist()
     [5.0, 0.0, 1.0]
     """
@@ -181,7 +181,7 @@ class CommonPath:
         return taken
 
 
-def finite_samples(displacement: Floats, force: Floats) -> Ints:
+def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
     """Return the samples with both quantities, in order of time.
 
     Parameters

@@ -31,8 +31,8 @@ from labpipe.results.bent_frames import (
     FittedFrames,
     StationCurves,
     TipPull,
-    curvature_gain,
-    curves_at,
+    compute_curvature_gain,
+    evaluate_curves,
 )
 
 N_FIT_MEANS = 80
@@ -59,15 +59,15 @@ def measure_bending(test: BendingTest) -> Bending:
     ValueError
         If fewer than two frames at rest show all markers, or no mean has shape and force.
     """
-    cloud = bending_cloud(test)
+    cloud = measure_cloud(test)
     try:
-        law = loading_law(test, cloud)
+        law = fit_loading_law(test, cloud)
     except ValueError as error:
         return Bending(cloud, None, Reason("no_law", str(error)))
     return Bending(cloud, law)
 
 
-def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
+def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     """Fit one law to all frames of the first loading.
 
     Parameters
@@ -114,14 +114,14 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     )
 
 
-def _loaded(test: BendingTest, frames: FittedFrames) -> Loaded:
+def _loaded(test: BendingTest, frames: FittedFrames) -> LawData:
     layout, rest = test.layout, test.specimen_at_rest
     line = Line.through(layout.arc_length, layout.length)
-    still = curves_at(rest.coefficients, layout.length, line.arc_length)
-    return Loaded(
+    still = evaluate_curves(rest.coefficients, layout.length, line.arc_length)
+    return LawData(
         line=line,
-        moment=test.moments(frames.coefficients, frames.means.force, line.arc_length),
-        moment_at_rest=test.moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
+        moment=test.compute_moments(frames.coefficients, frames.means.force, line.arc_length),
+        moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
         angle_at_rest=still.angle[0],
         markers=frames.means.markers[..., :2],
         markers_at_rest=rest.markers[:, :2],
@@ -136,7 +136,7 @@ class _Shared:
 
     test: BendingTest
     frames: FittedFrames
-    loaded: Loaded
+    loaded: LawData
     fit: LawFit
 
     def changes(self) -> Iterator[Floats]:
@@ -144,7 +144,7 @@ class _Shared:
         errors, frames = self.test.errors, self.frames
         before = self.movement(self.loaded)
 
-        def change(other: Loaded, share: float = 1.0) -> Floats:
+        def change(other: LawData, share: float = 1.0) -> Floats:
             return share * self.fit.shift(self.movement(other) - before)
 
         yield change(self.with_moments(reading=frames.means.force + errors.force_zero))
@@ -159,13 +159,13 @@ class _Shared:
         if errors.centre > 0.0:
             yield change(self.with_centres_farther(errors.centre))
 
-    def movement(self, loaded: Loaded) -> Floats:
+    def movement(self, loaded: LawData) -> Floats:
         """Return the movement of the markers by the law."""
         return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
 
     def with_moments(
         self, *, reading: Floats | None = None, pull: TipPull | None = None, finer: bool = False
-    ) -> Loaded:
+    ) -> LawData:
         """Return the data with another force, pull at the tip, or one more coefficient."""
         test, frames, rest = self.test, self.frames, self.test.specimen_at_rest
         places, no_load = self.loaded.line.arc_length, np.zeros(1)
@@ -176,32 +176,32 @@ class _Shared:
             curves, still = frames.coefficients, rest.coefficients
         return replace(
             self.loaded,
-            moment=test.moments(curves, reading, places, pull=pull),
-            moment_at_rest=test.moments(still, no_load, places, pull=pull)[0],
+            moment=test.compute_moments(curves, reading, places, pull=pull),
+            moment_at_rest=test.compute_moments(still, no_load, places, pull=pull)[0],
         )
 
-    def longer_at_the_clamp(self, more: float) -> Loaded:
+    def longer_at_the_clamp(self, more: float) -> LawData:
         """Return the data with the clamped end farther back."""
         line, frames = self.loaded.line, self.frames
         places = line.arc_length
         first = places[line.markers[0]]
         longer = np.where(places < first, places * (first + more) / first, places + more)
-        moment = self.test.moments(frames.coefficients, frames.means.force, longer - more)
+        moment = self.test.compute_moments(frames.coefficients, frames.means.force, longer - more)
         return replace(self.loaded, line=replace(line, arc_length=longer), moment=moment)
 
-    def longer_at_the_tip(self, more: float) -> Loaded:
+    def longer_at_the_tip(self, more: float) -> LawData:
         """Return the data with the pull point farther along the tangent."""
         length = self.test.layout.length
-        tip = curves_at(self.frames.coefficients, length, np.array([length]))
+        tip = evaluate_curves(self.frames.coefficients, length, np.array([length]))
         force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
         extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
         return replace(self.loaded, moment=self.loaded.moment + extra)
 
-    def with_centres_farther(self, more: float) -> Loaded:
+    def with_centres_farther(self, more: float) -> LawData:
         """Return the data with marker centres farther from the axis."""
         test, rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
         layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
-        along = curves_at(rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
+        along = evaluate_curves(rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
         lift = more * np.array([-np.sin(along), np.cos(along), 0.0])
         curves, still = (
             layout.fit(markers + lift).coefficients
@@ -209,9 +209,9 @@ class _Shared:
         )
         return replace(
             self.loaded,
-            moment=test.moments(curves, self.frames.means.force, places),
-            moment_at_rest=test.moments(still, np.zeros(1), places)[0],
-            angle_at_rest=curves_at(still, layout.length, places).angle[0],
+            moment=test.compute_moments(curves, self.frames.means.force, places),
+            moment_at_rest=test.compute_moments(still, np.zeros(1), places)[0],
+            angle_at_rest=evaluate_curves(still, layout.length, places).angle[0],
             centre_offset=layout.centre_offset,
         )
 
@@ -234,7 +234,7 @@ class LawPoints:
     tangent_error: Floats
 
 
-def law_points(
+def evaluate_law(
     knots: Floats, compliance: Floats, covariance: Floats, curvature: Floats, *, scale_error: float
 ) -> LawPoints:
     """Evaluate a law at curvatures.
@@ -324,7 +324,7 @@ def tabulate(
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
     largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
-    points = law_points(
+    points = evaluate_law(
         fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error
     )
     floor = NORMAL_95 * curvature_noise
@@ -368,7 +368,7 @@ def _unknown_reason(curvature: Floats, is_known: Flags, floor: float) -> Reason 
     )
 
 
-def bending_cloud(test: BendingTest) -> BendingCloud:
+def measure_cloud(test: BendingTest) -> BendingCloud:
     """Compute curvature and moment, less those at rest.
 
     Parameters
@@ -394,12 +394,12 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
     frames = test.frames(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
     length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
     places = np.linspace(0.0, length, N_CLOUD_STATIONS)
-    now = curves_at(frames.coefficients, length, places)
-    curvature = now.curvature - curves_at(rest.coefficients, length, places).curvature
-    moment = test.moments(frames.coefficients, means.force, places)
-    at_rest = test.moments(rest.coefficients, np.zeros(1), places)[0]
+    now = evaluate_curves(frames.coefficients, length, places)
+    curvature = now.curvature - evaluate_curves(rest.coefficients, length, places).curvature
+    moment = test.compute_moments(frames.coefficients, means.force, places)
+    at_rest = test.compute_moments(rest.coefficients, np.zeros(1), places)[0]
     share = np.sqrt(1.0 / means.per_mean + 1.0 / rest.frames)
-    gain = curvature_gain(test.layout, means.markers, now, places)
+    gain = compute_curvature_gain(test.layout, means.markers, now, places)
     return BendingCloud(
         time=means.time,
         branch=means.branch,
@@ -422,8 +422,8 @@ def _systematic(
     """Return the absolute change of the curvatures with one more coefficient."""
     if frames.finer is None:
         return np.full(curvature.shape, np.nan)
-    finer = curves_at(frames.finer, test.layout.length, places).curvature
-    still = curves_at(test.specimen_at_rest.finer, test.layout.length, places).curvature
+    finer = evaluate_curves(frames.finer, test.layout.length, places).curvature
+    still = evaluate_curves(test.specimen_at_rest.finer, test.layout.length, places).curvature
     return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
 
 
@@ -484,7 +484,7 @@ class LawFit:
         return np.asarray(-np.tensordot(self.sensitivity, movement, axes=2), dtype=np.float64)
 
 
-def refine_law(loaded: Loaded) -> tuple[LawFit, Floats]:
+def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
     """Fit a law with as many knots as the markers determine.
 
     Parameters
@@ -511,7 +511,7 @@ def refine_law(loaded: Loaded) -> tuple[LawFit, Floats]:
     # Each level has all the knots of the one before.
     level_knots = (7, 13, 25)
     largest = float(loaded.moment.max())
-    coarse, fit, fine = (fit_law(loaded, law_knots(largest, count)) for count in level_knots)
+    coarse, fit, fine = (fit_law(loaded, choose_knots(largest, count)) for count in level_knots)
     better = fine.n * (fit.residual**2 - fine.residual**2)
     if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
@@ -520,7 +520,7 @@ def refine_law(loaded: Loaded) -> tuple[LawFit, Floats]:
     return fit, RECTANGULAR_DEVIATION * (coarse_compliance - fit.compliance)
 
 
-def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
+def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
     """Fit the law to the marker positions by least squares.
 
     Parameters
@@ -678,7 +678,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loaded:
+class LawData:
     """Data for the fit of a law.
 
     Parameters
@@ -721,12 +721,12 @@ class LawShapes:
     still : shape (1, 2 markers), m, marker centres at rest: x of all, then y
     """
 
-    loaded: Loaded
+    loaded: LawData
     turns: Floats
     still: Floats
 
     @classmethod
-    def of(cls, loaded: Loaded, basis: LawBasis) -> LawShapes:
+    def of(cls, loaded: LawData, basis: LawBasis) -> LawShapes:
         """Prepare the laws of a basis."""
         turns = loaded.line.integral(basis.changes(loaded.moment_at_rest, loaded.moment))
         begin = loaded.angle_at_rest[None]
@@ -763,7 +763,7 @@ class LawShapes:
         return np.sin(angle), np.cos(angle)
 
 
-def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
+def _centres(loaded: LawData, sine: Floats, cosine: Floats) -> Floats:
     """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
     markers = line.markers
@@ -824,7 +824,7 @@ class LawBasis:
         return plain
 
 
-def law_knots(largest: float, count: int) -> LawBasis:
+def choose_knots(largest: float, count: int) -> LawBasis:
     """Choose knots, denser near zero, where every frame has a part of its wire.
 
     Parameters

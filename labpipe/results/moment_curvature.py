@@ -26,8 +26,8 @@ from labpipe.records.arrays import Flags, Floats, Ints, average_blocks
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
-from labpipe.results.beam import held_at_rest
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, curves_at
+from labpipe.results.beam import compute_prop_force
+from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, evaluate_curves
 from labpipe.results.measured_law import measure_bending
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.units import GRAVITY
@@ -44,7 +44,7 @@ State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
-class AtRest:
+class RestEvidence:
     """Evidence of a test on its string and wire at rest.
 
     Parameters
@@ -157,7 +157,7 @@ class AtRest:
         return ""
 
 
-def at_rest(
+def collect_rest_evidence(
     aligned: Aligned | None,
     shape: Shape | None,
     curve: Curve,
@@ -165,7 +165,7 @@ def at_rest(
     weight: float,
     *,
     own_weight: float = 0.0,
-) -> AtRest:
+) -> RestEvidence:
     """Collect the evidence of a test on its string and wire at rest.
 
     Parameters
@@ -173,7 +173,7 @@ def at_rest(
     aligned, shape : of the test, or None
     curve, first : of the test, and its first loading branch
     weight : N, of the counterweight
-    own_weight : N, part of the wire's weight on a prop at its tip: `held_at_rest`
+    own_weight : N, part of the wire's weight on a prop at its tip: `compute_prop_force`
     """
     # Deflections, m, for the distance by which the clamp is ahead of the tip.
     early_deflections = (0.5e-3, 3e-3)
@@ -196,7 +196,7 @@ def at_rest(
     rest = curve.force[: first.start]
     rest = rest[np.isfinite(rest)]
     scatter = float(rest.std()) if len(rest) else 0.0
-    return AtRest(
+    return RestEvidence(
         ahead=ahead,
         sag=_sag(shape, first),
         reach=reach,
@@ -208,7 +208,7 @@ def at_rest(
     )
 
 
-def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
+def list_rest_notes(test: str, rest: RestEvidence) -> Iterator[QualityNote]:
     """Yield notes on a wire that is assumed to have been straight at rest."""
     if not rest.is_known:
         yield QualityNote.of("results.rest_unknown", test)
@@ -265,7 +265,7 @@ def _median(values: Floats) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class StringState:
     """Assumed state of the string at rest.
 
     Parameters
@@ -296,7 +296,7 @@ class Held:
         )
 
 
-def held(rest: AtRest) -> Held:
+def decide_string_state(rest: RestEvidence) -> StringState:
     """Decide from the evidence what the string carried at rest.
 
     Parameters
@@ -318,27 +318,29 @@ def held(rest: AtRest) -> Held:
             facts=rest.facts,
             remedy=format_overrides("rig.string.at_rest", "taut"),
         )
-        return Held(state, taken, weight, other, why)
+        return StringState(state, taken, weight, other, why)
     if state == "part":
         carried, error = rest.carries, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
             "results.string_carried_part", tension=tension, load=rest.load, facts=rest.facts
         )
-        return Held(state, carried, weight, carried - error, why)
+        return StringState(state, carried, weight, carried - error, why)
     if state == "off the wire":
         why = format_sentence("results.string_off_the_wire", facts=rest.facts)
-        return Held(state, 0.0, 0.0, None, why)
+        return StringState(state, 0.0, 0.0, None, why)
     is_taut = state == "taut"
     why = format_sentence(
         "results.string_was_taut" if is_taut else "results.string_carried_nothing",
         load=rest.load,
         facts=rest.facts,
     )
-    return Held(state, load if is_taut else 0.0, weight, None, why)
+    return StringState(state, load if is_taut else 0.0, weight, None, why)
 
 
-def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float = 0.0) -> Held:
+def make_stated_state(
+    at_rest: Literal["taut", "slack"], weight: float, own_weight: float = 0.0
+) -> StringState:
     """Return the state of a string at rest as stated in the protocol.
 
     Parameters
@@ -351,10 +353,10 @@ def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float =
     held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
     carried = held_up if at_rest == "taut" else "nothing"
     why = format_sentence("results.string_stated", state=at_rest, carried=carried)
-    return Held(at_rest, tension, weight, None, why)
+    return StringState(at_rest, tension, weight, None, why)
 
 
-def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
+def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
     """Measure the moment-curvature law of a test, and note what was assumed.
 
     Parameters
@@ -419,9 +421,9 @@ def _tip_pull(
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, and an equally probable tension at rest."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
-    tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
+    tip = float(evaluate_curves(still, shape.length, np.array([shape.length])).x[0, 0])
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
-    own_weight = held_at_rest(self_weight, shape.length)
+    own_weight = compute_prop_force(self_weight, shape.length)
     if string is None:
         note = Finding.of("results.force_taken_normal", "rig.string")
         return TipPull(None, 0.0, own_weight, tip, self_weight), None, [note]
@@ -429,10 +431,12 @@ def _tip_pull(
     if weight + own_weight == 0.0:
         return TipPull(string.length, 0.0, 0.0, tip), None, []
     if string.at_rest != "by-data":
-        before = stated(string.at_rest, weight, own_weight)
+        before = make_stated_state(string.at_rest, weight, own_weight)
     else:
-        before = held(
-            at_rest(test.aligned, test.shape, curve, first, weight, own_weight=own_weight)
+        before = decide_string_state(
+            collect_rest_evidence(
+                test.aligned, test.shape, curve, first, weight, own_weight=own_weight
+            )
         )
     pull = TipPull(string.length, before.weight, before.tension, tip, self_weight)
     return pull, before.other, [Finding(before.note)]

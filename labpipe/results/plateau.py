@@ -15,11 +15,17 @@ from labpipe.records.declarations import CURVE, Length, Output, Share, Stiffness
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import loading_of, traced
-from labpipe.results.cycles import cut_short
-from labpipe.results.kinds import Computed, Kind, marked_slips
-from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
-from labpipe.results.reduced_test import NO_LOADING, Choose, ReducedTest, Stiffness, measured
+from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.cycles import find_cut_cycle
+from labpipe.results.kinds import Computed, Kind, find_marked_slips
+from labpipe.results.least_squares import CommonPath, find_finite_samples, require_samples
+from labpipe.results.reduced_test import (
+    NO_LOADING,
+    Choose,
+    ReducedTest,
+    Stiffness,
+    measure_replicates,
+)
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.replicates import Input, Replicates
@@ -79,7 +85,7 @@ class Tangents:
         that the bend of the curve is not noise. A stretch contains the samples from when the curve
         first reached its start to when it first reached its end.
         """
-        samples = finite_samples(displacement, force)
+        samples = find_finite_samples(displacement, force)
         d = displacement[samples]
         if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
@@ -378,18 +384,18 @@ class Plateau(Kind):
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
         initial = test.stiffnesses.get(self.of)
         if initial is None:
-            raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
+            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
-        tangents, _ = self._begun(traced(test), initial.decide)
+        tangents, _ = self._begun(make_trace(test), initial.decide)
         first = test.cycles[0][:1]
         doubts = (
-            marked_slips(test, initial.bends_with)
-            or cut_short(test, first, CURVE)
+            find_marked_slips(test, initial.bends_with)
+            or find_cut_cycle(test, first, CURVE)
             or _missing_end(test, first[0])
         )
-        number = self.number(test, outcome, during=test.while_loading(), doubts=doubts)
+        number = self.make_result(test, outcome, during=test.find_loading_interval(), doubts=doubts)
         onset, findings = self._onset(test, initial, number)
-        _, f = _loading(traced(test))
+        _, f = _loading(make_trace(test))
         start, stop = tangents.ends
         slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
         line = FittedLine("slope_at_end", slope, level, start, stop)
@@ -499,15 +505,17 @@ class Plateau(Kind):
                 low=1e2 * end.interval.lower,
                 high=1e2 * end.interval.upper,
                 slope_below=1e2 * self.slope_below,
-                reached=1e3 * float(np.nanmax(_loading(traced(test))[0])),
+                reached=1e3 * float(np.nanmax(_loading(make_trace(test))[0])),
             )
             return (), (note,)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
-        doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
-        during, method = test.while_loading(), f"{method} loading"
+        doubts = find_marked_slips(test, initial.bends_with) or _missing_end(
+            test, test.cycles[0][0]
+        )
+        during, method = test.find_loading_interval(), f"{method} loading"
         common = {"method": method, "during": during, "doubts": doubts}
-        return self.numbers(test, outcomes, first=1, **common), ()
+        return self.make_results(test, outcomes, first=1, **common), ()
 
     def _measured_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
         """Measure the onset, with the length of the tangents as a further input."""
@@ -518,12 +526,14 @@ class Plateau(Kind):
         more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
         decide(replicates.measured)
-        return measured(more, partial(decide, corner=self._corner(replicates, initial.decide)))
+        return measure_replicates(
+            more, partial(decide, corner=self._corner(replicates, initial.decide))
+        )
 
 
 def _loading(trace: Trace) -> tuple[Floats, Floats]:
     """Return displacement and force of the first loading."""
-    stretch = loading_of(trace)
+    stretch = select_first_loading(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 
@@ -534,7 +544,7 @@ def _shortened(trace: Trace, x: float) -> Trace:
 
 def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Return a doubt if the force was not recorded up to the end of a loading branch."""
-    curve = test.known_curve
+    curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined

@@ -195,7 +195,7 @@ class ReducedTest:
         return self.signals.raw[self.signals.force]
 
     @property
-    def known_curve(self) -> Curve:
+    def required_curve(self) -> Curve:
         """Return the curve, which exists if there are cycles.
 
         Raises
@@ -222,14 +222,14 @@ class ReducedTest:
             If there are no such numbers, or no curve.
         """
         if self.replicates is None:
-            raise self.unavailable(NO_LOADING)
-        return measured(self.replicates, decide, values)
+            raise self.make_error(NO_LOADING)
+        return measure_replicates(self.replicates, decide, values)
 
     def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
         """Measure the first number of a reading, as `measure_numbers`."""
         return self.measure(decide, values)[0]
 
-    def unavailable(self, reason: Failure) -> UnavailableError:
+    def make_error(self, reason: Failure) -> UnavailableError:
         """Return the error for what stopped the test, or else for another reason."""
         return UnavailableError(self.findings.blocked or reason)
 
@@ -251,7 +251,7 @@ class ReducedTest:
         """Return the standard error of the subtracted slack, m; 0 without slack."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
 
-    def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
+    def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
         """Return when the first loading went from one displacement to another.
 
         Parameters
@@ -273,7 +273,7 @@ class ReducedTest:
         stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
         return float(start), float(stop)
 
-    def why_doubtful(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
+    def find_doubts(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
         """Return the doubts about a number from a time interval of a quantity.
 
         Parameters
@@ -292,9 +292,9 @@ class ReducedTest:
                 reasons.setdefault(doubt.reason.code, doubt.reason)
         return tuple(reasons.values())
 
-    def doubts_of(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
+    def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
         """Return the doubts about a number from a time interval of several quantities."""
-        return [why for quantity in quantities for why in self.why_doubtful(quantity, during)]
+        return [why for quantity in quantities for why in self.find_doubts(quantity, during)]
 
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:
@@ -311,7 +311,7 @@ class ReducedTest:
         return any(start <= end and begin <= stop for begin, end in stretches)
 
 
-def measured(
+def measure_replicates(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...]:
     """Measure numbers of replicates, as `ReducedTest.measure`."""
@@ -321,7 +321,7 @@ def measured(
     return outcome
 
 
-def sense_of_loading(values: Floats) -> float:
+def compute_loading_sign(values: Floats) -> float:
     """Return the sign of a quantity during loading.
 
     Parameters

@@ -150,7 +150,7 @@ def _reach(filters: tuple[Filter, ...]) -> int:
     return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
 
 
-def have_no_effect(filters: list[FilterFunction]) -> bool:
+def have_no_filter_effect(filters: list[FilterFunction]) -> bool:
     """Return whether filters do not change a pulse of a single sample."""
     pulse = np.eye(1, 101, 50)[0]
     return all(np.array_equal(act(pulse), pulse) for act in filters)
@@ -160,7 +160,7 @@ def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
     """Return all samples that a quantity is read from."""
     if quantity == "force" and test.force.clock != test.clocks.curve:
         return test.force
-    curve = test.known_curve
+    curve = test.required_curve
     values = curve.force if quantity == "force" else curve.displacement
     return replace(test.displacement, time=curve.time, values=values, perturbed={})
 
@@ -169,7 +169,7 @@ def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:
     """Return whether the curve has single samples of a faster signal."""
     filters = test.signals.filters.get(test.signals.force, ())
     is_fast = quantity == "force" and test.force.clock != test.clocks.curve
-    return is_fast and have_no_effect([act for act, _ in filters])
+    return is_fast and have_no_filter_effect([act for act, _ in filters])
 
 
 def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:

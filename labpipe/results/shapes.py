@@ -16,8 +16,8 @@ from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
-from labpipe.results.cycles import rectangle
-from labpipe.results.kinds import Computed, Errors, Kind, force_scale
+from labpipe.results.cycles import compute_shape_error
+from labpipe.results.kinds import Computed, Errors, Kind, compute_scale_error
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
@@ -28,7 +28,9 @@ from labpipe.uncertainty.replicates import N_REPLICATES, fit_smooth_curve, make_
 from labpipe.units import GRAVITY
 
 
-def secant_stiffness(time: Floats, displacement: Floats, force: Floats, chosen: Flags) -> Estimate:
+def fit_secant_stiffness(
+    time: Floats, displacement: Floats, force: Floats, chosen: Flags
+) -> Estimate:
     """Return the slope of force against displacement over chosen samples.
 
     Parameters
@@ -98,7 +100,9 @@ class TipTravel(Kind):
             raise UnavailableError.of("results.few_tips", count=len(tip))
         distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
         error = float(np.sqrt(2.0) * estimate_noise_level(distances))
-        return Computed((self.number(test, Estimate(float(distances.max()), error, len(tip))),))
+        return Computed(
+            (self.make_result(test, Estimate(float(distances.max()), error, len(tip))),)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +125,7 @@ class MomentCurvature(Kind):
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.bending
         if bending is None or isinstance(bending, Failure):
-            raise test.unavailable(bending or Failure.of("results.no_bent_loading"))
+            raise test.make_error(bending or Failure.of("results.no_bent_loading"))
         law = bending.law
         if law is None:
             raise UnavailableError(bending.reason or Failure.of("results.no_law"))
@@ -131,8 +135,8 @@ class MomentCurvature(Kind):
             *_bent_before(bending, law, self),
             *_no_weight(test, law, self),
         )
-        error, during = {SCALE_OF_FORCE: scale}, test.while_loading()
-        return Computed((self.number(test, outcome, error, during=during, doubts=doubts),))
+        error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
+        return Computed((self.make_result(test, outcome, error, during=during, doubts=doubts),))
 
 
 def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
@@ -141,9 +145,9 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
         raise UnavailableError.of("results.curvature_not_reached", largest=largest, needed=entry.at)
     if entry.at <= law.floor:
         raise UnavailableError.of("results.below_noise", floor=law.floor, needed=entry.at)
-    from labpipe.results.measured_law import law_points  # only these tests load it
+    from labpipe.results.measured_law import evaluate_law  # only these tests load it
 
-    points = law_points(
+    points = evaluate_law(
         law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
     )
     value, error = (
@@ -200,7 +204,7 @@ def _span_parts(test: ReducedTest) -> _Parts:
     if isinstance(bend, Failure):
         raise UnavailableError(bend)
     if bend is None or curve is None or branch is None:
-        raise test.unavailable(NO_LOADING)
+        raise test.make_error(NO_LOADING)
     fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
     return bend, curve, branch, bend.time if fit is None else fit.to_marker_time(bend.time)
 
@@ -222,7 +226,7 @@ class MidSpan(Window):
         "large-deflection: the supports push along the specimen as well",
     ] = ()
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """With the range, and the moment of large deflections."""
         del test
         large = "large-deflection" in self.corrections
@@ -246,11 +250,11 @@ class MidSpan(Window):
         )
         errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
-            errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
-        during = test.while_loading()
+            errors[0] = {**errors[0], **compute_scale_error(test, outcomes[0])}
+        during = test.find_loading_interval()
         return Computed(
             tuple(
-                self.number(test, outcome, error, output=place, during=during)
+                self.make_result(test, outcome, error, output=place, during=during)
                 for place, (outcome, error) in enumerate(zip(outcomes, errors, strict=True))
             )
         )
@@ -271,7 +275,7 @@ class MidSpan(Window):
         if "large-deflection" in self.corrections:
             sunk = np.clip(bent.deflection, 0.0, None)
             moment = moment + 0.5 * force * bent.support_slope * sunk
-        return secant_stiffness(time, curvature, moment, inside)
+        return fit_secant_stiffness(time, curvature, moment, inside)
 
 
 def _shape_errors(bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure) -> Errors:
@@ -279,7 +283,7 @@ def _shape_errors(bend: SpanBend, outcome: Estimate | Failure, other: Estimate |
     if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
     side = bend.shape.side_share * abs(outcome.value) / sqrt(3.0)
-    return {**rectangle(outcome, other), "side of the markers": side}
+    return {**compute_shape_error(outcome, other), "side of the markers": side}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,5 +400,5 @@ class Twist(Kind):
         turned = return_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
-        number = self.number(test, turned, during=test.while_loading())
+        number = self.make_result(test, turned, during=test.find_loading_interval())
         return Computed((number,), findings=(note,))

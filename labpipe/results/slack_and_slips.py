@@ -17,10 +17,14 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import displaced, loading_of
-from labpipe.results.kinds import Computed, Kind, force_scale
-from labpipe.results.least_squares import finite_samples, require_samples, zero_of_line
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measured
+from labpipe.results.curve_replicates import select_first_loading, shift_displacement_by
+from labpipe.results.kinds import Computed, Kind, compute_scale_error
+from labpipe.results.least_squares import (
+    compute_zero_crossing,
+    find_finite_samples,
+    require_samples,
+)
+from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measure_replicates
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers
@@ -408,7 +412,7 @@ def _blocks(values: Floats, size: int) -> Floats:
     return average_between(values, np.arange(0, len(values) - size + 1, size))
 
 
-def samples_before(slips: Sequence[Slip], count: int) -> int:
+def count_samples_before(slips: Sequence[Slip], count: int) -> int:
     """Return how many of `count` samples a curve keeps if it ends before its first slip."""
     return min((slip.start + 1 for slip in slips), default=count)
 
@@ -524,7 +528,7 @@ def _ledger_entry(
     )
 
 
-def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
+def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
     """Return why what counts from a slack is as doubtful as the slack."""
     return tuple(
         Reason(reason.code, format_sentence("results.doubtful_slack", why=reason.message))
@@ -548,24 +552,30 @@ class SlipResults(Kind):
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
             method = f"two parallel lines around a sudden fall of the force; {slip.decision}"
-            time, position, drop = test.known_curve.time, slip.position_interval, slip.drop_interval
+            time, position, drop = (
+                test.required_curve.time,
+                slip.position_interval,
+                slip.drop_interval,
+            )
             place = Estimate(slip.position, position.standard_error, 1, position)
             lost = Estimate(slip.drop, drop.standard_error, 1, drop)
             during = (float(time[slip.start]), float(time[slip.stop]))
-            part, scale = f".{count}", force_scale(test, lost)
+            part, scale = f".{count}", compute_scale_error(test, lost)
             travelled = test.displacement.relative_error * abs(place.value)
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
-            doubts = doubts_of_slack(test.slack) if isinstance(test.slack, Measured) else ()
+            doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
             numbers += [
-                self.number(
+                self.make_result(
                     test, place, slack, method=method, during=during, doubts=doubts, part=part
                 ),
-                self.number(test, lost, scale, output=1, method=method, during=during, part=part),
+                self.make_result(
+                    test, lost, scale, output=1, method=method, during=during, part=part
+                ),
             ]
         return Computed(tuple(numbers))
 
 
-def toe_line(
+def find_linear_region(
     displacement: Floats, force: Floats, *, start_share: float, stop_share: float
 ) -> Samples:
     """Find the samples of the linear region for toe compensation.
@@ -579,7 +589,7 @@ def toe_line(
     Returns
     -------
     The samples. The slack is the zero of the line through them:
-    `labpipe.results.least_squares.zero_of_line`.
+    `labpipe.results.least_squares.compute_zero_crossing`.
 
     Raises
     ------
@@ -598,12 +608,12 @@ def toe_line(
     --------
     >>> d = np.linspace(0.0, 0.02, 401)
     >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
-    >>> region = toe_line(d, force, start_share=0.1, stop_share=0.3)
-    >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
+    >>> region = find_linear_region(d, force, start_share=0.1, stop_share=0.3)
+    >>> round(1e3 * float(compute_zero_crossing(d[region], force[region])), 9)
     2.0
     """
     min_region_samples = 8
-    finite = finite_samples(displacement, force)
+    finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
     require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
@@ -616,7 +626,7 @@ def toe_line(
         )
     require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
-    if np.isnan(zero_of_line(d[region], f[region])):
+    if np.isnan(compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
     return as_slice(finite[region])
 
@@ -630,7 +640,7 @@ def _rise(force: Floats, height: float) -> int:
     return (int(above[0]) + int(below[-1]) + 1) // 2
 
 
-def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
+def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
     """Decide on the displacement at which the line through the linear region meets zero force.
 
     Parameters
@@ -645,22 +655,20 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
     Raises
     ------
     UnavailableError
-        As `toe_line`.
+        As `find_linear_region`.
     """
-    stretch = loading_of(trace)
-    region = toe_line(
+    stretch = select_first_loading(trace)
+    region = find_linear_region(
         trace.displacement[stretch],
         trace.force[stretch],
         start_share=start_share,
         stop_share=stop_share,
     )
-    slack = read_part(zero_of_line, (stretch, region))
+    slack = read_part(compute_zero_crossing, (stretch, region))
     return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
-def counted_from_taut(
-    replicates: Replicates, slack: Decide, measured_slack: Measured
-) -> Replicates:
+def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measured) -> Replicates:
     """Count the displacement of all curves from where each is taut.
 
     Parameters
@@ -676,7 +684,7 @@ def counted_from_taut(
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
     What makes the slack doubtful goes with it.
     """
-    without_inputs = measured(replace(replicates, inputs=()), slack)
+    without_inputs = measure_replicates(replace(replicates, inputs=()), slack)
     draws = np.where(
         np.isnan(without_inputs[0].deviations),
         np.nanmean(without_inputs[0].deviations),
@@ -689,8 +697,8 @@ def counted_from_taut(
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    moved = partial(displaced, by=-error)
-    of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(measured_slack))
+    moved = partial(shift_displacement_by, by=-error)
+    of_slack = Input(SLACK, moved, draws=draws / error, doubts=list_slack_doubts(measured_slack))
     return corrected.shift_displacement(-measured_slack.value, of_slack)
 
 
@@ -703,7 +711,7 @@ def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return displaced(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
+        return shift_displacement_by(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
 
     return replace(quantity, perturb=moved)
 
@@ -720,6 +728,6 @@ class SlackResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return the displacement at which the line of the linear region meets zero force."""
-        during = test.while_loading()
-        slack = test.slack or test.unavailable(NO_LOADING).failure
-        return Computed((self.number(test, slack, during=during),))
+        during = test.find_loading_interval()
+        slack = test.slack or test.make_error(NO_LOADING).failure
+        return Computed((self.make_result(test, slack, during=during),))

@@ -27,26 +27,26 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.cycles import (
     FOOT_LIMIT_FACTOR,
-    OfCycle,
-    cut_short,
-    cycle_of,
-    on_branch,
-    peak_of,
-    sense_of,
-    unloading_of,
+    PerCycle,
+    choose_peak_sample,
+    cut_branch,
+    find_cut_cycle,
+    find_loading_sign,
+    require_unloading,
+    select_cycle,
 )
-from labpipe.results.kinds import Computed, Kind, Outcome, marked_slips
+from labpipe.results.kinds import Computed, Kind, Outcome, find_marked_slips
 from labpipe.results.least_squares import (
-    finite_samples,
-    line_in,
-    polynomial_weights,
+    compute_polynomial_weights,
+    compute_slope,
+    compute_zero_crossing,
+    find_finite_samples,
+    fit_chosen_lines,
     require_samples,
     require_travel,
-    slope_of_line,
-    zero_of_line,
 )
 from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
@@ -58,7 +58,7 @@ _MIN_FOOT_SAMPLES = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TakeUp:
+class ForceOnset:
     """Samples of a loading branch for the start of its force.
 
     Parameters
@@ -79,7 +79,7 @@ class TakeUp:
     is_line: bool
     limit: float
 
-    def of(self, displacement: Floats, force: Floats) -> Floats:
+    def compute(self, displacement: Floats, force: Floats) -> Floats:
         """Return the displacement at zero force, m, shape (...); NaN if the line does not rise.
 
         Parameters
@@ -87,9 +87,9 @@ class TakeUp:
         displacement, force : shape (..., n), m, N, of the branch
         """
         d = displacement[..., self.foot]
-        return zero_of_line(d, force[..., self.foot]) if self.is_line else d[..., 0]
+        return compute_zero_crossing(d, force[..., self.foot]) if self.is_line else d[..., 0]
 
-    def of_each(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
+    def compute_rows(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
         """Return displacement at zero force and first sample above zero, chosen for each row.
 
         Parameters
@@ -114,7 +114,7 @@ class TakeUp:
         d, f = displacement[:, part], force[:, part]
         numbers = numbers[: part.stop - low]
         foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
-        middle, level, slope = line_in(foot, d, f)
+        middle, level, slope = fit_chosen_lines(foot, d, f)
         zero = middle - level / np.where(slope > 0.0, slope, np.nan)
         begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
         finite = self.samples
@@ -122,9 +122,9 @@ class TakeUp:
         return np.where(np.isnan(zero), begins, zero), numbers
 
 
-def take_up(
+def find_force_onset(
     displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
-) -> TakeUp:
+) -> ForceOnset:
     """Choose the samples of a loading branch for the start of its force.
 
     Parameters
@@ -157,12 +157,12 @@ def take_up(
     >>> d = np.linspace(0.0, 0.01, 400)
     >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
     >>> found = take_up(d, force)
-    >>> round(1e3 * float(found.of(d, force)), 6)
+    >>> round(1e3 * float(found.compute(d, force)), 6)
     2.0
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     max_extrapolation = 0.02  # share of the branch
-    finite = finite_samples(displacement, force)
+    finite = find_finite_samples(displacement, force)
     require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
     limit = noise_deviations * float(estimate_fast_noise(f)) if limit is None else limit
@@ -174,12 +174,12 @@ def take_up(
     beyond = np.flatnonzero(f[first:] > FOOT_LIMIT_FACTOR * limit)
     least = steps * _MIN_FOOT_SAMPLES
     last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
-    zero = float(zero_of_line(d[first:last], f[first:last]))
+    zero = float(compute_zero_crossing(d[first:last], f[first:last]))
     is_line = not np.isnan(zero)
     if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
     foot = as_slice(finite[first:last])
-    return TakeUp(as_slice(finite), top, int(finite[first]), foot, is_line, limit)
+    return ForceOnset(as_slice(finite), top, int(finite[first]), foot, is_line, limit)
 
 
 _MIN_WINDOW_SAMPLES = 8
@@ -249,7 +249,7 @@ class WindowSlope:
         """Return the samples of the window."""
         return int(self.inside()[1].sum())
 
-    def of(
+    def compute(
         self,
         displacement: Floats,
         force: Floats,
@@ -274,7 +274,7 @@ class WindowSlope:
         )
 
 
-def window_slope(
+def choose_window(
     time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
 ) -> WindowSlope:
     """Choose the samples of a branch for a stiffness.
@@ -306,14 +306,14 @@ def window_slope(
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    samples = as_slice(finite_samples(displacement, force))
+    samples = as_slice(find_finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
     require_samples(fit.n, _MIN_WINDOW_SAMPLES)
     require_travel(displacement[fit.window])
     return fit
 
 
-def turn_at(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
+def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
     """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
@@ -333,7 +333,7 @@ def turn_at(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
     if len(begin) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., part.start])
     samples = as_slice(begin)
-    weights = polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
+    weights = compute_polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
@@ -349,20 +349,20 @@ class LoadingSlope:
     ahead : m, from the take-up to the middle of the window
     """
 
-    take_up: TakeUp
+    take_up: ForceOnset
     first: int
     slope: WindowSlope
     ahead: float
 
-    def of(self, displacement: Floats, force: Floats) -> Floats:
+    def compute(self, displacement: Floats, force: Floats) -> Floats:
         """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
 
         The window begins where the force of each row takes up.
         """
         taut = displacement[..., self.first :]
-        begins = self.take_up.of(displacement, force) + self.ahead
+        begins = self.take_up.compute(displacement, force) + self.ahead
         later = begins - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.of(taut, force[..., self.first :], later)
+        return self.slope.compute(taut, force[..., self.first :], later)
 
     @property
     def share_at_rest(self) -> float:
@@ -375,7 +375,7 @@ class LoadingSlope:
         near = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
         return float(near.mean())
 
-    def of_each(self, displacement: Floats, force: Floats) -> Floats:
+    def compute_rows(self, displacement: Floats, force: Floats) -> Floats:
         """Return the stiffness of branches with noise, each with its own take-up.
 
         Parameters
@@ -387,13 +387,13 @@ class LoadingSlope:
         Shape (rows,), N/m, or NaN.
         """
         taut = displacement[:, self.first :]
-        begins, first = self.take_up.of_each(displacement, force)
+        begins, first = self.take_up.compute_rows(displacement, force)
         later = begins + self.ahead - taut[:, self.slope.window].mean(axis=-1)
         since = np.maximum(first - self.first, 0)
-        return self.slope.of(taut, force[:, self.first :], later, since)
+        return self.slope.compute(taut, force[:, self.first :], later, since)
 
 
-def loading_slope(
+def choose_loading_window(
     time: Floats,
     displacement: Floats,
     force: Floats,
@@ -418,7 +418,7 @@ def loading_slope(
     Raises
     ------
     UnavailableError
-        As `take_up` or `window_slope`.
+        As `find_force_onset` or `choose_window`.
 
     Notes
     -----
@@ -428,16 +428,16 @@ def loading_slope(
     would shift the line.
     """
     limit = None if like is None else like.take_up.limit
-    begin = take_up(displacement, force, limit=limit, steps=steps)
-    start, first = float(begin.of(displacement, force)), begin.sample
+    begin = find_force_onset(displacement, force, limit=limit, steps=steps)
+    start, first = float(begin.compute(displacement, force)), begin.sample
     if like is not None and begin.is_line:
-        zero_time = float(zero_of_line(time[begin.foot], force[begin.foot]))
+        zero_time = float(compute_zero_crossing(time[begin.foot], force[begin.foot]))
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
         first = max(first, _start_of_motion(time, displacement, start, length))
     taut = slice(first, None)
     path = displacement[taut]
-    slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + length)
+    slope = choose_window(time[taut], path, force[taut], path, low=start, high=start + length)
     return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
 
 
@@ -445,11 +445,11 @@ def _start_of_motion(time: Floats, displacement: Floats, start: float, length: f
     """Return the sample at which a machine of constant speed passed a place; 0 if unknown."""
     ahead = displacement - start
     part = np.flatnonzero((ahead >= _START_SHARE * length) & (ahead <= _STEADY_SHARE * length))
-    start_time = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
+    start_time = float(compute_zero_crossing(time[part], ahead[part])) if len(part) > 1 else np.nan
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
-def unloading_slope(
+def choose_unloading_window(
     trace: Trace, part: Branch, *, length: float, sense: float
 ) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
@@ -469,18 +469,18 @@ def unloading_slope(
     Raises
     ------
     UnavailableError
-        As `window_slope`.
+        As `choose_window`.
     """
-    at_turn, branch = turn_at(trace, part), slice(part.start, part.stop)
+    at_turn, branch = choose_turn_samples(trace, part), slice(part.start, part.stop)
     start = float(at_turn(trace.displacement))
-    time, d, f = on_branch(trace, part)
-    slope = window_slope(time, d, f, sense * (start - d), low=0.1 * length, high=length)
+    time, d, f = cut_branch(trace, part)
+    slope = choose_window(time, d, f, sense * (start - d), low=0.1 * length, high=length)
     ahead = float(d[slope.window].mean()) - start
 
     def stiffness(displacement: Floats, force: Floats) -> Floats:
         d, f = displacement[..., branch], force[..., branch]
         later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - ahead)
-        return slope.of(d, f, later)
+        return slope.compute(d, f, later)
 
     return stiffness, slope.n
 
@@ -488,7 +488,9 @@ def unloading_slope(
 MIN_LINE_SAMPLES = 5
 
 
-def compliance_window(displacement: Floats, force: Floats, *, start: float, stop: float) -> Samples:
+def find_compliance_window(
+    displacement: Floats, force: Floats, *, start: float, stop: float
+) -> Samples:
     """Find the samples over which the force first rises from one value to another.
 
     Parameters
@@ -503,7 +505,7 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
         ``too_few_samples``, ``no_travel`` if the force is constant, ``not_reached`` if it does not
         reach `stop`.
     """
-    finite = finite_samples(displacement, force)
+    finite = find_finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
         largest = float(f.max()) if len(f) else 0.0
@@ -517,7 +519,7 @@ def compliance_window(displacement: Floats, force: Floats, *, start: float, stop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UnloadingStiffness(OfCycle):
+class UnloadingStiffness(PerCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
@@ -531,20 +533,23 @@ class UnloadingStiffness(OfCycle):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
 
         def decide(trace: Trace) -> Reading:
-            part, sense = unloading_of(cycle_of(trace, number)), sense_of(trace, trace.displacement)
-            slope, n = unloading_slope(trace, part, length=self.over, sense=sense)
+            part, sense = (
+                require_unloading(select_cycle(trace, number)),
+                find_loading_sign(trace, trace.displacement),
+            )
+            slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
             return Reading(read_part(slope, slice(None)), n)
 
         return decide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoadingStiffness(OfCycle):
+class LoadingStiffness(PerCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
 
     result: ClassVar = "loading-stiffness"
@@ -554,25 +559,29 @@ class LoadingStiffness(OfCycle):
 
     method: ClassVar = "line over {over_mm:g} mm from where the force takes up, time as instrument"
 
-    def decider(self, test: ReducedTest, number: int) -> Decide:
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples behind the take-up, by the zero force of the measured curve."""
         like = self._measured(test, number)
 
         def decide(trace: Trace) -> Reading:
-            part = cycle_of(trace, number)[0]
-            parts, branch = on_branch(trace, part), slice(part.start, part.stop)
-            fit = loading_slope(*parts, length=self.over, like=like, steps=trace.steps)
-            numbers, in_noise = read_part(fit.of, branch), read_part(fit.of_each, branch)
+            part = select_cycle(trace, number)[0]
+            parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
+            fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
+            numbers, in_noise = read_part(fit.compute, branch), read_part(fit.compute_rows, branch)
             return Reading(numbers, fit.slope.n, in_noise, ends_at_samples=True)
 
         return decide
 
-    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
+    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
         fit = self._measured(test, branches[0].cycle)
-        return None if fit is None else [float(fit.of(*on_branch(traced(test), branches[0])[1:]))]
+        return (
+            None
+            if fit is None
+            else [float(fit.compute(*cut_branch(make_trace(test), branches[0])[1:]))]
+        )
 
-    def doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about samples at rest in the window, more than 10 %."""
         fit = self._measured(test, branches[0].cycle)
         if fit is None or fit.share_at_rest <= 0.1:
@@ -581,9 +590,9 @@ class LoadingStiffness(OfCycle):
         return (Reason.of("results.rest_in_window", share=share, limit=limit),)
 
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
-        curve = traced(test)
-        parts = on_branch(curve, cycle_of(curve, number)[0])
-        fit = return_failure(loading_slope)(*parts, length=self.over)
+        curve = make_trace(test)
+        parts = cut_branch(curve, select_cycle(curve, number)[0])
+        fit = return_failure(choose_loading_window)(*parts, length=self.over)
         return None if isinstance(fit, Failure) else fit
 
 
@@ -602,25 +611,25 @@ class Hardening(Kind):
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
         if not test.cycles:
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         first, *others = test.cycles
         stiffness = LoadingStiffness(over=self.over)
-        before = stiffness.decider(test, 1)
+        before = stiffness.make_decider(test, 1)
         base = return_failure(test.measure_one)(before)
-        plain, doubts = stiffness.plain(test, first), stiffness.doubts(test, first)
+        plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
         numbers = []
         for later in others:
-            after = stiffness.decider(test, later[0].cycle)
+            after = stiffness.make_decider(test, later[0].cycle)
             decide = combine_numbers(
                 lambda _, after, first: divide(after, first), after, _first_of(before)
             )
-            own = stiffness.plain(test, later)
+            own = stiffness.measure_directly(test, later)
             values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     return_failure(_above_noise)(test, decide, values, base),
-                    doubts=doubts + stiffness.doubts(test, later),
+                    doubts=doubts + stiffness.list_doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
                     part=f".{later[0].cycle}",
                 )
@@ -686,9 +695,12 @@ class Window(Kind):
 def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
     """Measure the slope between two displacements of a shape, with time as instrument."""
     window = kind.start, kind.stop
-    decide, during = partial(_secant, low=kind.start, high=kind.stop), test.while_loading(*window)
+    decide, during = (
+        partial(_secant, low=kind.start, high=kind.stop),
+        test.find_loading_interval(*window),
+    )
     outcome = test.measure_one(decide)
-    number = kind.number(test, outcome, during=during)
+    number = kind.make_result(test, outcome, during=during)
     return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
 
 
@@ -698,14 +710,14 @@ _SECANT = "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, tim
 def _secant(trace: Trace, low: float, high: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
-    branch, (time, path, force) = slice(part.start, part.stop), on_branch(trace, part)
-    fit = window_slope(time, path, force, path, low=low, high=high)
+    branch, (time, path, force) = slice(part.start, part.stop), cut_branch(trace, part)
+    fit = choose_window(time, path, force, path, low=low, high=high)
     middle = path[fit.window].mean()
 
     def with_own_window(path: Floats, force: Floats) -> Floats:
-        return fit.of(path, force, middle - path[..., fit.window].mean(axis=-1))
+        return fit.compute(path, force, middle - path[..., fit.window].mean(axis=-1))
 
-    numbers, in_noise = read_part(fit.of, branch), read_part(with_own_window, branch)
+    numbers, in_noise = read_part(fit.compute, branch), read_part(with_own_window, branch)
     return Reading(numbers, fit.n, in_noise, ends_at_samples=True)
 
 
@@ -734,7 +746,7 @@ class LineStiffness(Window):
     )
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
-    def methods(self, test: ReducedTest) -> tuple[str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Of a test with a shape, time is the instrument."""
         return (self.method if test.shape is None else _SECANT,)
 
@@ -742,15 +754,15 @@ class LineStiffness(Window):
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
             return _secant_from_shape(self, test, self.name)
-        slope, curve = test.measure_one(self.decide), traced(test)
+        slope, curve = test.measure_one(self.decide), make_trace(test)
         window = self.samples(curve)
         d = curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
-        during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
+        during, doubts = test.find_loading_interval(low, high), find_marked_slips(test, (low, high))
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
-        number = self.number(test, slope, during=during, doubts=doubts)
+        number = self.make_result(test, slope, during=during, doubts=doubts)
         made_of = Stiffness(
             self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
         )
@@ -764,7 +776,7 @@ class LineStiffness(Window):
         ----------
         trace : one curve
         """
-        stretch = loading_of(trace)
+        stretch = select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
         part = np.arange(stretch.start, stretch.stop)[window]
         is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
@@ -781,7 +793,7 @@ class LineStiffness(Window):
         require_samples(len(chosen), MIN_LINE_SAMPLES)
         require_travel(trace.displacement[chosen])
         return Reading(
-            read_part(slope_of_line, as_slice(chosen)), len(chosen), ends_at_samples=True
+            read_part(compute_slope, as_slice(chosen)), len(chosen), ends_at_samples=True
         )
 
 
@@ -794,7 +806,7 @@ class Context(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OfStiffness(Kind):
+class FromStiffness(Kind):
     """A kind of result that depends on a stiffness above it in the list."""
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
@@ -812,23 +824,23 @@ class OfStiffness(Kind):
         """Measure the number from the stiffness."""
         stiffness = test.stiffnesses.get(self.of)
         if stiffness is None:
-            raise test.unavailable(Failure.of("results.no_stiffness", name=self.of))
+            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
         outcome, context = (
             return_failure(self.outcome)(test, stiffness),
             self.context(test, stiffness),
         )
-        number = self.number(
+        number = self.make_result(
             test,
             outcome,
             during=context.during or stiffness.during,
-            doubts=marked_slips(test, stiffness.bends_with) + context.doubts,
+            doubts=find_marked_slips(test, stiffness.bends_with) + context.doubts,
             remark=context.remark,
         )
         return Computed((number,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NormalisedStiffness(OfStiffness):
+class NormalisedStiffness(FromStiffness):
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
     result: ClassVar = "normalised-stiffness"
@@ -842,13 +854,13 @@ class NormalisedStiffness(OfStiffness):
         """Return the time up to the last peak, and a doubt if the record ends before it."""
         window, stop = stiffness.during, test.cycles[-1][0].stop_time
         during = (window[0], max(window[1], stop)) if window else None
-        return Context(during, cut_short(test, test.cycles[-1][:1]))
+        return Context(during, find_cut_cycle(test, test.cycles[-1][:1]))
 
     def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace = traced(test)
+        trace = make_trace(test)
         peaks = {
-            cycle[0].cycle: return_failure(peak_of)(test, trace, cycle[0].cycle)
+            cycle[0].cycle: return_failure(choose_peak_sample)(test, trace, cycle[0].cycle)
             for cycle in test.cycles
         }
         readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
@@ -858,7 +870,7 @@ class NormalisedStiffness(OfStiffness):
         largest = max(values, key=lambda key: values[key])
 
         def peak_force(trace: Trace) -> Reading:
-            return peak_of(test, trace, largest)
+            return choose_peak_sample(test, trace, largest)
 
         peak = test.measure_one(peak_force)
         if peak.value <= 3.0 * peak.error:
@@ -868,7 +880,7 @@ class NormalisedStiffness(OfStiffness):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Modulus(OfStiffness):
+class Modulus(FromStiffness):
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
     result: ClassVar = "modulus"
@@ -948,7 +960,7 @@ class ComplianceResult(Kind):
     def measure(self, test: ReducedTest) -> Computed:
         """Fit displacement against force, with a rigid bar."""
         compliance = test.measure_one(self.decide)
-        return Computed((self.number(test, compliance, during=test.while_loading()),))
+        return Computed((self.make_result(test, compliance, during=test.find_loading_interval()),))
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.
@@ -957,11 +969,11 @@ class ComplianceResult(Kind):
         ----------
         trace : one curve
         """
-        stretch = loading_of(trace)
+        stretch = select_first_loading(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
-        window = compliance_window(d, f, start=self.start, stop=self.stop)
-        slope = float(slope_of_line(f[window], d[window]))
+        window = find_compliance_window(d, f, start=self.start, stop=self.stop)
+        slope = float(compute_slope(f[window], d[window]))
         if slope <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=slope)
-        compliance = read_part(lambda d, f: slope_of_line(f, d), (stretch, window))
+        compliance = read_part(lambda d, f: compute_slope(f, d), (stretch, window))
         return Reading(compliance, len(d[window]), ends_at_samples=True)

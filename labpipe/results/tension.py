@@ -33,11 +33,12 @@ from labpipe.records.declarations import CURVE, Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, sense_of_loading
+from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
+from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
 
 MIN_ELASTIC_SAMPLES = 8
@@ -58,7 +59,7 @@ class ElasticWindow:
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : what a stated window is counted in: strain from the toe, or share of the largest stress
+    of : what a stated window is counted in: strain, or share of the largest stress
     straight : least square of the correlation coefficient of the longest straight part
     """
 
@@ -75,11 +76,12 @@ class Pull:
     Parameters
     ----------
     time : shape (n,), s
-    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample and is NaN where
-        the extensometer is off
+    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from where
+        slack ends, and is NaN where the extensometer is off
     slope : Pa, of the elastic line; ``slope_estimate`` has its interval
     centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
     window : samples of the elastic line
+    is_straight : whether the line was sought as the longest straight part, not in a stated window
     noise : Pa, standard deviation of single samples of the stress
     strain_noise : 1, the same of the strain
     """
@@ -92,6 +94,7 @@ class Pull:
     centre: float
     level: float
     window: slice
+    is_straight: bool
     noise: float
     strain_noise: float
 
@@ -136,15 +139,17 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
 
 
 def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
-    trace = traced(test)
-    part = loading_of(trace)
+    trace = make_trace(test)
+    part = select_first_loading(trace)
     if part.stop - part.start < 2:
-        raise test.unavailable(NO_LOADING)
+        raise test.make_error(NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
-    stress = sense_of_loading(force) * force / compute_area(sizes)
+    stress = compute_loading_sign(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
-    strain = sense_of_loading(displacement) * (displacement - first) / find_gauge_length(sizes)
+    if isinstance(test.slack, Measured):
+        first = 0.0  # the displacement is counted from where the specimen is taut
+    strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
     window = _straight_part(strain, stress, choice)
     x, y = _few_samples(strain[window], stress[window])
     require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
@@ -161,6 +166,7 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         centre=float(x.mean()),
         level=float(fit.coefficients[0]),
         window=window,
+        is_straight=choice.start is None,
         noise=_noise(stress),
         strain_noise=_noise(strain),
     )
@@ -188,14 +194,7 @@ def _straight_part(strain: Floats, stress: Floats, choice: ElasticWindow) -> sli
         return _longest_straight(strain, stress, choice.straight)
     if choice.of == "strength":
         return _between(stress, choice.start * largest, choice.stop * largest)
-    toe = 0.0
-    for _ in range(3):  # strain is counted from the toe, which the line decides on
-        window = _between(strain, toe + choice.start, toe + choice.stop)
-        x, y = _few_samples(strain[window], stress[window])
-        require_samples(len(x), 3, " of the elastic line")
-        slope, level = np.polyfit(x, y, 1)
-        toe = -level / slope if slope > 0.0 else 0.0
-    return window
+    return _between(strain, choice.start, choice.stop)
 
 
 def _between(values: Floats, low: float, high: float) -> slice:
@@ -339,10 +338,10 @@ class TensionResult(Kind):
         if isinstance(test.pull, Failure):
             raise UnavailableError(test.pull)
         if test.pull is None:
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         return test.pull
 
-    def doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
+    def list_doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
         """Return doubts about a number by the elastic line, or by a displacement of the machine."""
         return tuple(_doubts_of_line(pull, number)) + self._doubts_of_machine(test, pull)
 
@@ -361,7 +360,10 @@ def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
     """Yield doubts about an elastic line that bends, or that the curve later rises above.
 
     Both occur if an extensometer slips or jumps, or if the specimen is bent: metals do not stiffen.
+    A line in a stated window is right by definition.
     """
+    if not pull.is_straight:
+        return
     lower, upper = (number(half) for half in _with_half_lines(pull))
     value, change = number(pull), upper - lower
     limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
@@ -414,7 +416,7 @@ class ElasticModulus(TensionResult):
     result: ClassVar = "elastic-modulus"
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
 
-    def methods(self, test: ReducedTest) -> tuple[str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str]:
         """State the range of stress of the elastic line."""
         if not isinstance(test.pull, Pull):
             return ("slope of the elastic line",)
@@ -427,12 +429,12 @@ class ElasticModulus(TensionResult):
         pull = self.pull(test)
         _, errors = _measured(test, pull, _slope, error=0.0)
         window = pull.window
-        number = self.number(
+        number = self.make_result(
             test,
             pull.slope_estimate,
             errors,
             during=_during(pull, window.start, window.stop),
-            doubts=self.doubts(test, pull, _slope) + _jump_of_strain(pull, window.stop),
+            doubts=self.list_doubts(test, pull, _slope) + _jump_of_strain(pull, window.stop),
         )
         return Computed((number,), lines=(_drawn_line(test, pull),))
 
@@ -442,8 +444,8 @@ def _slope(pull: Pull) -> float:
 
 
 def _drawn_line(test: ReducedTest, pull: Pull) -> FittedLine:
-    sizes, curve = test.setup.sizes, test.known_curve
-    part = loading_of(traced(test))
+    sizes, curve = test.setup.sizes, test.required_curve
+    part = select_first_loading(make_trace(test))
     window = curve.displacement[part][pull.window]
     low, high = float(np.nanmin(window)), float(np.nanmax(window))
     strain = float(np.nanmin(pull.strain[pull.window]))
@@ -469,8 +471,8 @@ class ProofStress(TensionResult):
         crossing = _meeting_sample(pull, self.offset)
         outcome, errors = _measured(test, pull, number)
         during = _during(pull, pull.window.start, crossing)
-        doubts = self.doubts(test, pull, number) + _jump_of_strain(pull, crossing)
-        return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
+        doubts = self.list_doubts(test, pull, number) + _jump_of_strain(pull, crossing)
+        return Computed((self.make_result(test, outcome, errors, during=during, doubts=doubts),))
 
 
 def _above_shifted_line(pull: Pull, offset: float) -> Floats:
@@ -505,7 +507,7 @@ class YieldStress(TensionResult):
         Output("lower_yield_stress", "Pa", "Lower yield strength"),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         return (
@@ -522,7 +524,7 @@ class YieldStress(TensionResult):
             number = partial(_stress_at, sample=sample)
             outcome, errors = _measured(test, pull, number, error=0.0)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors,
@@ -576,7 +578,7 @@ class TensileStrength(TensionResult):
         number: Number = lambda pull: float(np.nanmax(pull.stress))  # noqa: E731
         outcome, errors = _measured(test, pull, number, error=0.0)
         during, doubts = _during(pull, 0, pull.peak), _ends_at_peak(test, pull)
-        return Computed((self.number(test, outcome, errors, during=during, doubts=doubts),))
+        return Computed((self.make_result(test, outcome, errors, during=during, doubts=doubts),))
 
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
@@ -604,7 +606,7 @@ class MaximumForceElongation(TensionResult):
         ),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         total = "strain from the toe to the sample of the largest force"
@@ -622,13 +624,13 @@ class MaximumForceElongation(TensionResult):
             number = partial(_strain_at, sample=peak, is_plastic=is_plastic)
             outcome, errors = _measured(test, pull, number)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors | {PEAK: width / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, top.stop),
-                    doubts=self.doubts(test, pull, number) + _ends_at_peak(test, pull),
+                    doubts=self.list_doubts(test, pull, number) + _ends_at_peak(test, pull),
                 )
             )
         return Computed(tuple(numbers))
@@ -672,7 +674,7 @@ class BreakElongation(TensionResult):
         ),
     )
 
-    def methods(self, test: ReducedTest) -> tuple[str, str]:
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """State the definitions."""
         del test
         total = "strain from the toe to the last sample before the specimen parts"
@@ -684,7 +686,7 @@ class BreakElongation(TensionResult):
         if isinstance(test.failure, Failure):
             raise UnavailableError(test.failure)
         if not isinstance(test.failure, FailurePoint):
-            raise test.unavailable(NO_LOADING)
+            raise test.make_error(NO_LOADING)
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _off_before(pull, "the break")
@@ -693,13 +695,13 @@ class BreakElongation(TensionResult):
             number = partial(_strain_at, sample=last, is_plastic=is_plastic)
             outcome, errors = _measured(test, pull, number)
             numbers.append(
-                self.number(
+                self.make_result(
                     test,
                     outcome,
                     errors | {STEP: abs(step) / np.sqrt(12.0)},
                     output=place,
                     during=_during(pull, pull.window.start, last),
-                    doubts=self.doubts(test, pull, number),
+                    doubts=self.list_doubts(test, pull, number),
                 )
             )
         return Computed(tuple(numbers))

@@ -14,9 +14,9 @@ from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import loading_of, traced
-from labpipe.results.kinds import Computed, marked_slips
-from labpipe.results.least_squares import CommonPath, finite_samples, require_samples
+from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.kinds import Computed, find_marked_slips
+from labpipe.results.least_squares import CommonPath, find_finite_samples, require_samples
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -180,7 +180,7 @@ class Hinges:
             ``too_few_samples`` (fewer than 16), ``not_increasing`` if the displacement does not
             increase over the stretch.
         """
-        order = _sort_samples(displacement, finite_samples(displacement, force))
+        order = _sort_samples(displacement, find_finite_samples(displacement, force))
         scan = _Scan.of(displacement[order], force[order])
         margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
         places = np.linspace(scan.x[margin], scan.x[-1 - margin], 300)
@@ -331,7 +331,7 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
         raise UnavailableError.of("results.kink_at_end", place=place, start=start, stop=stop)
 
 
-def doubts_of_break(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
+def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
     """Return a doubt ``wide_break`` if an interval is longer than a quarter of the stretch.
 
     Parameters
@@ -355,9 +355,9 @@ class _TwoLineFit:
     hinges: Hinges
 
     @property
-    def doubts_of_break(self) -> tuple[Reason, ...]:
+    def find_break_doubts(self) -> tuple[Reason, ...]:
         """Return the doubts about the break."""
-        return doubts_of_break(self.numbers[0].interval, self.hinges)
+        return find_break_doubts(self.numbers[0].interval, self.hinges)
 
     def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
         """Return both lines with their names."""
@@ -388,7 +388,7 @@ class _TwoLines(Window):
         require : requires such a break of the curve, as `require_bend`
         """
         numbers = test.measure(self.decide)
-        _, hinges = self._places(traced(test))
+        _, hinges = self._places(make_trace(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         if test.replicates is not None:
             reading = return_failure(self.decide)(test.replicates.smooth)
@@ -431,7 +431,7 @@ class _TwoLines(Window):
 
     def _places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
-        stretch = loading_of(trace)
+        stretch = select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
         stop = stretch.stop if window.stop is None else stretch.start + window.stop
         part = slice(stretch.start + window.start, stop)
@@ -454,14 +454,14 @@ class TwoSegments(_TwoLines):
         fit = self.fit(test, require_bend)
         place, first, second, _ = fit.numbers
         start, stop = read = fit.hinges.ends
-        bend, during = place.value, test.while_loading(*read)
-        slips = marked_slips(test, read)  # one bends both
+        bend, during = place.value, test.find_loading_interval(*read)
+        slips = find_marked_slips(test, read)  # one bends both
         one, other = (output.name for output in self.outputs[:2])
-        numbers = ((first, slips), (second, slips), (place, slips + fit.doubts_of_break))
+        numbers = ((first, slips), (second, slips), (place, slips + fit.find_break_doubts))
         sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
-                self.number(test, number, output=output, during=during, doubts=doubts)
+                self.make_result(test, number, output=output, during=during, doubts=doubts)
                 for output, (number, doubts) in enumerate(numbers)
             ),
             {
@@ -492,9 +492,9 @@ class Kink(_TwoLines):
         """Find the decrease of the slope of the first loading."""
         fit = self.fit(test, require_kink)
         place, _, _, level = fit.numbers
-        doubts = marked_slips(test, fit.hinges.ends) + fit.doubts_of_break
-        during = test.while_loading(*fit.hinges.ends)
+        doubts = find_marked_slips(test, fit.hinges.ends) + fit.find_break_doubts
+        during = test.find_loading_interval(*fit.hinges.ends)
         return Computed(
-            self.numbers(test, (place, level), during=during, doubts=doubts),
+            self.make_results(test, (place, level), during=during, doubts=doubts),
             lines=fit.lines("before_kink", "behind_kink"),
         )

@@ -12,16 +12,16 @@ from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.signal.turning_points import convert_to_noise, estimate_noise_level
 
 _UNUSUAL_RUN_FACTOR = 4.0
-"""Times the usual run length of the channel."""
-_JUMP_FACTOR = 5.0
-"""Times the usual speed."""
-_SMALL_SHARE = 0.02
-"""Share of the range: jumps below it are harmless, and levels this near to zero are at rest."""
+"""Multiple of the usual run length above which a run is unusual."""
+_JUMP_SPEED_FACTOR = 5.0
+"""Multiple of the usual speed above which a step is a jump."""
+_MIN_JUMP_SHARE = 0.02
+"""Share of the range: smaller jumps are harmless, and levels closer to zero are at rest."""
 _MIN_NOISY_RUN = 10.0
 """Equal samples: more than a logger that repeats values produces in a noisy channel."""
 _SPIKE_WINDOW = 7
-_MAX_SPIKE = _SPIKE_WINDOW // 2
-_MIN_SPIKE = 0.01
+_MAX_SPIKE_SAMPLES = _SPIKE_WINDOW // 2
+_MIN_SPIKE_SHARE = 0.01
 """Share of the range of the signal: smaller spikes are harmless."""
 
 
@@ -46,9 +46,9 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     Parameters
     ----------
     time : shape (n,), s
-    values : shape (n,), the channel; NaN end a run
-    other : shape (n,), the other quantity of the test (the displacement for a force, the force for
-        a displacement); None if it was not recorded
+    values : shape (n,), of the channel; a NaN ends a run
+    other : shape (n,), other quantity of the test (the displacement for a force, the force for a
+        displacement); None if it was not recorded
 
     Returns
     -------
@@ -56,27 +56,27 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
 
     Notes
     -----
-    There are two criteria. In a noisy channel a run counts if noise would produce one of its length
-    in one of 10^6 records. In a quiet channel the values must approach and leave the run steeply
-    (by more than five steps of the resolution within half its length, at no less than 0.3 of the
-    slope before), while `other` continues: at about its previous speed through both ends, for a
-    clipped channel; or by a part of its range, for a frozen channel that then jumps. A machine at
-    rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are not
-    reported.
+    There are two criteria. In a noisy channel a run counts if noise produces one of its length in
+    fewer than one of 10^6 records. In a quiet channel the values must approach and leave the run
+    steeply: by more than five steps of the resolution within half its length, at 0.3 of the slope
+    before or more. Meanwhile `other` must continue: for a clipped channel, at about its previous
+    speed through both ends; for a frozen channel that then jumps, by a part of its range. A machine
+    at rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are
+    not reported.
     """
-    min_run = 3  # equal samples: any corner may have two
+    min_run = 3  # two equal samples occur at any corner
     same = values[1:] == values[:-1]
     if not (same[1:] & same[:-1]).any():
         return []
-    lengths, starts = _runs(values)
+    lengths, starts = _find_equal_runs(values)
     channel = _Channel(time, values, other, lengths)
     if not len(starts) or not channel.high > channel.low:
         return []
     long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
-    several = np.flatnonzero(lengths >= min_run)
-    ends = several[channel.is_extreme(starts[several])]
+    candidates = np.flatnonzero(lengths >= min_run)
+    extreme = candidates[channel.is_extreme(starts[candidates])]
     find_stuck_runs = []
-    for run in np.union1d(long, ends).tolist():
+    for run in np.union1d(long, extreme).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
         is_clipped = bool(channel.is_extreme(np.array([start]))[0])
         if channel.is_stuck(start, stop, is_clipped=is_clipped):
@@ -84,7 +84,7 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     return find_stuck_runs
 
 
-def _runs(values: Floats) -> tuple[Ints, Ints]:
+def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
     """Return lengths and first samples of all runs of equal values, single samples included."""
     if not len(values):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -96,7 +96,7 @@ def _runs(values: Floats) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """A channel and its usual run length, speed and noise, computed when they are needed.
+    """A channel with its usual run length, speed and noise, computed on demand.
 
     Parameters
     ----------
@@ -126,8 +126,7 @@ class _Channel:
 
     @cached_property
     def rounding(self) -> float:
-        """Return the largest step that is rounding only."""
-        # Share of the range below which values differ by rounding only.
+        """Return the largest step that is only rounding."""
         rounding_share = 1e-7
         return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
 
@@ -153,57 +152,53 @@ class _Channel:
         return float(np.quantile(sizes / durations, 0.95))
 
     @cached_property
-    def other_noise(self) -> float:
-        """Return the noise of the other quantity."""
-        return 0.0 if self.other is None else estimate_noise_level(self.other)
-
-    @cached_property
     def longest_by_chance(self) -> float:
-        """Return the longest run that noise produces, in samples; inf in a quiet channel."""
+        """Return the longest run that noise produces, in samples; infinite for a quiet channel."""
         return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
 
     def is_extreme(self, samples: Ints) -> Flags:
+        """Return whether samples have the minimum or the maximum value."""
         return np.asarray((self.values[samples] == self.low) | (self.values[samples] == self.high))
 
     def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
-        # Samples.
-        min_clipped_at_rest = 100
+        """Return whether a run repeats a value although its quantity changes."""
+        min_clipped_at_rest = 100  # samples
         if self._jumps_after(start, stop):
             return True
-        rests = self._is_at_rest(start)
+        is_at_rest = self._is_at_rest(start)
         if stop - start > _MIN_NOISY_RUN and stop - start > self.longest_by_chance:
-            return not rests or (is_clipped and stop - start >= min_clipped_at_rest)
-        if rests or (start > 0 and self._is_jump(start)):
+            return not is_at_rest or (is_clipped and stop - start >= min_clipped_at_rest)
+        if is_at_rest or (start > 0 and self._is_jump(start)):
             return False
         return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
     @cached_property
     def first(self) -> float:
-        """First valid value."""
+        """Return the first valid value."""
         return float(self.values[np.argmin(np.isnan(self.values))])
 
     def _is_at_rest(self, sample: int) -> bool:
-        level, far = float(self.values[sample]), _SMALL_SHARE * (self.high - self.low)
-        return abs(level) <= far or abs(level - self.first) <= far
+        level, tolerance = float(self.values[sample]), _MIN_JUMP_SHARE * (self.high - self.low)
+        return abs(level) <= tolerance or abs(level - self.first) <= tolerance
 
     def _jumps_after(self, start: int, stop: int) -> bool:
-        """Return whether a jump follows while the other quantity moves on smoothly."""
+        """Return whether a jump follows the run while the other quantity moves smoothly."""
         if stop >= len(self.values):
             return False
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
-            return False  # a force that drops in stages: the specimen tears
-        if self.other is None:  # if the specimen breaks, the force goes to zero
+            return False  # a force that drops in stages at a tear of the specimen
+        if self.other is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
         steps = np.abs(np.diff(self.other))
-        smooth = steps[stop - 1] <= _JUMP_FACTOR * float(np.nanquantile(steps, 0.95))
-        return bool(smooth) and self._other_travel(start, stop) > _SMALL_SHARE
+        is_smooth = steps[stop - 1] <= _JUMP_SPEED_FACTOR * float(np.nanquantile(steps, 0.95))
+        return bool(is_smooth) and self._other_travel(start, stop) > _MIN_JUMP_SHARE
 
     def _is_jump(self, sample: int) -> bool:
-        """Return whether the step to this sample is far faster than the usual ones."""
+        """Return whether the step to a sample is far faster than the usual ones."""
         jump = abs(float(self.values[sample] - self.values[sample - 1]))
-        lasts = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
-        small = _SMALL_SHARE * (self.high - self.low)
-        return jump > small and jump > _JUMP_FACTOR * self.speed * lasts
+        duration = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
+        min_jump = _MIN_JUMP_SHARE * (self.high - self.low)
+        return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
 
     def _other_travel(self, start: int, stop: int) -> float:
         """Return the travel of the other quantity during the run, as a share of its range."""
@@ -217,31 +212,30 @@ class _Channel:
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
-        # Times the usual run length: no plateau of a measured force is that flat.
+        # Multiple of the usual run length: no plateau of a measured force is that flat.
         plateau_factor = 50.0
-        # Share of its range.
-        min_other_travel = 0.3
+        min_other_travel = 0.3  # share of its range
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
         if self.other is None or not sides:
             return False
-        going = [self._other_keeps_speed(sample, stop - start) for sample, _ in sides]
-        enough = any(going) if stop - start < 2 * 4 else all(going)
+        continues = [self._other_keeps_speed(sample, stop - start) for sample, _ in sides]
+        other_continues = any(continues) if stop - start < 2 * 4 else all(continues)
         is_long = stop - start >= plateau_factor * max(self.usual, self._previous_run(start))
         travels = self._other_travel(start, stop) > min_other_travel
         if is_long and travels and self._other_keeps_direction(start, stop):
             return True
         steep = (self._leaves_steeply(sample, away, stop - start) for sample, away in sides)
-        return enough and (is_long or all(steep))
+        return other_continues and (is_long or all(steep))
 
     def _previous_run(self, start: int) -> int:
-        """Return the length of the run before: runs grow longer towards a plateau."""
+        """Return the length of the previous run: runs grow longer towards a plateau."""
         level = self.values[start - 1] if start else np.nan
         other = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other[-1]) if len(other) else start
 
     def _other_keeps_direction(self, start: int, stop: int) -> bool:
-        """Return whether the other quantity does not reverse at the start, as it does in a hold."""
+        """Return whether the other quantity does not reverse at the start; in a hold it does."""
         other = self.other
         if other is None:
             return False
@@ -249,56 +243,59 @@ class _Channel:
         return before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
 
     def _leaves_steeply(self, sample: int, away: int, length: int) -> bool:
-        """Return whether the channel leaves a sample, forwards (1) or backwards (-1), steeply."""
+        """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
         # Resolution steps within half the run length; a round top has 3.
         min_rise_in_steps = 5.0
-        # Slope just before the run over the slope before that; at a round top it decreases.
-        min_abruptness = 0.3
-        # Of the steps; below it the channel is slow for its resolution.
+        # Slope next to the run over the slope farther away; it decreases towards a round top.
+        min_slope_ratio = 0.3
+        # Share of steps above zero; below it the channel is slow for its resolution.
         min_moving_share = 0.8
         # Share of the range below which missing values do not matter.
         min_lost_share = 0.005
         room = sample if away < 0 else len(self.values) - 1 - sample
         reach = min(max(2, length // 2), room)
-        off = np.abs(self.values[sample + away * np.arange(reach + 1)] - self.values[sample])
-        off = off[: int(np.argmax(off)) + 1] if np.isfinite(off).all() else off[:0]
-        if not len(off) > 2:
+        rise = np.abs(self.values[sample + away * np.arange(reach + 1)] - self.values[sample])
+        rise = rise[: int(np.argmax(rise)) + 1] if np.isfinite(rise).all() else rise[:0]
+        if not len(rise) > 2:
             return False
-        reach = len(off) - 1
-        steps = np.abs(np.diff(off))
+        reach = len(rise) - 1
+        steps = np.abs(np.diff(rise))
         moving = steps[steps > 0.0]
-        # A slow channel moves in steps of its resolution and rests on each of them.
+        # A slow channel repeats a value before each step of its resolution.
         is_slow = len(moving) <= min_moving_share * len(steps)
         step = moving.min(initial=np.inf) if is_slow else self.resolution
         half = reach // 2
-        slope = float(off[-1] - off[half]) / (reach - half)
-        near = max(float(off[half]) / half, float(off[2] - off[1]))  # the first may be part of one
-        is_abrupt = near >= min_abruptness * slope
-        far = max(min_rise_in_steps * float(step), min_lost_share * (self.high - self.low))
-        return bool(off[-1] > far) and is_abrupt
+        far_slope = float(rise[-1] - rise[half]) / (reach - half)
+        # The first step may be partly in the run.
+        near_slope = max(float(rise[half]) / half, float(rise[2] - rise[1]))
+        min_rise = max(min_rise_in_steps * float(step), min_lost_share * (self.high - self.low))
+        return bool(rise[-1] > min_rise) and near_slope >= min_slope_ratio * far_slope
 
     def _other_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
-        # Speed after an end of the run over the speed before it.
+        # Of the speed after the sample over the speed before it.
         speed_ratio_limits = (0.4, 2.5)
         noise_factor = 5.0
         other = self.other
         if other is None:
             return False
-        least = noise_factor * self.other_noise
+        least = noise_factor * estimate_noise_level(other)
         size = max(1, min(length // 4, max(8, len(other) // 50)))
         low, high = max(0, sample - size), min(len(other) - 1, sample + size)
         before, after = float(other[sample] - other[low]), float(other[high] - other[sample])
-        if not (abs(before) > least and abs(after) > least):  # NaN, too
+        if not (abs(before) > least and abs(after) > least):  # or NaN
             return False
-        lasts = max(float(self.time[sample] - self.time[low]), 1e-12)
-        behind = max(float(self.time[high] - self.time[sample]), 1e-12)
-        return speed_ratio_limits[0] <= (after / behind) / (before / lasts) <= speed_ratio_limits[1]
+        time_before = max(float(self.time[sample] - self.time[low]), 1e-12)
+        time_after = max(float(self.time[high] - self.time[sample]), 1e-12)
+        ratio = (after / time_after) / (before / time_before)
+        return speed_ratio_limits[0] <= ratio <= speed_ratio_limits[1]
 
 
 def _resolution(values: Floats, steps: Floats, rounding: float) -> float:
-    """Return the quantisation step; the rounding error if a short record has none."""
-    # In longer records only the steps between neighbours are compared.
+    """Return the quantisation step; the rounding error if a short record has none.
+
+    For a long record it is the smallest step between neighbours.
+    """
     max_grid_check_samples = 5000
     if len(values) > max_grid_check_samples:
         return float(steps.min())
@@ -310,10 +307,9 @@ def _resolution(values: Floats, steps: Floats, rounding: float) -> float:
 
 
 def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: float) -> float:
-    """Return the run length that noise exceeds in one of 10^6 records; inf without noise."""
-    # Per record.
-    false_alarm_rate = 1e-6
-    # Median third over second differences: 1.8 for white noise, far below 1 if smooth.
+    """Return the run length that noise exceeds in one of 10^6 records; infinite without noise."""
+    false_alarm_rate = 1e-6  # per record
+    # Median third over median second difference: 1.8 for white noise, far below 1 if smooth.
     min_white_ratio = 1.2
     is_usual = np.repeat(lengths <= _UNUSUAL_RUN_FACTOR * max(1.0, usual), lengths)
     second = np.diff(values[~np.isnan(values)][is_usual], n=2)
@@ -329,7 +325,7 @@ def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: 
 
 
 def find_spikes(force: Floats) -> Ints:
-    """Find samples that deviate from neighbours which agree with each other.
+    """Find spikes: samples that deviate from neighbours which agree with each other.
 
     Parameters
     ----------
@@ -344,11 +340,11 @@ def find_spikes(force: Floats) -> Ints:
     The deviation from the median of seven samples must exceed eight robust standard deviations
     (1.4826 MAD), 1 % of the range of that median and four times the largest step between the three
     neighbours on each side; the medians of the neighbours on both sides must differ by less than
-    half of it. A lasting loss of force is therefore no spike, nor is a sample at the very beginning
-    or end, which has neighbours on one side only.
+    half the deviation. A lasting loss of force is therefore no spike, nor is one of the first or
+    last three samples, which have neighbours on one side only.
     """
     mad_factor = 8.0
-    max_medians = 20_000  # evenly chosen, for range and deviation
+    max_medians = 20_000  # evenly spaced, for range and deviation
     is_valid = ~np.isnan(force)
     f = force if is_valid.all() else force[is_valid]
     if len(f) < 2 * _SPIKE_WINDOW:
@@ -357,21 +353,21 @@ def find_spikes(force: Floats) -> Ints:
     windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
     windows = windows[:: max(1, len(windows) // max_medians)]
     levels = np.median(windows, axis=1)
-    # np.median, as `records.arrays.median` is slow for few distinct values.
+    # `records.arrays.median` is slow for few distinct values.
     mad = float(np.median(np.abs(windows[:, half] - levels)))
-    far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE * float(np.ptp(levels)))
+    far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
     uneven = np.flatnonzero(_is_uneven(f, far))
     around = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
     off = f[uneven] - np.partition(f[around], half, axis=1)[:, half]
     numbers, size = uneven[np.abs(off) > far], np.abs(off[np.abs(off) > far])
     spikes = [numbers[:0]]
     for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
-        # Without neighbours whose median the spike has shifted.
+        # Excludes neighbours whose median is shifted by the spike.
         core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
-        if len(core) and _returns(f, numbers[core], float(size[core].min())):
+        if len(core) and _is_spike(f, numbers[core], float(size[core].min())):
             spikes.append(numbers[core])
-    found = np.concatenate(spikes)
-    return found if is_valid.all() else np.flatnonzero(is_valid)[found]
+    samples = np.concatenate(spikes)
+    return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
 
 def _is_uneven(f: Floats, far: float) -> Flags:
@@ -403,12 +399,14 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     return bridged
 
 
-def _returns(f: Floats, run: Ints, off: float) -> bool:
-    # Times the largest step of the neighbours, so that a sharp turn is not a spike.
+def _is_spike(f: Floats, run: Ints, off: float) -> bool:
+    """Return whether a run of deviating samples is short and has equal levels on both sides."""
+    # Multiple of the largest step of the neighbours, so that a sharp turn is not a spike.
     spike_step_factor = 4.0
     first, last = int(run[0]), int(run[-1])
-    before, after = f[max(first - _MAX_SPIKE, 0) : first], f[last + 1 : last + 1 + _MAX_SPIKE]
-    if last - first >= _MAX_SPIKE or min(len(before), len(after)) < _MAX_SPIKE:
+    before = f[max(first - _MAX_SPIKE_SAMPLES, 0) : first]
+    after = f[last + 1 : last + 1 + _MAX_SPIKE_SAMPLES]
+    if last - first >= _MAX_SPIKE_SAMPLES or min(len(before), len(after)) < _MAX_SPIKE_SAMPLES:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
     level_change = abs(median(after) - median(before))

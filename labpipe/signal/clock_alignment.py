@@ -1,4 +1,4 @@
-"""Offset and drift between two clocks, from events or from a motion that repeats."""
+"""Offset and drift between two clocks, from common events or from a repeated motion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
     ----------
     time, values : shape (n,), s and any unit
     smoothing : s, span of the moving average that is applied first
-    share : of the range of the signal that a turn must come back by
+    share : of the range of the signal by which the signal must return after a turn
 
     Returns
     -------
@@ -32,7 +32,7 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
 
     Notes
     -----
-    On a plateau that ends in a fall, the largest sample may lie anywhere; the turn is where the
+    On a plateau before a fall, the largest sample may be anywhere. The turn is taken where the
     slope changes most: where 2 y(t) - y(t - h) - y(t + h) is largest, with h four times
     `smoothing`, or a quarter of the shorter stroke.
     """
@@ -47,14 +47,14 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
     clock = time[:count].reshape(-1, thin).mean(axis=1)
     strokes = find_strokes(clock, smooth, min_stroke=share * span)
     turns = [
-        clock[_sharpest_turn(smooth, first, second, 2 * window)]
+        clock[_find_sharpest_turn(smooth, first, second, 2 * window)]
         for first, second in pairwise(strokes)
         if first.sign > 0 > second.sign
     ]
     return np.array(turns, dtype=np.float64)
 
 
-def _sharpest_turn(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
+def _find_sharpest_turn(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
     """Return the sample at which a rise turns into a fall."""
     reach = min(reach, (rise.stop - rise.start) // 4, (fall.stop - fall.start) // 4)
     first, last = rise.start + reach, fall.stop - reach
@@ -80,10 +80,10 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
     Notes
     -----
-    Both records contain the same peaks in the same order, except those before one of them began.
-    The shift with the most pairs is chosen, then the one with the most constant difference of time;
-    among equals the smallest difference, since both records are started together, and the choice is
-    ambiguous.
+    Both records contain the same peaks in the same order, except for those before one of them
+    started. The shift with the most pairs is chosen, then the one with the most constant time
+    difference. If several are equal, the choice is ambiguous: the one with the smallest difference
+    is taken, since both records are started together.
     """
     candidates = []
     for shift in range(-len(motion) + 1, len(force)):
@@ -104,20 +104,20 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """The time after which the test repeats itself, on both clocks.
+    """The time after which a cycle of the test repeats, on both clocks.
 
     Parameters
     ----------
     motion, force : s, the same lag on the marker clock and on the force clock
     error : s, standard error of their difference
-    wander : s, error of the lag from zero drift of the force; widens the intervals only and does
-        not weight any event
+    zero_drift_error : s, error of the lag from zero drift of the force; it only widens the
+        intervals and does not change the weights
     """
 
     motion: float
     force: float
     error: float
-    wander: float = 0.0
+    zero_drift_error: float = 0.0
 
 
 def fit_clocks(
@@ -129,8 +129,8 @@ def fit_clocks(
     ----------
     motion, force : shape (events,), s, at least one event
     errors : shape (events,), s, standard error of the difference at each event, positive
-    method : how the events were found, as text
-    repeat : a lag on both clocks, which determines the drift but not the offset
+    method : description of the search for events
+    repeat : lag on both clocks, which determines the drift but not the offset
 
     Returns
     -------
@@ -152,21 +152,25 @@ def fit_clocks(
         raise ValueError(message)
     centre = float(np.average(motion, weights=errors**-2.0))
     design = np.column_stack([np.ones_like(motion), motion - centre])
-    seen, weights = force - motion, 1.0 / errors
+    differences, weights = force - motion, 1.0 / errors
     if repeat is not None:
         design = np.vstack([design, [0.0, repeat.motion]])
-        seen = np.append(seen, repeat.force - repeat.motion)
+        differences = np.append(differences, repeat.force - repeat.motion)
         weights = np.append(weights, 1.0 / repeat.error)
-    is_single = len(seen) == 1
+    is_single = len(differences) == 1
     design = design[:, : 1 if is_single else 2]
     weighted = design * weights[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
-    solution = covariance @ weighted.T @ (seen * weights)
-    misfit = seen - design @ solution
-    covariance = covariance * _inflation(misfit * weights, freedom=len(seen) - design.shape[1])
+    solution = covariance @ weighted.T @ (differences * weights)
+    misfit = differences - design @ solution
+    covariance = covariance * _inflation(
+        misfit * weights, freedom=len(differences) - design.shape[1]
+    )
     if repeat is not None:
-        moved = np.linalg.lstsq(weighted, np.eye(len(seen))[-1] * weights, rcond=None)[0]
-        covariance = covariance + repeat.wander**2 * np.outer(moved, moved)
+        sensitivity = np.linalg.lstsq(weighted, np.eye(len(differences))[-1] * weights, rcond=None)[
+            0
+        ]
+        covariance = covariance + repeat.zero_drift_error**2 * np.outer(sensitivity, sensitivity)
     drift = 0.0 if is_single else float(solution[1])
     to_zero = np.array([1.0, -centre])[: len(solution)]
     offset = float(to_zero @ solution)
@@ -186,7 +190,7 @@ def fit_clocks(
 
 
 def _inflation(pulls: Floats, *, freedom: int) -> float:
-    """Return the factor on the variance if events scatter more than their errors allow, else 1.
+    """Return the factor on the variance for events that scatter more than their errors, else 1.
 
     The 99 % quantile of chi-square is approximated after Wilson and Hilferty (PNAS 17 (1931)
     684), to within 2 % for one degree of freedom and better for more.
@@ -216,55 +220,55 @@ def fit_lag(
     time, values : shape (n,), s and any unit; increasing time
     start, turn, stop : s, the earlier cycle: its beginning, its peak, its end
     guess : s, the lag to within a second
-    hysteresis : whether the loop may have moved along the displacement between the two cycles;
+    hysteresis : whether the loop may have shifted along the displacement between the two cycles;
         False for a motion
 
     Returns
     -------
-    The lag in s, or a failure ``too_few_samples``.
+    The lag in s, or the failure ``too_few_samples``.
 
     Notes
     -----
-    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t): the error of the lag
-    (tau), a shift and a scale of the later cycle (a, b), and a loop that has moved along the
-    displacement (c), which shifts loading and unloading in opposite senses. Least squares on at
-    most 2000 bins, repeated until tau vanishes. y' is taken from the mean of both cycles; the
-    standard error from the long-run variance of the residuals, so that a cycle that repeats badly
-    has little weight. Noise increases y' and attenuates tau: tau and its error are divided by the
+    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t), with the error of the lag
+    (tau), a shift and a scale of the later cycle (a, b), and a shift of the loop along the
+    displacement (c), which has opposite signs in loading and unloading. Least squares on at most
+    2000 bins, repeated until tau vanishes. y' is that of the mean of both cycles. The standard
+    error is from the long-run variance of the residuals, so that a cycle that repeats poorly has
+    little weight. Noise increases y' and attenuates tau: tau and its error are divided by the
     share of the sum of squares that is not noise (Fuller, Measurement Error Models,
     1987, sec. 1.2).
     """
     samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
     bins = max(0, min(2000, samples // 2))
     if bins < _MIN_BINS:
-        return Failure("too_few_samples", f"{bins} bins in the cycle, {_MIN_BINS} are needed")
+        return Failure.of("signal.too_few_bins", count=bins, where="in the cycle", needed=_MIN_BINS)
     edges = np.linspace(start, stop, bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     earlier = _bin_means(time, values, edges)
-    lag, correction = guess, None
+    lag = Estimate(guess, np.nan, 0)
     for _ in range(5):
-        later = _bin_means(time, values, edges + lag)
+        later = _bin_means(time, values, edges + lag.value)
         correction = _lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
         if isinstance(correction, Failure):
             return correction
-        lag += correction.value
+        lag = Estimate(lag.value + correction.value, correction.error, correction.n)
         if abs(correction.value) < 0.01 * correction.error:
             break
-    if correction is None or isinstance(correction, Failure):
-        return Failure("too_few_samples", "no bins to compare")
-    return Estimate(lag, correction.error, correction.n)
+    return lag
 
 
 def _lag_correction(
     time: Floats, earlier: Floats, later: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
-    """Return the increase of the lag that puts the later cycle on the earlier one."""
+    """Return the correction of the lag that aligns the later cycle with the earlier one."""
     mean = 0.5 * (earlier + later)
     slope = np.gradient(mean, time)
     valid = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
-    if valid.sum() < _MIN_BINS:
-        reason = f"{int(valid.sum())} bins in common, {_MIN_BINS} are needed"
-        return Failure("too_few_samples", reason)
+    count = int(valid.sum())
+    if count < _MIN_BINS:
+        return Failure.of(
+            "signal.too_few_bins", count=count, where="in both cycles", needed=_MIN_BINS
+        )
     columns = [slope, np.ones_like(mean), mean]
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
@@ -274,10 +278,10 @@ def _lag_correction(
     residuals = difference - design @ solution
     variance = estimate_long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
-    # If the lag is too large by tau, y(t + lag) - y(t) = tau y'(t): the correction is negative.
+    # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t): the correction is -tau.
     reliability = max(0.1, 1.0 - _slope_noise(time, residuals) * float(covariance[0, 0]))
     error = float(np.sqrt(variance * covariance[0, 0])) / reliability
-    return Estimate(-float(solution[0]) / reliability, error, int(valid.sum()))
+    return Estimate(-float(solution[0]) / reliability, error, count)
 
 
 def _slope_noise(time: Floats, residuals: Floats) -> float:
@@ -301,9 +305,9 @@ def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     inside = slice(int(low[filled[0]]), int(high[filled[-1]]))
     sums = np.add.reduceat(values[inside], low[filled] - inside.start)
     means[filled] = sums / (high - low)[filled]
-    # The samples of a bin are not centred in it: move the mean to the middle along the slope.
-    off = np.zeros(len(low))
-    off[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
-    off[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]
-    carried: Floats = means - off * np.gradient(means, edges[1] - edges[0])
-    return carried
+    # The samples of a bin are not centred in it: the mean is shifted to its middle along the slope.
+    offset = np.zeros(len(low))
+    offset[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
+    offset[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]
+    centred: Floats = means - offset * np.gradient(means, edges[1] - edges[0])
+    return centred

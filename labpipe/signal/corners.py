@@ -1,4 +1,4 @@
-"""Corners: time and height of a turn of a signal, from straight lines fitted on both sides."""
+"""Time and height of a corner of a signal, from straight lines fitted on both sides."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """A turning point of a signal.
+    """A corner of a signal.
 
     Parameters
     ----------
     time : s
-    time_error : s, standard error; infinite where the two sides meet smoothly
+    time_error : s, standard error; infinite if the two sides meet smoothly
     value : in the unit of the signal
     value_error : standard error of `value`
     n : number of samples used
@@ -37,20 +37,20 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
     ----------
     time, values : shape (n,), s and any unit; increasing time
     near : s, first guess of the corner
-    window : s on each side of the guess; the corner is looked for in its inner half
+    window : s on each side of the guess; the corner is searched in its inner half
 
     Returns
     -------
-    The corner, or None when there are fewer than four samples on one side.
+    None if there are fewer than four samples on one side, or if the fitted corner is farther than
+    3/4 of the window from the guess.
 
     Notes
     -----
-    y = v + a min(t - c, 0) + b max(t - c, 0); v, a, b by linear least squares for every c on a
-    grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
-    bins per side first. Standard errors use the long-run variance of the residuals
+    y = v + a min(t - c, 0) + b max(t - c, 0): v, a, b by linear least squares for every c on a
+    grid, then all four by Gauss-Newton. Long records are first averaged in 600 to 1200 bins per
+    side. Standard errors use the long-run variance of the residuals
     (`estimate_long_run_variance`). NaN are ignored.
     """
-    # Where there are as many samples.
     min_bins_per_side, min_side_samples = 600, 4
     chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
     size = int(chosen.sum()) // (2 * min_bins_per_side)
@@ -70,7 +70,7 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
     if not abs(parameters[-1]) < 0.75 * window:
         return None
     jacobian, misfit = _linearise(t, y, parameters)
-    return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
+    return _make_corner(jacobian, misfit, parameters, near, int(chosen.sum()))
 
 
 def fit_stop(
@@ -81,22 +81,22 @@ def fit_stop(
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    near : s, first guesses of stop and start, in order
-    window : s before the stop and after the start
+    near : s, first guesses of stop and restart
+    window : s before the stop and after the restart
 
     Returns
     -------
-    Both corners, or None if there is no level between the lines or the lines do not meet it.
+    Both corners; None if a line or the level has too few samples, or if the lines do not meet the
+    level in the window.
 
     Notes
     -----
-    Every sample belongs to the line before, the level or the line after; each is fitted by least
-    squares, and the corners are where they meet. Then the samples are assigned again, until
-    nothing changes. A level that is too long at first loses about half of the excess each time.
+    Every sample is assigned to the line before, the level or the line after. Each is fitted by
+    least squares, and the corners are the intersections; the assignment is repeated until it does
+    not change. The excess of a level that is too long at first is about halved each time.
     Standard errors use the long-run variance of the residuals. NaN are ignored.
     """
-    # Two could be the sides of a corner.
-    min_line_samples, min_level_samples = 5, 3
+    min_line_samples, min_level_samples = 5, 3  # a level of two could be the sides of a corner
     chosen = (time >= near[0] - window) & (time <= near[1] + window) & ~np.isnan(values)
     middle = 0.5 * (near[0] + near[1])
     t, y = time[chosen] - middle, values[chosen]
@@ -120,28 +120,31 @@ def fit_stop(
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
     misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
-    moves = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
+    time_columns = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
     columns = [np.ones_like(t), *sides]
     stop, start = (
-        _corner(np.column_stack([*columns, *pair]), misfit, np.array([level, end]), middle, len(t))
-        for pair, end in zip((moves[::-1], moves), ends, strict=True)
+        _make_corner(
+            np.column_stack([*columns, *pair]), misfit, np.array([level, end]), middle, len(t)
+        )
+        for pair, end in zip((time_columns[::-1], time_columns), ends, strict=True)
     )
     return stop, start
 
 
-def _corner(
+def _make_corner(
     jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
 ) -> Corner:
+    """Return a corner with errors from the Jacobian by its parameters, time last."""
     variance = estimate_long_run_variance(misfit, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
-    is_bent = np.linalg.cond(information) < 1e12
+    is_determined = np.linalg.cond(information) < 1e12
     inverse = np.linalg.pinv(information) / np.outer(scale, scale)
     errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
     return Corner(
         time=near + float(parameters[-1]),
-        time_error=float(errors[-1]) if is_bent else float("inf"),
+        time_error=float(errors[-1]) if is_determined else float("inf"),
         value=float(parameters[0]),
         value_error=float(errors[0]),
         n=count,
@@ -149,12 +152,12 @@ def _corner(
 
 
 def average_pairs(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
-    """Average consecutive samples; unlike picking samples, this does not alias hum.
+    """Average blocks of consecutive samples; unlike decimation, this does not alias hum.
 
     Parameters
     ----------
     time, values : shape (n,)
-    size : samples per average; below 2 all samples are kept
+    size : samples per block; below 2 the samples are returned unchanged
 
     Returns
     -------

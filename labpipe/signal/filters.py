@@ -1,4 +1,4 @@
-"""Smoothing and thinning of signals that are sampled in time."""
+"""Filters of evenly sampled signals."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from labpipe.records.signals import Filter
 
 
 def compute_window(span: float, count: int) -> int:
-    """Turn the span of MATLAB's ``smooth`` into an odd number of samples.
+    """Convert the span of MATLAB's ``smooth`` to an odd number of samples.
 
     Parameters
     ----------
-    span : below 1 a fraction of `count`, else a number of samples
+    span : a fraction of `count` if below 1, else a number of samples
     count : number of samples in the signal
 
     Returns
@@ -58,7 +58,7 @@ def moving_average(values: Floats, *, window: int) -> Floats:
 
     Returns
     -------
-    Shape (..., n). A new array; no shift in time.
+    Shape (..., n), a new array without a shift in time.
 
     Raises
     ------
@@ -68,9 +68,9 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     Notes
     -----
     The result of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
-    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i). One cumulative sum, so O(n)
-    whatever the window. NaN are ignored; a window without data gives NaN.
-    The first and last (window - 1) / 2 samples are averaged over less than the full window.
+    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i), so the window is smaller at the
+    ends. A cumulative sum makes the time independent of the window. NaN are ignored; a window
+    without data gives NaN.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def _window_sums(total: Floats, window: int) -> Floats:
 
 
 def _divide_by_windows(sums: Floats, window: int) -> Floats:
-    """Turn sums over shrinking windows into means, in place."""
+    """Divide sums over windows that shrink at the ends by their lengths, in place."""
     half, count = window // 2, sums.shape[-1]
     odd = np.arange(1.0, 2 * half, 2)
     sums[..., half : count - half] *= 1.0 / window
@@ -127,18 +127,18 @@ class Smoothing:
 
     Notes
     -----
-    Inside the mean over the window; in the first and last half window the straight line by least
-    squares through the outermost window: the filter of Savitzky and Golay, Anal. Chem. 36 (1964)
-    1627, of degree one, which a spreadsheet computes with AVERAGE and FORECAST. A signal that ends
-    in a corner keeps its height, without the noise of its last sample; the line is clipped to the
-    measured values, so that it does not overshoot a smooth top. NaN are ignored; where a window
-    contains fewer than two samples, the line is replaced by `moving_average`.
+    Inside, the mean over the window; in the first and the last half window, the least-squares line
+    through the outermost window: the filter of Savitzky and Golay, Anal. Chem. 36 (1964) 1627, of
+    degree one, which a spreadsheet computes with AVERAGE and FORECAST. It keeps the height of a
+    corner at the end without the noise of the last sample. The line is clipped to the measured
+    values, so that it does not overshoot a smooth top. NaN are ignored; if the outermost window
+    contains fewer than two samples, `moving_average` replaces the line.
     """
 
     window: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Smooth along the last axis: shape (..., n), a new array, no shift in time."""
+        """Smooth along the last axis: shape (..., n), a new array without a shift in time."""
         count = values.shape[-1]
         window = min(self.window, count - 1 + count % 2)
         if window < 3:
@@ -150,19 +150,19 @@ class Smoothing:
             valid = ~np.isnan(rows)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
-                alike = (valid == pattern).all(axis=1)
-                line = _line_through(rows[alike][:, pattern], number[pattern], number[end])
-                means[alike] = np.where(np.isnan(means[alike]), np.nan, line)
+                matches = (valid == pattern).all(axis=1)
+                line = _fit_line(rows[matches][:, pattern], number[pattern], number[end])
+                means[matches] = np.where(np.isnan(means[matches]), np.nan, line)
             mean[..., end] = means.reshape(mean[..., end].shape)
         return mean
 
     def coarser(self, ratio: float) -> Smoothing:
-        """Return the filter for samples `ratio` times as far apart: the nearest odd window."""
+        """Return the filter for a sampling step `ratio` times as large: the nearest odd window."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
-def _line_through(rows: Floats, number: Floats, places: Floats) -> Floats:
-    """Return a straight line through each row, clipped to its values: shape (rows, at)."""
+def _fit_line(rows: Floats, number: Floats, places: Floats) -> Floats:
+    """Return a straight line through each row, clipped to its values: shape (rows, places)."""
     slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
     lowest, highest = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
     line: Floats = np.clip(level + slope * places, lowest, highest)
@@ -170,13 +170,13 @@ def _line_through(rows: Floats, number: Floats, places: Floats) -> Floats:
 
 
 def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
-    """Filter a signal piece by piece, so that no filter smooths a corner or a loss.
+    """Filter a signal piece by piece, so that no filter smooths a corner or a step.
 
     Parameters
     ----------
     values : shape (..., n)
     cuts : sample numbers at which a new piece begins
-    filters : one after the other
+    filters : applied in order
 
     Returns
     -------
@@ -184,8 +184,8 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     """
     count = values.shape[-1]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
-    for act, stride in filters:
-        pieces = [act(values[..., low:high]) for low, high in pairwise(ends)]
+    for function, stride in filters:
+        pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
         values = np.concatenate(pieces, axis=-1)[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
@@ -197,7 +197,7 @@ class Butterworth:
 
     Parameters
     ----------
-    cutoff : 1/s, where the amplitude has fallen to one half (both runs together)
+    cutoff : 1/s, frequency at which both runs together halve the amplitude
     rate : samples per second
     order : order of one run
 
@@ -212,7 +212,7 @@ class Butterworth:
     order: int
 
     def __call__(self, values: Floats) -> Floats:
-        """Filter along the last axis: shape (..., n), a new array, no shift in time.
+        """Filter along the last axis: shape (..., n), a new array without a shift in time.
 
         Raises
         ------
@@ -234,7 +234,10 @@ class Butterworth:
         return filtered
 
     def coarser(self, ratio: float) -> Butterworth | Smoothing:
-        """Return the filter for samples `ratio` times as far apart; none if they are too far."""
+        """Return the filter for a sampling step `ratio` times as large.
+
+        If the cut-off is then at or above half the sampling rate, it changes nothing.
+        """
         rate = self.rate / ratio
         if self.cutoff >= rate / 2:
             return Smoothing(1)
@@ -242,7 +245,7 @@ class Butterworth:
 
 
 def seconds_to_window(span: float, time: Floats) -> int:
-    """Return the odd number of samples that covers `span` seconds of a clock, at the median step.
+    """Convert a span in seconds to an odd number of samples, by the median step of a clock.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where a signal rests, whether it still moves at its end, and where its level jumps."""
+"""Rests of a motion, motion at the end of a record, and jumps of the level of a signal."""
 
 from __future__ import annotations
 
@@ -11,63 +11,58 @@ from labpipe.signal.turning_points import estimate_noise_level
 
 
 def moves_at_end(time: Floats, values: Floats) -> bool:
-    """Return whether a motion still continues at the last sample of a stretch.
+    """Return whether a motion continues at the last sample of a stretch.
 
     Parameters
     ----------
-    time, values : shape (n,), the samples of the stretch; without NaN
+    time, values : shape (n,), s and any unit, of the stretch, without NaN
 
     Returns
     -------
-    Whether a straight line through the last samples of the stretch (as few as its noise and its
-    resolution allow, at least three, at most a third) runs in the direction of the whole stretch,
-    at half its mean speed or more. False without motion.
+    Whether a straight line through the last samples has the direction of the whole stretch and at
+    least half its mean speed. It uses as few samples as noise and resolution allow, but at least
+    three and at most a third. False without motion.
     """
-    # Share of the mean speed.
-    min_end_speed = 0.5
-    # Share of the mean speed.
-    max_error = 0.15
+    # Shares of the mean speed.
+    min_end_speed, max_error = 0.5, 0.15
     travel = float(values[-1] - values[0])
-    lasts = float(time[-1] - time[0])
-    if len(values) < 3 or travel == 0.0 or not lasts > 0.0:
+    duration = float(time[-1] - time[0])
+    if len(values) < 3 or travel == 0.0 or not duration > 0.0:
         return False
-    speed, steps = abs(travel) / lasts, np.abs(np.diff(values))
+    speed, steps = abs(travel) / duration, np.abs(np.diff(values))
     resolution = float(steps[steps > 1e-9 * abs(travel)].min())
     noise = max(estimate_noise_level(values), resolution / sqrt(12.0))
     time_step, size = median(np.diff(time)), 3
     while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
-    late, high = time[-size:] - time[-size:].mean(), values[-size:]
-    slope = float(late @ high) / float(late @ late)
+    late = time[-size:] - time[-size:].mean()
+    slope = float(late @ values[-size:]) / float(late @ late)
     return slope * float(np.sign(travel)) >= min_end_speed * speed
 
 
 def find_rests(time: Floats, values: Floats, *, size: int, speed: float) -> list[tuple[int, int]]:
-    """Find the rests within or at the ends of a motion in one direction.
+    """Find the rests of a motion in one direction, within it or at its ends.
 
     Parameters
     ----------
-    time, values : shape (n,), s and m, of one stroke and possibly what follows it, without NaN
-    size : samples that are averaged, a small part of a stroke
+    time, values : shape (n,), s and m, of one stroke and possibly the following samples, without
+        NaN
+    size : samples per average, a small part of a stroke
     speed : usual speed, m/s
 
     Returns
     -------
-    First sample of each rest, and the first one after it. Empty where the noise of the means
-    hides a motion at full speed.
+    First sample of each rest, and the first one after it. Empty if the noise of the means is too
+    large to detect a motion at full speed.
 
     Notes
     -----
-    The motion rests where at least three successive steps between means are slower than a
-    twentieth of the usual speed, or than their noise; at least five at the ends, where a round turn
-    is slow as well.
+    In a rest, at least three successive steps between means are slower than a twentieth of the
+    usual speed, or than their noise. At the ends five are required, since a round turn is slow as
+    well.
     """
-    # Share of the usual speed.
     rest_speed_share = 0.05
-    # Steps between means.
-    min_steps = 3
-    # A round turn has fewer slow steps.
-    min_steps_at_turn = 5
+    min_steps, min_steps_at_turn = 3, 5
     noise_factor = 3.0
     count = len(values) // size
     if count <= min_steps_at_turn:
@@ -83,34 +78,33 @@ def find_rests(time: Floats, values: Floats, *, size: int, speed: float) -> list
     )
     if not speed > 3.0 * noise:
         return []
-    find_rests = []
+    rests = []
     for start, stop in find_runs(speeds <= max(rest_speed_share * speed, noise)):
-        inner = start > 0 and stop < len(speeds)
-        if stop - start >= (min_steps if inner else min_steps_at_turn):
-            find_rests.append((start * size, (stop + 1) * size))
-    return find_rests
+        is_inner = start > 0 and stop < len(speeds)
+        if stop - start >= (min_steps if is_inner else min_steps_at_turn):
+            rests.append((start * size, (stop + 1) * size))
+    return rests
 
 
 def count_rest_samples(values: Floats) -> int:
-    """Count the samples of a stretch before it begins to move.
+    """Count the samples of a stretch before its motion begins.
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN, from the end at which it may be at rest
+    values : shape (n,), evenly sampled, without NaN, beginning at the end that may be at rest
 
     Returns
     -------
-    Samples before the corner between a level and a straight line; 0 where one straight line fits
-    as well, as for a stretch that is all rest or all motion.
+    Samples before the corner between a level and a straight line; 0 if one straight line fits as
+    well, as for a stretch of only rest or only motion.
 
     Notes
     -----
-    Least squares over all corners. The corner counts if it reduces the sum of squares by more than
-    25 variances of the residuals and by more than half, as noise may be autocorrelated.
+    Least squares over up to 200 corners. The corner counts if it reduces the sum of squares about
+    one line by more than 25 variances of the residuals and by more than half, since noise may be
+    autocorrelated.
     """
-    # Places at which a corner is tried.
     max_corners = 200
-    # By which a corner must reduce the sum of squares about a line: in variances, and as a share.
     min_variances, min_share = 25.0, 0.5
     count = len(values)
     if count < 5:
@@ -131,28 +125,25 @@ def count_rest_samples(values: Floats) -> int:
 
 
 def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
-    """Find single steps that are far larger than those before and after them.
+    """Find steps that are far larger than the steps before and after them.
 
     Parameters
     ----------
-    time, values : shape (n,), s (or numbers of rows) and any unit; NaN are ignored, and a change
-        across a gap at the usual speed is no jump
+    time, values : shape (n,), s (or row numbers) and any unit; NaN are ignored, and a change across
+        a gap at the usual speed is no jump
 
     Returns
     -------
     First sample after each jump, and its size in the unit of `values`, in order. None within three
-    samples of the ends, nor where the signal returns within three samples.
+    samples of the ends, nor if the signal returns within three samples.
 
     Notes
     -----
-    A corner also changes the steps after it, so it is no jump; the loss of force at a failure is
-    one, which the caller has to exclude.
+    A corner also changes the later steps, so it is no jump. The loss of force at a failure is a
+    jump; the caller has to exclude it.
     """
-    # Times the fastest of the neighbouring steps.
-    jump_speed_factor = 5.0
-    # Share of the range.
-    min_jump_share = 0.02
-    jump_noise_factor = 8.0
+    # Multiple of the fastest neighbouring step; share of the range; multiple of the noise.
+    jump_speed_factor, min_jump_share, jump_noise_factor = 5.0, 0.02, 8.0
     neighbours = 3  # steps on each side that a jump is compared with
     valid = np.flatnonzero(~np.isnan(values))
     v = values[valid]
@@ -161,12 +152,12 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     steps = np.diff(v)
     speeds = np.abs(steps) / np.diff(time[valid])
     least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * estimate_noise_level(v))
-    find_level_jumps = []
+    jumps = []
     for sample in np.flatnonzero(np.abs(steps) > least).tolist():
         before = speeds[max(sample - neighbours, 0) : sample]
         after = speeds[sample + 1 : sample + 1 + neighbours]
         if min(len(before), len(after)) < neighbours:
             continue
         if speeds[sample] > jump_speed_factor * float(np.concatenate([before, after]).max()):
-            find_level_jumps.append((int(valid[sample + 1]), float(steps[sample])))
-    return tuple(find_level_jumps)
+            jumps.append((int(valid[sample + 1]), float(steps[sample])))
+    return tuple(jumps)

@@ -1,4 +1,4 @@
-"""Turning points of a signal: strokes of a motion, and first guesses of where a force turns."""
+"""Strokes of a motion between its turning points, and first guesses of the turns of a force."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints, median
 from labpipe.records.curve import AT_REST, Branch, Direction
 
-_BLOCKS = 20
-"""Averages per width: fine enough for a first guess, coarse enough to reduce noise."""
+_BLOCKS_PER_WIDTH = 20
+"""Fine enough for a first guess, coarse enough to reduce noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Stroke:
     Parameters
     ----------
     start, stop : first and last sample of the stretch
-    sign : +1 where the motion grows, -1 where it falls
+    sign : +1 for a rising motion, -1 for a falling one
     """
 
     start: int
@@ -31,7 +31,7 @@ class Stroke:
 
 
 def goes_down(values: Floats) -> bool:
-    """Return whether a signal that leaves its level and returns does so downwards.
+    """Return whether a signal leaves its level downwards and returns.
 
     Parameters
     ----------
@@ -39,9 +39,9 @@ def goes_down(values: Floats) -> bool:
 
     Returns
     -------
-    Whether it lies further below the lower one of its two ends (a hundredth of it each) than above
-    the higher one, by at least five standard deviations of its noise. So a record that begins or
-    ends halfway up does not go down. False without any value.
+    Whether its minimum is farther below the lower one of its two ends than its maximum is above the
+    higher one, by more than five standard deviations of the noise. An end is the mean of a
+    hundredth of the samples. False without any value.
     """
     valid = values[~np.isnan(values)]
     if not len(valid):
@@ -49,7 +49,7 @@ def goes_down(values: Floats) -> bool:
     size = max(1, len(valid) // 100)
     ends = float(valid[:size].mean()), float(valid[-size:].mean())
     up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # slow, so computed last
+    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # the noise is slow
 
 
 def estimate_noise_level(values: Floats) -> float:
@@ -74,7 +74,7 @@ def estimate_noise_level(values: Floats) -> float:
 
 
 def convert_to_noise(second: float) -> float:
-    """Return the standard deviation of white noise from its median absolute second difference.
+    """Convert a median absolute second difference to the standard deviation of white noise.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ----------
     time : shape (n,), s, increasing
     motion : shape (n,), m
-    min_stroke : m; smaller motions are noise or part of a longer stroke
+    min_stroke : m; smaller reversals are noise or part of a stroke
 
     Returns
     -------
-    The strokes in order. Neighbours share their turning sample, unless the motion dwells there:
-    then the dwell belongs to neither. Empty if the motion is smaller than `min_stroke`.
+    The strokes in order. Neighbours share their turning sample; a dwell at the turn belongs to
+    neither. Empty for a motion smaller than `min_stroke`, or for fewer than three samples.
 
     Raises
     ------
@@ -104,10 +104,10 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
     Notes
     -----
-    Extremes are found with hysteresis: a new one counts once the motion has come back from it by
-    `min_stroke`. A dwell differs from a smooth reversal by the time t1 spent within a tolerance of
-    the extreme, on both sides together, and t4 within four times that: a corner has t4 = 4 t1, a
-    parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
+    Extremes are found with hysteresis: an extreme counts if the motion returns from it by
+    `min_stroke`. A dwell differs from a smooth reversal by the times t1 and t4 within a tolerance
+    of the extreme, and within four times that tolerance, on both sides together: a corner has
+    t4 = 4 t1, a parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
     """
     if not min_stroke > 0:
         message = f"min_stroke={min_stroke}: expected a positive length"
@@ -121,16 +121,16 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     if not extremes:
         return ()
     tolerance = 5.0 * estimate_noise_level(motion)
-    stays = [
+    neighbourhoods = [
         (
-            _stay(time, motion, (turn, before), tolerance),
-            _stay(time, motion, (turn, after), tolerance),
+            _measure_extreme(time, motion, (turn, before), tolerance),
+            _measure_extreme(time, motion, (turn, after), tolerance),
         )
         for before, turn, after in zip(
             [None, *extremes[:-1]], extremes, [*extremes[1:], None], strict=True
         )
     ]
-    dwells = [_dwell(*stay) for stay in stays]
+    dwells = [_dwell_times(*sides) for sides in neighbourhoods]
     return tuple(
         _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
         for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
@@ -160,10 +160,9 @@ def _extremes(motion: Floats, min_stroke: float) -> list[int]:
 def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
     """Return the next maximum, and the sample at which the values have returned from it, if any.
 
-    Searched in stretches of doubling length, so that the time grows linearly with the record.
+    Stretches of doubling length keep the search linear in the length of the record.
     """
-    first_length = 1024
-    length = first_length
+    length = 1024
     while True:
         ahead = values[start : start + length]
         back = np.maximum.accumulate(ahead) - ahead >= min_stroke
@@ -181,21 +180,21 @@ def _trim_dwells(
     """Cut the dwell from both ends of the stretch between two extremes."""
     first, last = extremes
     sign = 1 if motion[last] > motion[first] else -1
-    hair = 1e-6 * float(time[last] - time[first]) / (last - first)  # rounding of times
-    begin = int(np.searchsorted(time, time[first] + dwells[0] - hair))
-    end = int(np.searchsorted(time, time[last] - dwells[1] - hair))
+    rounding = 1e-6 * float(time[last] - time[first]) / (last - first)
+    begin = int(np.searchsorted(time, time[first] + dwells[0] - rounding))
+    end = int(np.searchsorted(time, time[last] - dwells[1] - rounding))
     if begin >= end:  # a stroke within noise: its dwells are unknown
         begin, end = first, last
     return Stroke(begin, end, sign)
 
 
 @dataclass(frozen=True, slots=True)
-class _Dwell:
-    """Time that a motion spends near an extreme, on one side of it.
+class _ExtremeSide:
+    """Times of a motion near an extreme, on one side of it.
 
     Parameters
     ----------
-    near, wide : s, within a tolerance of it, and within four times that
+    near, wide : s, within a tolerance of the extreme, and within four times that tolerance
     shortest : s, shortest dwell that differs from a corner
     """
 
@@ -209,10 +208,10 @@ class _Dwell:
         return max(0.0, (4.0 * self.near - self.wide) / 3.0)
 
 
-def _stay(
+def _measure_extreme(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
-) -> _Dwell | None:
-    """Return the time near an extreme, on the side of the next one; None at an end."""
+) -> _ExtremeSide | None:
+    """Return the times near an extreme on the side of another one; None at an end."""
     turn, other = ends
     if other is None:
         return None
@@ -222,19 +221,19 @@ def _stay(
     near, wide = (
         float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
     )
-    return _Dwell(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - turn)))
+    return _ExtremeSide(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - turn)))
 
 
-def _dwell(before: _Dwell | None, after: _Dwell | None) -> tuple[float, float]:
-    """Return the dwell in s before and after an extreme, whose place within a dwell is random.
+def _dwell_times(before: _ExtremeSide | None, after: _ExtremeSide | None) -> tuple[float, float]:
+    """Return the dwell in s before and after an extreme, which may be anywhere in the dwell.
 
-    The ends of the movement have one side only, and a rest there is not part of the stroke.
+    An end of the motion has one side only: any rest there is a dwell.
     """
     sides = [side for side in (before, after) if side is not None]
     near, wide = sum(side.near for side in sides), sum(side.wide for side in sides)
     shortest = min(side.shortest for side in sides)
-    dwells = 2.0 * near - wide > (shortest if len(sides) > 1 else 0.0)
-    if not dwells or (len(sides) > 1 and not wide < 1.5 * near):
+    is_dwell = 2.0 * near - wide > (shortest if len(sides) > 1 else 0.0)
+    if not is_dwell or (len(sides) > 1 and not wide < 1.5 * near):
         return 0.0, 0.0
     return 0.0 if before is None else before.dwell, 0.0 if after is None else after.dwell
 
@@ -245,19 +244,19 @@ def split_branches(
     *,
     turning_times: Floats | None = None,
 ) -> tuple[Branch, ...]:
-    """Turn strokes into the loading and unloading branches of cycles.
+    """Convert strokes to the loading and unloading branches of cycles.
 
     Parameters
     ----------
     time : shape (n,), s
     strokes : in order of travel
-    turning_times : shape (strokes, 2), s, start and stop of each stroke where they are known
-        to better than one sample; NaN elsewhere
+    turning_times : shape (strokes, 2), s, start and stop of each stroke if they are known between
+        samples; else NaN
 
     Returns
     -------
-    One branch per stroke. The direction of the first stroke is loading; a cycle is a loading
-    branch with the unloading branch after it.
+    One branch per stroke. The direction of the first stroke is loading; a cycle is a loading branch
+    and the next unloading branch.
     """
     branches = []
     for number, stroke in enumerate(strokes):
@@ -265,13 +264,13 @@ def split_branches(
         if turning_times is not None:
             finer = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
             ends = [float(end) for end in finer]
-        loading = stroke.sign == strokes[0].sign
+        is_loading = stroke.sign == strokes[0].sign
         branches.append(
             Branch(
                 start=stroke.start,
                 stop=stroke.stop + (number == len(strokes) - 1),
                 cycle=number // 2 + 1,
-                direction=Direction.LOADING if loading else Direction.UNLOADING,
+                direction=Direction.LOADING if is_loading else Direction.UNLOADING,
                 start_time=ends[0],
                 stop_time=ends[1],
             )
@@ -301,27 +300,27 @@ def number_branches(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Int
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
-    """Find where the slope of a signal drops most.
+    """Find the time at which the slope of a signal drops most.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; NaN are left out
-    width : s, on each side, over which the slopes before and after are taken
+    time, values : shape (n,), s and any unit; NaN are ignored
+    width : s, on each side, over which the slopes before and after are computed
 
     Returns
     -------
-    s; None where the record is shorter than two widths, or never rises and then falls.
+    s; None if the record is shorter than two widths, or if it does not rise and then fall.
 
     Notes
     -----
-    The largest difference of the mean slopes over `width` before and after, above 0.3 of the range
-    of levels: a record that ends under load has no turn. The largest value is not used: a bundle in
-    large deflection can have its largest force before the motion turns. A range below ten standard
-    deviations of the noise of the averages contains no turn.
+    The largest difference of the mean slopes over `width` before and after a time, at a level above
+    0.3 of the range. The largest value is not used, since the largest force of a bundle in large
+    deflection can be before the turn of the motion. A range below ten standard deviations of the
+    noise of the averages contains no turn.
     """
-    # The extremes of a thousand values of white noise are seven standard deviations apart.
+    # The range of a thousand values of white noise is seven standard deviations.
     range_noise_factor = 10.0
-    # Share of the range of the levels: falls below are noise, or first contact of the load frame.
+    # Share of the range: lower falls are noise, or the first contact of the load frame.
     min_height_share = 0.3
     levels = _block_levels(time, values, width)
     if levels is None:
@@ -329,37 +328,36 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
     middles, level = levels
     if np.ptp(level) < range_noise_factor * estimate_noise_level(level):
         return None
-    bend, after = _slope_drops(level)
-    inner = level[_BLOCKS:-_BLOCKS] - level.min()
-    drop = np.where((after < 0.0) & (inner > min_height_share * np.ptp(level)), bend, 0.0)
+    drops, after = _slope_drops(level)
+    inner = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level.min()
+    drop = np.where((after < 0.0) & (inner > min_height_share * np.ptp(level)), drops, 0.0)
     best = int(np.argmax(drop))
-    return float(middles[best + _BLOCKS]) if drop[best] > 0.0 else None
+    return float(middles[best + _BLOCKS_PER_WIDTH]) if drop[best] > 0.0 else None
 
 
 def find_turn_near(
     time: Floats, values: Floats, *, near: float, reach: float, width: float, dwell: float
 ) -> float | None:
-    """Find roughly where a signal stops rising, before it falls after a known dwell.
+    """Find approximately when a signal stops rising before a known dwell.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; NaN are left out
     near : s, middle of the searched range
-    reach : s on each side of it; both corners are within
-    width : s, on each side of a corner, over which the slopes before and after are taken
+    reach : s, half-width of the searched range
+    width : s, on each side of a corner, over which the slopes before and after are computed
     dwell : s, between the corners; 0 for a signal without dwell
 
     Returns
     -------
-    s, of the first corner; None where the record does not reach as far.
+    s, of the first corner; None if the record in the range is too short.
 
     Notes
     -----
-    The place with the largest sum of the drops of slope at both corners. One corner alone could be
-    mistaken for the other: the slope drops more at a steep fall than at the end of a rise. With a
-    dwell, slopes are taken over no more than that, or 0.3 of the width.
+    The time with the largest sum of the drops of slope at both corners. One corner alone could be
+    mistaken for the other, since the slope drops more at a steep fall than at the end of a rise.
+    Slopes are computed over at most the dwell, but at least 0.3 of the width.
     """
-    # Share of the width.
     min_width_share = 0.3
     width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
     inside = slice(*np.searchsorted(time, [near - reach - width, near + reach + width]))
@@ -367,27 +365,27 @@ def find_turn_near(
     if levels is None:
         return None
     middles, level = levels
-    places, (bend, _) = middles[_BLOCKS:-_BLOCKS], _slope_drops(level)
-    both = bend + np.interp(places + dwell, places, bend, right=-np.inf)
-    return float(places[int(np.argmax(both))]) if np.isfinite(both).any() else None
+    times, (drops, _) = middles[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH], _slope_drops(level)
+    sums = drops + np.interp(times + dwell, times, drops, right=-np.inf)
+    return float(times[int(np.argmax(sums))]) if np.isfinite(sums).any() else None
 
 
 def _block_levels(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats] | None:
-    """Return means over twentieths of a width and their times; None for less than two widths."""
+    """Return times and means of twentieths of a width; None for less than two widths."""
     valid = ~np.isnan(values)
-    edges = np.arange(time[0], time[-1], width / _BLOCKS) if valid.any() else np.zeros(0)
-    if len(edges) < 2 * _BLOCKS + 2:
+    edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
+    if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
         return None
-    place = np.searchsorted(edges, time[valid], side="right") - 1
-    count = np.bincount(place, minlength=len(edges)).astype(np.float64)
+    block = np.searchsorted(edges, time[valid], side="right") - 1
+    count = np.bincount(block, minlength=len(edges)).astype(np.float64)
     filled = count > 0
-    total = np.bincount(place, values[valid], minlength=len(edges))
-    middles = edges + 0.5 * width / _BLOCKS
+    total = np.bincount(block, values[valid], minlength=len(edges))
+    middles = edges + 0.5 * width / _BLOCKS_PER_WIDTH
     return middles, np.interp(middles, middles[filled], total[filled] / count[filled])
 
 
 def _slope_drops(level: Floats) -> tuple[Floats, Floats]:
     """Return the drop of the mean slope at each inner level, and the rise after it."""
-    before = level[_BLOCKS:-_BLOCKS] - level[: -2 * _BLOCKS]
-    after = level[2 * _BLOCKS :] - level[_BLOCKS:-_BLOCKS]
+    before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
+    after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
     return before - after, after

@@ -14,10 +14,10 @@ import pytest
 from labpipe.api.data_frames import (
     Recordings,
     Units,
-    budget_frame,
-    curve_frame,
-    results_frame,
-    shape_frame,
+    make_budget_frame,
+    make_curve_frame,
+    make_results_frame,
+    make_shape_frame,
 )
 from labpipe.api.many_tests import LeftOutWarning, groups, table
 from labpipe.errors import UsageError
@@ -82,7 +82,7 @@ def test_a_row_per_test_and_result(campaign: Path) -> None:
     assert pd.isna(taped["date"])
 
 
-def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
+def test_fields_of_by_come_first_and_sort_the_rows(campaign: Path) -> None:
     assert list(table(campaign, by="taping"))[:2] == ["test", "taping"]
     frame = table(campaign, by=["length", "type"])
     assert list(frame)[:3] == ["test", "length", "type"]
@@ -105,7 +105,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_summary_is_left_out_and_said(name: str, campaign: Path) -> None:
+def test_damaged_summary_is_left_out_with_warning(name: str, campaign: Path) -> None:
     content, found = DAMAGED[name]
     bad = put(campaign, replace(MADE, test="bad"))
     bad.write_text(content, encoding="utf-8")
@@ -171,10 +171,10 @@ def kinds(frame: pd.DataFrame) -> dict[str, str]:
 
 
 def test_values_of_results(result: TestResult) -> None:
-    frame = results_frame(result.results, SI)
+    frame = make_results_frame(result.results, SI)
     texts = dict.fromkeys(("unit", "status", "code", "reason"), "str")
     assert kinds(frame) == dict.fromkeys(NUMBERS, "float64") | texts
-    assert kinds(results_frame((), SI)) == kinds(frame)
+    assert kinds(make_results_frame((), SI)) == kinds(frame)
     assert (frame.index.name, str(frame.index.dtype), len(frame)) == ("name", "str", 3)
     assert list(frame.loc["peak_force.1"]) == [0.62, 0.6, 0.59, 0.61, "N", "ok", "", ""]
     failed = frame.loc["initial_stiffness"]
@@ -184,40 +184,40 @@ def test_values_of_results(result: TestResult) -> None:
     assert frame.loc["residual_displacement.1", "estimate"] == 0.0031
 
 
-def test_results_as_they_are_shown() -> None:
+def test_results_in_display_units() -> None:
     results = [
         Result("energy.1", 0.02, "J", Interval(0.01, 0.03), estimate=0.021),
         Result("clock_drift", 5e-5, "1"),
         Result("twist", 0.1, "rad"),
     ]
-    frame = results_frame(results, SHOWN)
+    frame = make_results_frame(results, SHOWN)
     assert frame["unit"].tolist() == ["mJ", "ppm", "rad"]
     np.testing.assert_allclose(frame["value"], [20.0, 50.0, 0.1])
     np.testing.assert_allclose(frame.loc["energy.1", ["estimate", "lower", "upper"]], [21, 10, 30])
 
 
 def test_budgets(result: TestResult) -> None:
-    frame = budget_frame(result.results[0], SHOWN)
+    frame = make_budget_frame(result.results[0], SHOWN)
     assert kinds(frame) == {"change": "float64", "share": "float64", "is_common": "bool"}
     assert frame.index.tolist() == ["noise", "scale of the force"]
     np.testing.assert_allclose(frame["change"], [3.0, -4.0])
     np.testing.assert_allclose(frame["share"], [0.36, 0.64])
     assert frame["is_common"].tolist() == [False, True]
     assert frame.attrs["units"] == {"change": "mN", "share": "1"}
-    none = budget_frame(result.results[2], SI)
+    none = make_budget_frame(result.results[2], SI)
     assert (len(none), kinds(none), none.index.name) == (0, kinds(frame), "cause")
 
 
 def test_curves(result: TestResult) -> None:
     curve = result.curve
     assert curve is not None
-    frame = curve_frame(curve, SI)
+    frame = make_curve_frame(curve, SI)
     numbers = dict.fromkeys(("time", "displacement", "force"), "float64")
     assert kinds(frame) == numbers | {"branch": "int64", "cycle": "int64"}
     assert frame.attrs["units"] == {"time": "s", "displacement": "m", "force": "N"}
     for name in frame.columns:
         np.testing.assert_array_equal(frame[name], getattr(curve, str(name)))
-    shown = curve_frame(replace(curve, time_unit="1"), SHOWN)
+    shown = make_curve_frame(replace(curve, time_unit="1"), SHOWN)
     assert shown.attrs["units"] == {"time": "1", "displacement": "mm", "force": "mN"}
     np.testing.assert_allclose(shown["displacement"], 1e3 * curve.displacement)
 
@@ -225,12 +225,12 @@ def test_curves(result: TestResult) -> None:
 def test_shapes(result: TestResult) -> None:
     shape = result.shape
     assert shape is not None
-    frame = shape_frame(shape, SI)
+    frame = make_shape_frame(shape, SI)
     assert frame.columns.names == ["point", "axis"]
     np.testing.assert_array_equal(frame["pull"]["y"], shape.positions[:, -1, 1])
     np.testing.assert_array_equal(frame.index, shape.time)
     assert frame.attrs["units"] == {"time": "s", "position": "m"}
-    shown = shape_frame(shape, SHOWN)
+    shown = make_shape_frame(shape, SHOWN)
     np.testing.assert_allclose(shown["pull"]["x"], 1e3 * shape.positions[:, -1, 0])
     assert shown.attrs["units"]["position"] == "mm"
 
@@ -260,7 +260,7 @@ def test_recordings_have_a_table_for_each_clock_and_body(result: TestResult) -> 
     assert repr(raw) == f"<labpipe recordings: {', '.join(names)}>"
 
 
-def test_a_recording_that_is_not_there(result: TestResult) -> None:
+def test_unknown_recording_is_refused(result: TestResult) -> None:
     with pytest.raises(UsageError, match=r"raw: expected one of .*markers, .*found 'marker'\. `li"):
         Recordings(result.recordings)["marker"]
     with pytest.raises(UsageError, match=r"raw: expected recordings, found none\. Process the"):

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.campaign.grouping import find_differences, group_names, key_of, sort_keys
+from labpipe.campaign.grouping import find_differences, find_group_key, name_groups, sort_groups
 from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
@@ -84,24 +84,22 @@ def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
     fields = by or (TYPE,)
     members: dict[object, list[Sample]] = {}
     for sample in samples:
-        members.setdefault(key_of(sample, fields), []).append(sample)
-    keys = sort_keys(dict.fromkeys(key_of(sample, fields) for sample in samples), fields)
-    names = group_names(keys, fields)
+        members.setdefault(find_group_key(sample, fields), []).append(sample)
+    keys = sort_groups(dict.fromkeys(find_group_key(sample, fields) for sample in samples), fields)
+    names = name_groups(keys, fields)
     return [build_group(name, PROTOCOL, members[key], scaled=True) for key, name in names.items()]
 
 
 def bundle_campaign(samples: Sequence[Sample], *by: str, alone: str = "") -> Campaign:
     """A campaign with its differences."""
     groups = grouped(samples, *by)
-    wishes = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
-    settings: dict[str, dict[str, str]] = {sample.source: {} for sample in samples}
-    differences = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
-    campaign = Campaign(
-        "Synthetic bundles", tuple(groups), differences.listed, labpipe_version="0.0"
+    group_settings = {PROTOCOL: Groups(main=MAIN, margin=0.1)}
+    settings: dict[str, dict[str, str]] = {sample.test: {} for sample in samples}
+    differences, n_hidden = find_differences(
+        groups, group_settings, settings, by=by or (TYPE,), alone=alone
     )
-    return replace(
-        campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=differences.pairs_not_shown
-    )
+    campaign = Campaign("Synthetic bundles", tuple(groups), differences, labpipe_version="0.0")
+    return replace(campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=n_hidden)
 
 
 def conduit_cases() -> list[Sample]:

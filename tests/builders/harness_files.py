@@ -99,17 +99,19 @@ class Followed(NamedTuple):
 
 
 @cache
-def followed(text: str) -> Followed:
+def followed(text: str, **inputs: float) -> Followed:
     """Follow the line of a harness YAML at the best of its inputs, once for each text.
 
     Parameters
     ----------
     text : of the file
+    inputs : others than the best ones, such as an `isotropic_share`
     """
     with TemporaryDirectory() as folder:
         file = written(Path(folder), text)
         harness = load_harness(file)
         material = material_of(harness, file)
-    prepared = prepare_line(harness, material.sections[0](material.best), material.best)
+    best = {**material.best, **inputs}
+    prepared = prepare_line(harness, material.sections[0](best), best)
     path = follow(prepared.line, prepared.boundaries, steps=harness.steps)
     return Followed(harness, material, prepared, path)

@@ -11,10 +11,11 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import open_catalog
-from labpipe.campaign.executors import Outcome, Task
+from labpipe.campaign.executors import Outcome
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
-from labpipe.protocol.load import dump_protocol, known_protocols, load_test_sheet, resolve
+from labpipe.process.run import Task
+from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve
 
 SHEET = """\
 test: {name}
@@ -56,7 +57,7 @@ def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
         load_test_sheet(task.sheet)
     except LabpipeError as error:
         outcome = ["fail", error.code]
-    if outcome[0] != "fail" and load_test_sheet(task.sheet).protocol not in known_protocols():
+    if outcome[0] != "fail" and load_test_sheet(task.sheet).protocol not in list_protocols():
         outcome = ["fail", "bad_sheet"]
     if outcome[0] == "fail":
         failure = {"code": outcome[1], "reason": f"a {outcome[1]} of an export", "run": task.run}
@@ -85,7 +86,7 @@ def _resolved(name: str, text: str, task: Task) -> str:
 
 def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, object]:
     sheet = load_test_sheet(task.sheet)
-    protocol = _resolved(sheet.protocol, known_protocols()[sheet.protocol].read_text("utf-8"), task)
+    protocol = _resolved(sheet.protocol, list_protocols()[sheet.protocol].read_text("utf-8"), task)
     export = (task.sheet.parent / "frame.csv").read_bytes()
     texts = {"sheet": task.sheet.read_text(encoding="utf-8"), "protocol": protocol}
     reasons = [{"code": "noisy", "message": "much noise"}] if doubts else []

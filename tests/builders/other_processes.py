@@ -53,8 +53,8 @@ class Spoiled(Task):
     __slots__ = ()
 
     def __getattribute__(self, name: str) -> Any:
-        """End where `attempt` asks for a field, and not where a task is handed on."""
-        if name == "figures" and sys._getframe(1).f_code.co_name == "attempt":
+        """End where `process` asks for a field, and not where a task is handed on."""
+        if name == "figures" and sys._getframe(1).f_code.co_name == "process":
             _end_as_said(self.sheet.parent / "end")
         return super().__getattribute__(name)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.process.story import ReductionOfTest, reduce_recordings
+from labpipe.process.story import Reduction, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
@@ -59,7 +59,7 @@ def reduction(
     scale: str = "0 %",
     more: str = "",
     tested: date | None = None,
-) -> ReductionOfTest:
+) -> Reduction:
     """What a pull sampled at 10 Hz comes to, or its rows without times; more keys of the force."""
     listed = "".join(f"  - {{result: {result}}}\n" for result in results)
     text = (

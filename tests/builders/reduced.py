@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.process.story import ReductionOfTest, reduce_recordings
+from labpipe.process.story import Reduction, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
@@ -55,7 +55,7 @@ def loop(*, cycles: int = 2, noise: float = 0.0) -> tuple[Floats, Floats, Floats
     return time, path + random.normal(0.0, 1e-3 * noise, len(time)), force
 
 
-def recording_of(time: Floats, displacement: Floats, force: Floats) -> Recording:
+def identify_recording(time: Floats, displacement: Floats, force: Floats) -> Recording:
     """An export of the protocol: displacement and force on one clock."""
     channels = (
         Channel("force", "A", force, unit="V"),
@@ -71,9 +71,9 @@ def reduction(
     *,
     more: str = RESULTS,
     replaced: tuple[str, str] = ("", ""),
-) -> ReductionOfTest:
+) -> Reduction:
     """What a test comes to; `more` and what is `replaced` make the protocol."""
-    recording = recording_of(time, displacement, force)
+    recording = identify_recording(time, displacement, force)
     text = PROTOCOL.replace(*replaced) if replaced[0] else PROTOCOL
     protocol = parse_protocol(text + more, "p.yaml")
     return reduce_recordings({"force": recording}, protocol)

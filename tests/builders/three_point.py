@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.overrides import without_absent
+from labpipe.protocol.overrides import remove_absent_sources
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result
@@ -183,6 +183,6 @@ def reduced(
     made = recordings(record)
     for role in without:
         del made[role]
-    protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
+    protocol = remove_absent_sources(parse_protocol(text, "conduit-bundle.yaml"), made)
     done = reduce_recordings(made, protocol)
     return done.reduced_test, {result.name: result for result in done.results}

@@ -32,7 +32,7 @@ from labpipe.campaign.catalog import (
     new_claim,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_rows import OK, STALE, Entry, ResultRow, Seen, TestRow
+from labpipe.campaign.catalog_rows import OK, STALE, Entry, FileState, ResultRow, TestRow
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
@@ -40,7 +40,10 @@ from tests.builders.kept_campaigns import KeptCampaign, content_of
 
 RESULT = ResultRow("peak", 1.5, "N", 1.0, 2.0, 0.95, None, "ok", "", "")
 ENTRY = Entry(
-    TestRow("T1", test="T1", state=OK, run="r"), Seen("{}", "m"), (("force", "a", "1"),), (RESULT,)
+    TestRow("T1", test="T1", state=OK, run="r"),
+    FileState("{}", "m"),
+    (("force", "a", "1"),),
+    (RESULT,),
 )
 
 
@@ -51,28 +54,28 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     made.close()
 
 
-def test_what_is_put_comes_back_unless_another_process_knows_better(catalog: Catalog) -> None:
+def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     """And of several changes none is kept where one fails."""
     catalog.put([ENTRY])
-    assert catalog.rows() == catalog.rows("T1") == {"T1": ENTRY.row}
-    assert (catalog.rows("T2"), catalog.seen("T2")) == ({}, {})
-    assert catalog.results_of("T1") == (RESULT,)
-    assert catalog.inputs_of("T1") == (("force", "a", "1"),)
-    before = catalog.seen()
-    assert before == {"T1": ENTRY.seen}
-    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), seen=Seen("{}", "newer"))
+    assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
+    assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
+    assert catalog.read_results("T1") == (RESULT,)
+    assert catalog.read_inputs("T1") == (("force", "a", "1"),)
+    before = catalog.read_file_states()
+    assert before == {"T1": ENTRY.file_state}
+    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), file_state=FileState("{}", "newer"))
     catalog.put([newer])
     catalog.put([replace(ENTRY, row=replace(ENTRY.row, state=STALE))], before)
     bad = replace(ENTRY, row=replace(ENTRY.row, folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
         catalog.put([ENTRY, bad])
-    assert catalog.rows() == {"T1": newer.row}
+    assert catalog.read_rows() == {"T1": newer.row}
 
 
 def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatch) -> None:
     assert catalog.claim("T1")
     assert not catalog.claim("T1")
-    assert set(catalog.claims()) == {"T1"}
+    assert set(catalog.read_claims()) == {"T1"}
     catalog.release("T1")
     assert catalog.claim("T1")
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
@@ -82,19 +85,21 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("said", "remedy"),
+    ("code", "remedy"),
     [
-        ("database is locked", "Another labpipe is writing"),
-        ("attempt to write a readonly database", "Check the disk"),
-        ("database disk image is malformed", "`labpipe campaign rebuild` rebuilds it"),
+        (sqlite3.SQLITE_BUSY, "Another labpipe is writing"),
+        (sqlite3.SQLITE_READONLY, "Check the disk"),
+        (sqlite3.SQLITE_CORRUPT, "`labpipe campaign rebuild` rebuilds it"),
     ],
 )
-def test_what_sqlite_says_is_said_with_what_to_do(said: str, remedy: str) -> None:
+def test_sqlite_errors_name_a_remedy(code: int, remedy: str) -> None:
+    error = sqlite3.OperationalError("a message")
+    error.sqlite_errorcode = code
     with (
-        pytest.raises(StoreError, match=f"found {said}. {remedy}"),
+        pytest.raises(StoreError, match=f"found a message. {remedy}"),
         sqlite_errors(Path("c.sqlite")),
     ):
-        raise sqlite3.OperationalError(said)
+        raise error
 
 
 @pytest.fixture
@@ -106,9 +111,7 @@ def kept(tmp_path: Path) -> KeptCampaign:
 
 
 @pytest.mark.parametrize("length", [None, 0, 100, 9000])
-def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
-    kept: KeptCampaign, length: int | None
-) -> None:
+def test_damaged_or_missing_catalog_is_rebuilt(kept: KeptCampaign, length: int | None) -> None:
     before = content_of(kept)
     path = kept.processed / "catalog.sqlite"
     if length is None:
@@ -132,7 +135,7 @@ def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
         ("pragma application_id = 7", "found a database of another program. Move it away"),
     ],
 )
-def test_a_data_base_of_another_program_is_refused(
+def test_foreign_and_newer_catalogs_are_refused(
     kept: KeptCampaign, statement: str, message: str
 ) -> None:
     with closing(sqlite3.connect(kept.processed / "catalog.sqlite")) as connection:
@@ -165,14 +168,14 @@ def campaign(tmp_path: Path) -> CampaignFolders:
         ("raw/T1", r"a campaign, found the folder of a single test\. Put each"),
     ],
 )
-def test_folders_that_are_no_campaign(tmp_path: Path, place: str, message: str) -> None:
+def test_other_folders_are_refused(tmp_path: Path, place: str, message: str) -> None:
     KeptCampaign(tmp_path).add("../T1")
     (tmp_path / "file").write_text("", "utf-8")
     with pytest.raises(UsageError, match=message):
         find_campaign(tmp_path / place)
 
 
-def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) -> None:
+def test_list_raw_skips_hidden_folders_and_links(campaign: CampaignFolders) -> None:
     (campaign.raw / "linked").symlink_to(campaign.raw / "T1")
     (campaign.raw / "figures" / "test.yaml").unlink()
     (campaign.raw / "figures" / "test.yaml").symlink_to("nowhere")
@@ -184,24 +187,24 @@ def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) ->
     assert {name.partition("/")[0] for name in listing.files} == {
         *("T1", "figures", "linked", "more", "notes.txt")
     }
-    assert listing.refused == [
+    assert listing.problems == [
         f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a broken link."
         " Put the test sheet there."
     ]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
+def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
     Path(os.fsdecode(os.fsencode(campaign.raw) + b"/\xff")).mkdir()
     found = list_raw(campaign)
-    assert len(found.refused) == 1
-    assert found.refused[0].endswith(
+    assert len(found.problems) == 1
+    assert found.problems[0].endswith(
         "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it is left out."
     )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
-def test_a_process_that_ended_does_not_hold_its_claim() -> None:
+def test_claim_ends_with_its_process() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
     claim = replace(new_claim(), pid=ended.pid, process="")
@@ -212,7 +215,7 @@ def test_a_process_that_ended_does_not_hold_its_claim() -> None:
     assert not is_alive(replace(new_claim(), process="another boot 1"))
 
 
-def test_of_another_host_the_claim_must_be_young() -> None:
+def test_old_claims_of_other_hosts_are_ignored() -> None:
     other = replace(new_claim(), host="elsewhere", pid=1)
     assert is_alive(other)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
@@ -223,21 +226,21 @@ def test_of_another_host_the_claim_must_be_young() -> None:
     ("tests", "limit", "jobs"),
     [(0.2, 0, 1), (1.5, 0, 1), (3.5, 0, 3), (99.0, 0, 8), (99.0, "max", 8), (99.0, 3 * 10**9, 2)],
 )
-def test_the_cores_but_no_more_than_the_memory_takes(
+def test_default_jobs_from_cores_and_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tests: float, limit: int | str, jobs: int
 ) -> None:
     """A machine of eight cores, and a container of which 1 GB is used."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     free = SimpleNamespace(available=int(tests * BYTES_PER_TEST))
     monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
-    monkeypatch.setattr(executors, "_CONTAINER", tmp_path)
+    monkeypatch.setattr(executors, "_CONTROL_GROUP", tmp_path)
     if limit:
         (tmp_path / "memory.max").write_text(f"{limit}\n")
         (tmp_path / "memory.current").write_text("1000000000\n")
     assert default_jobs() == jobs
 
 
-def test_what_a_killed_process_left_half_replaced_is_finished(campaign: CampaignFolders) -> None:
+def test_interrupted_replacement_is_completed(campaign: CampaignFolders) -> None:
     folder = campaign.processed / "T1"
     files = folder / ".labpipe.commit" / "files"
     files.mkdir(parents=True)

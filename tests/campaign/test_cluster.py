@@ -13,8 +13,10 @@ import pytest
 from distributed import Client
 
 from labpipe.campaign import cluster
-from labpipe.campaign.executors import Outcome, Task, dask, local
+from labpipe.campaign.cluster import process_on_cluster
+from labpipe.campaign.executors import Outcome, local
 from labpipe.errors import ProcessingError, UsageError
+from labpipe.process.run import Task
 from tests.builders.clusters import Cluster, start_cluster
 from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.small_pulls import small_pulls
@@ -59,7 +61,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
+def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
     machines: Cluster, tmp_path: Path
 ) -> None:
     labs = small_pulls(tmp_path, 12)
@@ -69,7 +71,7 @@ def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
     spoil(labs[5].sheet, "kill the machine", once=True)
     tasks = tasks_of(labs, tmp_path / "dask")
     drawn = Task(labs[0].sheet, tmp_path / "dask" / "drawn", png=True)
-    there = by_name(dask(machines.address)([*tasks, drawn]))
+    there = by_name(process_on_cluster([*tasks, drawn], machines.address))
     assert not (labs[5].raw / "end").exists()  # one did go down
     assert sum(process.poll() is None for process in machines.workers) == 2
     assert there.keys() == here.keys()
@@ -84,11 +86,11 @@ def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
 
 
 @pytest.mark.slow
-def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_path: Path) -> None:
+def test_only_the_test_that_kills_workers_fails(machines: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 6)
     spoil(labs[2].sheet, "kill the worker")
     spoil(labs[4].sheet, "abort")
-    outcomes = by_name(dask(machines.address)(tasks_of(labs, tmp_path / "out")))
+    outcomes = by_name(process_on_cluster(tasks_of(labs, tmp_path / "out"), machines.address))
     codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
     assert codes == {"S-0002": "worker_died", "S-0004": "process_died"}
     assert len(outcomes) == 6
@@ -98,7 +100,7 @@ def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_p
     assert (stored["code"], stored["run"]) == ("worker_died", "0a")
 
 
-def test_what_cannot_be_processed_fails_as_on_one_machine(
+def test_cluster_reports_the_failures_of_a_local_run(
     alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 60.0)  # a busy machine starts workers slowly
@@ -106,7 +108,7 @@ def test_what_cannot_be_processed_fails_as_on_one_machine(
     labs = small_pulls(tmp_path, 3)
     labs[1].export.unlink()
     labs[2].sheet.unlink()
-    outcomes = by_name(dask(alone.address)(tasks_of(labs, tmp_path / "out")))
+    outcomes = by_name(process_on_cluster(tasks_of(labs, tmp_path / "out"), alone.address))
     codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
     assert codes == {"S-0001": "missing_export", "S-0002": "bad_sheet"}
 
@@ -127,43 +129,47 @@ def own_tasks(labs: list[TensileLab]) -> list[Task]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
-def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]) -> None:
-    """Of two workers one sees most tests, none sees the last."""
-    alone.add_worker()
+def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> None:
+    """A worker that sees all tests but the last; then one that sees none."""
     alone.add_worker(folder=own[0].home)
     tasks = own_tasks(own)
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=60)
+        client.wait_for_workers(1, timeout=60)
     handle = os.open(own[5].raw, os.O_RDONLY)
     try:
         sheet = Path(f"/proc/self/fd/{handle}/test.yaml")
         hidden = replace(tasks.pop(), sheet=sheet, run="0a")
-        outcomes = list(dask(alone.address)([*tasks, hidden]))
+        outcomes = list(process_on_cluster([*tasks, hidden], alone.address))
     finally:
         os.close(handle)
     (failed,) = (outcome for outcome in outcomes if outcome.state == "failed")
     assert (failed.sheet, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
-    message = f"{sheet}: expected a worker that sees the files of this machine, found none"
-    assert failed.reason.startswith(f"{message} (workers: 2).")
+    assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that see the")
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
+    alone.add_worker()
+    with Client(f"tcp://{alone.address}", set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+    with pytest.raises(UsageError, match="that see the files of this machine") as raised:
+        list(process_on_cluster(tasks, alone.address))
+    assert raised.value.code == "no_cluster"
 
 
-def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 1.0)
     message = "--executor: expected a dask scheduler at 127.0.0.1:1, found no answer. Start"
     with pytest.raises(UsageError, match=message) as raised:
-        list(dask("127.0.0.1:1")([Task(tmp_path)]))
+        list(process_on_cluster([Task(tmp_path)], "127.0.0.1:1"))
     assert raised.value.code == "no_cluster"
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
+def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     alone.add_worker()
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(1, timeout=60)
     labs = small_pulls(tmp_path, 12)
     spoil(labs[11].sheet, "hang")
-    outcomes = dask(alone.address)(tasks_of(labs, tmp_path / "out"))
+    outcomes = process_on_cluster(tasks_of(labs, tmp_path / "out"), alone.address)
     assert next(iter(outcomes)).state != "failed"
     alone.scheduler.kill()
     start = time.monotonic()
@@ -174,8 +180,8 @@ def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     assert time.monotonic() - start < 40.0
 
 
-def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_distributed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     said = r"--executor: expected the package distributed, found none\. Install labpipe with it"
     with pytest.raises(UsageError, match=said):
-        list(dask("127.0.0.1:1")([Task(tmp_path)]))
+        list(process_on_cluster([Task(tmp_path)], "127.0.0.1:1"))

@@ -13,7 +13,7 @@ from labpipe.campaign.content_keys import (
     ContentKeys,
     describe_changes,
     parse_content,
-    stamp_of,
+    take_stamp,
 )
 from labpipe.process.run import process_test
 from tests.builders.kept_campaigns import KeptCampaign
@@ -49,7 +49,7 @@ def sure(content: Content) -> Content:
 
 
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
-def test_the_key_is_that_of_the_results(tmp_path: Path, ends: str) -> None:
+def test_content_key_equals_result_key(tmp_path: Path, ends: str) -> None:
     lab = TensileLab(tmp_path, "P-1")
     travel, force = pull(slack=0.001, seed=1)
     write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
@@ -57,78 +57,78 @@ def test_the_key_is_that_of_the_results(tmp_path: Path, ends: str) -> None:
     text = lab.sheet.read_text("utf-8")
     lab.sheet.write_bytes(text.replace("\n", ends).encode())
     result = process_test(lab.sheet, figures=False).result
-    content = ContentKeys().content_of(lab.sheet)
+    content = ContentKeys().determine_content(lab.sheet)
     assert content.key == result.run
     assert content.inputs == tuple((i.role, i.file, i.sha256) for i in result.inputs)
     assert {"sheet": content.sheet, "protocol": content.protocol} == lab.summary["made_of"]
-    assert content.about["test"] == "P-1"
+    assert content.facts["test"] == "P-1"
 
 
 @pytest.mark.parametrize("kind", ["dialects/own.toml", "protocols/corrugated-tube.yaml"])
-def test_cards_and_protocols_of_the_lab_are_in_the_key(
+def test_key_depends_on_cards_and_protocols_of_the_lab(
     folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
     texts = {".toml": "about = 'a frame'", ".yaml": text.replace("0.423 mm/s", "0.5 mm/s")}
-    before = sure(ContentKeys().content_of(folder / "test.yaml"))
+    before = sure(ContentKeys().determine_content(folder / "test.yaml"))
     own = tmp_path / kind
     own.parent.mkdir()
     own.write_text(texts[own.suffix], "utf-8")
-    after = ContentKeys().content_of(folder / "test.yaml", before)
+    after = ContentKeys().determine_content(folder / "test.yaml", before)
     assert after.key != before.key
     assert ("dialect" in [role for role, _, _ in after.inputs]) == (own.suffix == ".toml")
 
 
-def test_what_looks_the_same_is_not_read_again_but_within_a_tick_of_its_change(
+def test_unchanged_file_is_read_again_only_if_its_hash_is_unreliable(
     folder: Path, read: list[str]
 ) -> None:
     keys, sheet = ContentKeys(), folder / "test.yaml"
-    first = keys.content_of(sheet)
+    first = keys.determine_content(sheet)
     read.clear()
-    assert keys.content_of(sheet, first).key == first.key
+    assert keys.determine_content(sheet, first).key == first.key
     assert sorted(read) == ["frame.csv", "test.yaml"]
     read.clear()
-    assert keys.content_of(sheet, sure(first)).key == first.key
+    assert keys.determine_content(sheet, sure(first)).key == first.key
     assert read == []
 
 
-def test_a_change_that_leaves_size_and_time_as_they_were(folder: Path) -> None:
+def test_change_with_equal_size_and_time_is_detected(folder: Path) -> None:
     """As a copy with its times, or a clock that was set back: the file's own record tells."""
     keys, sheet, export = ContentKeys(), folder / "test.yaml", folder / "frame.csv"
-    first = sure(keys.content_of(sheet))
+    first = sure(keys.determine_content(sheet))
     about = export.stat()
     while export.stat().st_ctime_ns == about.st_ctime_ns:  # until the file system's clock ticks
         export.write_text("26.5", "utf-8")
     os.utime(export, ns=(about.st_atime_ns, about.st_mtime_ns))
     assert export.stat().st_size == about.st_size
-    assert keys.content_of(sheet, first).key != first.key
+    assert keys.determine_content(sheet, first).key != first.key
 
 
 @pytest.mark.parametrize(
     "text",
     ["", "test: [", "test: T1\n", "\x00", "{name}: x", "overrides: {a.b: {value: 1, because: x}}"],
 )
-def test_a_sheet_that_is_wrong_has_a_key_of_its_own(folder: Path, text: str) -> None:
+def test_faulty_sheet_has_its_own_key(folder: Path, text: str) -> None:
     sheet = folder / "test.yaml"
-    good = ContentKeys().content_of(sheet)
+    good = ContentKeys().determine_content(sheet)
     sheet.write_text(text, "utf-8")
-    first, again = (ContentKeys().content_of(sheet) for _ in range(2))
+    first, again = (ContentKeys().determine_content(sheet) for _ in range(2))
     assert first.key == again.key != good.key
     assert first.inputs == ()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_a_pipe_is_not_waited_for(folder: Path) -> None:
+def test_pipe_has_an_empty_stamp(folder: Path) -> None:
     (folder / "frame.csv").unlink()
     os.mkfifo(folder / "frame.csv")
-    assert stamp_of(folder / "frame.csv").sha256 == ""
-    assert stamp_of(folder / "nothing").sha256 == ""
-    assert stamp_of(Path("a\x00b")).sha256 == ""
+    assert take_stamp(folder / "frame.csv").sha256 == ""
+    assert take_stamp(folder / "nothing").sha256 == ""
+    assert take_stamp(Path("a\x00b")).sha256 == ""
 
 
-def test_a_content_comes_back_from_its_text(folder: Path) -> None:
-    content = ContentKeys().content_of(folder / "test.yaml")
+def test_content_round_trip(folder: Path) -> None:
+    content = ContentKeys().determine_content(folder / "test.yaml")
     assert parse_content(content.as_text()) == content
     for text in ("", "{}", "[]", "null", '{"inputs": 1}'):
         assert parse_content(text) is None
@@ -150,7 +150,7 @@ EXTRA = (*NOW.inputs, ("frame", "c.csv", "3"))
         (NOW.inputs, "", "something changed"),
     ],
 )
-def test_what_changed_is_said(
+def test_describe_changes(
     inputs: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
     assert describe_changes(inputs=inputs, sheet=texts[:1], protocol=texts[1:], now=NOW) == message

@@ -10,15 +10,14 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.catalog_rows import OK, REJECTED, STALE, ResultRow
+from labpipe.campaign.catalog_rows import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
-    decisions_on,
     import_decision_file,
     import_decisions,
-    largest_change,
     read_decisions,
+    read_decisions_on,
 )
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
@@ -48,7 +47,7 @@ NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
 
 
 @pytest.mark.parametrize("because", ["slipped in the grip", NASTY])
-def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign, because: str) -> None:
+def test_rejection_states_person_reason_and_time(kept: KeptCampaign, because: str) -> None:
     row = decide(kept.folders, "T1", replace(REJECT, because=because))
     assert (row.state, row.why, row.decided_by) == (REJECTED, because, "A. Tester")
     assert row.decided.endswith("+00:00")
@@ -64,7 +63,7 @@ def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign, because: 
     assert content_of(kept) == before
 
 
-def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: KeptCampaign) -> None:
+def test_changed_rejected_test_needs_a_new_decision(kept: KeptCampaign) -> None:
     decide(kept.folders, "T1", REJECT)
     export = kept.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
@@ -83,7 +82,7 @@ def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: Kep
     assert read_overview(kept.folders).rows["T1"].state == REJECTED
 
 
-def test_which_test_is_meant(kept: KeptCampaign) -> None:
+def test_decision_on_unknown_or_unprocessed_test_is_refused(kept: KeptCampaign) -> None:
     with pytest.raises(UsageError, match=r"T9: expected a test of 'C', found none of that name\."):
         decide(kept.folders, "T9", REJECT)
     kept.add("new")
@@ -102,20 +101,20 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("text", BROKEN, ids=range(len(BROKEN)))
-def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: str) -> None:
+def test_unreadable_decisions_are_reported_and_not_changed(kept: KeptCampaign, text: str) -> None:
     path = kept.processed / "decisions.json"
     path.write_text(text, "utf-8")
     overview = read_overview(kept.folders)
-    assert overview.bad_input
+    assert overview.has_bad_input
     assert BROKEN[text] in overview.notes[0]
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
         decide(kept.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        decisions_on([kept.processed / "T1" / "result.h5"])
+        read_decisions_on([kept.processed / "T1" / "result.h5"])
 
 
-def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampaign) -> None:
+def test_invalid_decisions_are_reported_and_stay_in_the_file(kept: KeptCampaign) -> None:
     decide(kept.folders, "T1", REJECT)
     path = kept.processed / "decisions.json"
     document = written(kept)
@@ -135,52 +134,6 @@ def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampai
     assert after["remark"] == "by hand"
     assert after["decisions"][:3] == mine
     assert len(after["decisions"]) == 5
-
-
-@pytest.mark.parametrize(("shift", "is_carried"), [(0.09, True), (0.11, False)])
-def test_a_decision_is_carried_over_to_a_newer_way_of_processing(
-    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch, shift: float, *, is_carried: bool
-) -> None:
-    old = decide(kept.folders, "T1", REJECT)
-    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
-    monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
-    assert read_overview(kept.folders).rows["T1"].why == "newer labpipe"
-    kept.stand_in.shift = shift
-    kept.run()
-    row = read_overview(kept.folders).rows["T1"]
-    assert (row.state, row.why == REJECT.because) == (REJECTED, is_carried)
-    assert row.run != old.run
-    decisions = written(kept)["decisions"]
-    assert [entry.get("note", "").partition(": only the")[0] for entry in decisions[1:]] == [
-        f"carried over from {old.run}"
-    ] * is_carried
-    before = content_of(kept)
-    rebuild(kept.folders)
-    assert content_of(kept) == before
-    assert written(kept)["decisions"] == decisions
-
-
-ROW = ResultRow("peak", 10.0, "N", 9.0, 11.0, 0.95, 10.0, "ok", "", "")
-
-
-INFINITE = float("inf")
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "moved"),
-    [
-        ({}, {"value": 10.2}, pytest.approx(0.1)),
-        ({}, {"name": "other"}, INFINITE),
-        ({}, {"value": None}, INFINITE),
-        ({}, {"value": 9.0}, 0.5),
-        ({"lower": None}, {"value": 10.1}, INFINITE),
-        ({"upper": 9.0}, {"value": 10.1}, INFINITE),
-    ],
-)
-def test_the_largest_change(before: dict[str, Any], after: dict[str, Any], moved: float) -> None:
-    assert largest_change([replace(ROW, **before)], [replace(ROW, **after)]) == moved
-    assert largest_change([ROW, ROW], [ROW]) == INFINITE
-    assert largest_change([], []) == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +156,7 @@ def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
     return path
 
 
-def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -> None:
+def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Path) -> None:
     mine, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
     add_decisions(processed, "c", [mine])
     other = replace(mine, run="0" * 64)
@@ -221,7 +174,7 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
     assert import_decision_file(processed, "c", file)[0].added == []
 
 
-def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None:
+def test_import_uses_the_nearest_decision_file(processed: Path) -> None:
     inner = processed / "inner"
     inner.mkdir()
     (processed / "T-3").rename(inner / "T-3")
@@ -235,7 +188,7 @@ def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None
     assert len(read_decisions(inner).decisions) == 2
 
 
-def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path) -> None:
+def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path) -> None:
     file, broken = tmp_path / "saved.json", tmp_path / "broken.json"
     broken.write_text("{", "utf-8")
     own = saved(processed / "decisions.json", decision_on(processed, "T-1"))

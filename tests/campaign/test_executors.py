@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import select
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign import executors
 from labpipe.campaign.executors import (
     Outcome,
-    executor_of,
-    outcome_of,
-    outcome_of_call,
+    await_outcome,
+    parse_executor,
+    process_task,
     process_tests,
 )
 from labpipe.campaign.watching import WarmWorker
-from labpipe.campaign.workers import ProcessDied, WorkerProcess, in_processes
+from labpipe.campaign.workers import ProcessDied, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Task, process_test
 from tests.builders.small_pulls import small_pulls
@@ -32,22 +33,19 @@ from tests.builders.small_tests import Lab
 
 
 @pytest.mark.parametrize("text", ["dask", "dask://", "dask://host", "dask://:8786", "slurm", ""])
-def test_no_executor_of_that_name(text: str) -> None:
+def test_unknown_executor_is_refused(text: str) -> None:
     said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
     with pytest.raises(UsageError, match=said):
-        executor_of(text)
+        parse_executor(text)
 
 
 @pytest.mark.parametrize(
     ("text", "address"), [("dask://a:1", "a:1"), ("dask+tls://a:1", "tls://a:1")]
 )
-def test_the_address_of_a_scheduler(
-    text: str, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr(executors, "dask", lambda where, **_: asked.append(where))
-    executor_of(text)
-    assert asked == [address]
+def test_address_of_a_scheduler(text: str, address: str) -> None:
+    executor = parse_executor(text)
+    assert isinstance(executor, partial)
+    assert executor.keywords["address"] == address
 
 
 @pytest.fixture
@@ -59,31 +57,36 @@ def tests(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path) -> None:
+def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_path: Path) -> None:
     text = tests[2].read_text("utf-8")
     tests[2].write_text(text.replace("test: S-0002", "test: s-0000"), "utf-8")
     message = "expected one test for each folder of results, found a second for .*out.s-0000"
     with pytest.raises(UsageError, match=message):
-        list(process_tests(tests, out=tmp_path / "out", jobs=2))
+        process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
-    made = list(process_tests(tests[::2], figures=lambda _: False, jobs=2))
+    made = process_tests(tests[::2], figures=lambda _: False, jobs=2)
     assert [type(one) for one in made] == [Processed, Processed]  # each beside its exports
     assert isinstance(made[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
-        list(process_tests([tests[0], made[0].folder / "result.h5"]))
+        process_tests([tests[0], made[0].folder / "result.h5"])
+
+
+def run_all(calls: Sequence[Callable[[], Any]], **options: Any) -> list[Future[Any]]:
+    """Futures of calls in their order."""
+    futures = dict(run_as_completed(operator.call, calls, **options))
+    return [futures[call] for call in calls]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_a_process_that_dies_costs_its_call_alone() -> None:
-    """Outcomes come in the order of the calls."""
+def test_death_of_a_process_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [
         partial(signal.raise_signal, signal.SIGTERM),
         partial(os._exit, 3),
         *(partial(max, number, 0) for number in range(4)),
     ]
-    killed, left, *others = in_processes(calls, jobs=2)
+    killed, left, *others = run_all(calls, jobs=2)
     assert [future.result() for future in others] == [*range(4)]
-    assert list(in_processes([], jobs=3)) == []
+    assert run_all([], jobs=3) == []
     for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
         died = future.exception()
         assert isinstance(died, ProcessDied)
@@ -91,24 +94,30 @@ def test_a_process_that_dies_costs_its_call_alone() -> None:
     assert ProcessDied(-63).how == "by the signal 63"
 
 
-def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
-    work = [f"sleep 0.2; echo > '{tmp_path}/{number}'" for number in range(3)]
-    found = in_processes([partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1)
-    assert next(found).result() == 1
-    found.close()
-    assert [path.name for path in tmp_path.iterdir()] == ["0"]
+def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
+    work = [f"cd '{tmp_path}'; mkdir {n}; sleep 0.2; echo > {n}/done" for n in range(3)]
+    calls: list[Callable[[], Any]] = [
+        partial(int, "1"),
+        *(partial(os.system, text) for text in work),
+    ]
+    completed = run_as_completed(operator.call, calls, jobs=1)
+    assert next(completed)[1].result() == 1
+    while not (tmp_path / "0").exists():
+        time.sleep(0.01)
+    completed.close()
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["0", "0/done"]
 
 
-def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
+def test_time_limit_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
-    late, second = in_processes(calls, jobs=2, limit=1.0)
+    late, second = run_all(calls, jobs=2, limit=5.0)
     with pytest.raises(ProcessDied) as died:
         late.result()
-    assert died.value.limit == 1.0
+    assert died.value.limit == 5.0
     assert second.result() == 2
 
 
-def test_a_process_that_dies_between_two_calls_costs_none() -> None:
+def test_process_that_dies_between_calls_is_replaced() -> None:
     worker = WorkerProcess()
     try:
         assert worker.call(partial(int, "1")) == 1
@@ -121,9 +130,9 @@ def test_a_process_that_dies_between_two_calls_costs_none() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
-def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
+def test_linux_kills_the_worker_before_its_parent() -> None:
     file = Path("/proc/self/oom_score_adj")
-    (future,) = in_processes([file.read_text], jobs=1)
+    (future,) = run_all([file.read_text], jobs=1)
     assert future.result() == "500\n"
     assert int(file.read_text()) < 500
 
@@ -132,8 +141,9 @@ ORPHANS = """
 import os, time
 from functools import partial
 from pathlib import Path
-from labpipe.campaign.workers import as_completed
-ended = as_completed(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
+from labpipe.campaign.workers import run_as_completed
+calls = ["__import__('os').getpid()", "__import__('time').sleep(60)"]
+ended = run_as_completed(eval, calls, jobs=1)
 print(next(ended)[1].result(), flush=True)
 time.sleep(60)
 """
@@ -141,7 +151,7 @@ time.sleep(60)
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of processes")
-def test_processes_go_with_the_one_that_started_them() -> None:
+def test_worker_ends_with_its_parent() -> None:
     command = [sys.executable, "-c", ORPHANS]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -151,30 +161,29 @@ def test_processes_go_with_the_one_that_started_them() -> None:
     os.close(child)
 
 
-def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
+def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
     lab = small_pulls(tmp_path, 1)[0]
-    said = outcome_of(Task(lab.sheet, figures=False))
+    said = process_task(Task(lab.sheet, figures=False))
     assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
     first = next(result for result in lab.results.values() if result["status"] != "ok")
     reason = first["reasons"][0]
     assert said.state == "doubtful"
     assert said.code == reason["code"]
     assert said.reason == f"{first['name']}: {reason['message']}"
-    assert said.seconds > 0.0
 
 
-def test_what_came_of_a_process(tmp_path: Path) -> None:
+def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM)))
+    died = await_outcome(task, raising(ProcessDied(-signal.SIGTERM)))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = outcome_of_call(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
+    late = await_outcome(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     done = Outcome(task.sheet, None, "ok")
-    assert outcome_of_call(task, lambda: done) is done
+    assert await_outcome(task, lambda: done) is done
     with pytest.raises(ZeroDivisionError):
-        outcome_of_call(task, raising(ZeroDivisionError()))
+        await_outcome(task, raising(ZeroDivisionError()))
 
 
 def raising(error: Exception) -> Callable[[], Outcome]:
@@ -198,7 +207,7 @@ def refuse() -> None:
 
 
 @pytest.mark.slow
-def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
+def test_warm_worker_draws_figures_after_processing(worker: WarmWorker, lab: Lab) -> None:
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
     assert not (lab.processed / "figures").exists()
@@ -213,7 +222,7 @@ def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 
-def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> None:
+def test_warm_worker_survives_failed_calls(worker: WarmWorker) -> None:
     first = worker.call(os.getpid, about="x")
     with pytest.raises(UsageError, match="no"):
         worker.call(refuse, about="x")
@@ -223,10 +232,10 @@ def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> No
     assert worker.call(os.getpid, about="x") not in {first, os.getpid()}
 
 
-def test_a_process_that_dies_in_a_test_is_an_outcome(
+def test_death_of_the_warm_worker_is_an_outcome(
     worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.watching.outcome_of", die)
+    monkeypatch.setattr("labpipe.campaign.watching.process_task", die)
     (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 

@@ -10,18 +10,18 @@ import pytest
 from labpipe.campaign.grouping import (
     OTHERS,
     QUESTIONS,
-    Key,
+    GroupKey,
     check_fields,
-    differing_settings,
-    division,
+    describe_differing_settings,
+    divide_into_groups,
     find_differences,
-    group_names,
-    key_of,
-    missing_fields,
+    find_group_key,
+    list_missing_fields,
+    list_settings,
+    name_groups,
+    note_differing_settings,
     rename_shared_spools,
-    setting_notes,
-    settings_of,
-    sort_keys,
+    sort_groups,
 )
 from labpipe.errors import UsageError
 from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
@@ -43,22 +43,22 @@ TWELVE = bundle_sample(bundle_of("12 B1"), 2, spool="s1")
 TUBE = bundle_sample(None, 3, spool="s2")
 
 
-def test_keys_and_names() -> None:
+def test_group_keys_and_names() -> None:
     by = ("wire", "cured")
-    keys = [key_of(sample, by) for sample in (SEVEN, TWELVE, TUBE)]
+    keys = [find_group_key(sample, by) for sample in (SEVEN, TWELVE, TUBE)]
     assert [key.field_values for key in keys] == [("B1", "24 h"), ("B1", ""), ("", "")]
-    assert list(group_names(keys, by).values()) == [
+    assert list(name_groups(keys, by).values()) == [
         "wire B1, cured 24 h",
         "wire B1, without cured",
         "without wire, without cured",
     ]
-    assert [missing_fields(key, by) for key in keys[:2]] == [[], ["cured"]]
+    assert [list_missing_fields(key, by) for key in keys[:2]] == [[], ["cured"]]
     for field, words in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
-        shuffled = [Key((word,), "p") for word in reversed(words)]
-        assert [key.field_values[0] for key in sort_keys(shuffled, (field,))] == words
+        shuffled = [GroupKey((word,), "p") for word in reversed(words)]
+        assert [key.field_values[0] for key in sort_groups(shuffled, (field,))] == words
 
 
-def test_an_unknown_field_is_told_with_the_nearest() -> None:
+def test_unknown_field_is_refused_with_the_nearest() -> None:
     with pytest.raises(UsageError) as told:
         check_fields(["wire", "tapping"], [SEVEN, TUBE], "--by")
     assert str(told.value) == (
@@ -69,7 +69,7 @@ def test_an_unknown_field_is_told_with_the_nearest() -> None:
     check_fields(["cured", "length"], [SEVEN, TUBE], "--by")
 
 
-def test_spools_of_one_name_belong_to_their_types() -> None:
+def test_spools_shared_by_types_are_renamed() -> None:
     samples, renamed = rename_shared_spools([SEVEN, TWELVE, TUBE])
     assert renamed == ["s1"]
     assert [sample.specimen.spool for sample in samples] == [
@@ -79,20 +79,20 @@ def test_spools_of_one_name_belong_to_their_types() -> None:
     assert rename_shared_spools([SEVEN, again]) == ([SEVEN, again], [])
 
 
-def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
+def test_lengths_divide_a_type_unless_fields_are_chosen() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
     samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
-    found = division(samples)
-    assert list(group_names(list(found), ["type"]).values()) == ["tube, 85 mm", "tube, 100 mm"]
+    found = divide_into_groups(samples)
+    assert list(name_groups(list(found), ["type"]).values()) == ["tube, 85 mm", "tube, 100 mm"]
     assert [[each.specimen.sample for each in own] for own in found.values()] == [["0", "2"], ["1"]]
-    assert list(division(samples, ["type"])) == [Key(("tube",), "taped-bundle")]
+    assert list(divide_into_groups(samples, ["type"])) == [GroupKey(("tube",), "taped-bundle")]
 
 
 NONE = bundle_of("19 B2", conduit="corrugated-tube", tape="none", taping="none")
 HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
 
 
-def test_questions_come_first_and_count_from_less_to_more() -> None:
+def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
     found = bundle_campaign(conduit_cases()).differences
     asked = [finding.single_field for finding in found]
     assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
@@ -133,14 +133,14 @@ def test_twenty_percent_apart_is_different() -> None:
     assert stiffness.difference.interval.lower < truth < stiffness.difference.interval.upper
 
 
-def test_tests_that_were_processed_otherwise_are_told() -> None:
+def test_difference_states_differing_settings() -> None:
     samples = [*three_of(NONE), *three_of(HALF_LAP)]
-    settings = {sample.source: {"results.kink.to": "5 mm"} for sample in samples}
-    settings[samples[0].source] = {"results.kink.to": "4 mm"}
+    settings = {sample.test: {"results.kink.to": "5 mm"} for sample in samples}
+    settings[samples[0].test] = {"results.kink.to": "4 mm"}
     wishes = {PROTOCOL: Groups(main=MAIN)}
-    differences = find_differences(grouped(samples), wishes, settings, by=("type",))
+    differences, _ = find_differences(grouped(samples), wishes, settings, by=("type",))
     message = "; the tests were processed with different settings: results.kink.to differ"
-    assert differences.listed[0].verdict_text.endswith(message)
+    assert differences[0].verdict_text.endswith(message)
 
 
 @pytest.fixture(scope="module")
@@ -156,17 +156,17 @@ def changed(protocol: Protocol, old: str, new: str) -> Protocol:
     return parse_protocol(text.replace(old, new, 1), "synthetic")
 
 
-def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
-    own = dict(settings_of(tube))
-    other = settings_of(changed(tube, "force_below: 50 %", "force_below: 20 %"))
-    (note,) = setting_notes({"a": own, "b": own, "c": other})
+def test_note_on_a_differing_setting(tube: Protocol) -> None:
+    own = dict(list_settings(tube))
+    other = list_settings(changed(tube, "force_below: 50 %", "force_below: 20 %"))
+    (note,) = note_differing_settings({"a": own, "b": own, "c": other})
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
     assert note.message == "different settings among the tests: 20 % (c) and 50 % (a, b)"
-    assert differing_settings({"a": own, "c": other}) == (
+    assert describe_differing_settings({"a": own, "c": other}) == (
         "the tests were processed with different settings: curve.failure.force_below differ",
     )
-    assert not differing_settings({"a": own, "b": own})
-    bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
-    assert differing_settings({"a": own, "b": bare}) == (
+    assert not describe_differing_settings({"a": own, "b": own})
+    bare = list_settings(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
+    assert describe_differing_settings({"a": own, "b": bare}) == (
         "the tests were processed with different settings: steps, branches, results differ",
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, plan_of
+from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, read_plan
 from labpipe.campaign.watching import FileStability
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
@@ -44,15 +44,15 @@ def campaign(lab: Lab) -> Path:
 
 
 def only(folder: Path) -> Candidate:
-    (candidate,) = list_candidates(folder, plan_of(folder)).candidates
+    (candidate,) = list_candidates(folder, read_plan(folder)).candidates
     return candidate
 
 
-def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
+def test_pairing_by_name_writes_sheet_and_copies(campaign: Path) -> None:
     before = state(campaign / "incoming")
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
-    assert (written.is_new, written.open, written.missing) == (True, (), ())
+    assert (written.is_new, written.open_keys, written.missing) == (True, (), ())
     sheet = load_test_sheet(written.sheet)
     names = (sheet.test, sheet.protocol, sheet.operator, str(sheet.date))
     assert names == ("A2-085-3", "wire-cantilever", "bench 2", "2026-03-04")
@@ -65,15 +65,15 @@ def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
     assert {name: mark[0] for name, mark in before.items()}.items() <= copies.items()
 
 
-def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
+def test_existing_sheet_is_not_changed(campaign: Path) -> None:
     candidate = only(campaign)
-    pair_test(candidate, plan_of(campaign))
+    pair_test(candidate, read_plan(campaign))
     candidate.sheet.write_text(candidate.sheet.read_text("utf-8") + "# by hand\n", "utf-8")
     before = state(candidate.folder)
     source = campaign / "incoming" / "A2-085-3.csv"
     source.write_text(source.read_text("utf-8") + "\n", "utf-8")
 
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
 
     assert state(candidate.folder) == before
     assert not written.is_new
@@ -82,39 +82,39 @@ def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
     )
 
 
-def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
+def test_missing_or_unreadable_exports_are_awaited(campaign: Path) -> None:
     take = campaign / "incoming" / "A2-085-3.csv"
     elsewhere = take.rename(campaign.parent / "take.csv")
-    written = pair_test(only(campaign), plan_of(campaign))
+    written = pair_test(only(campaign), read_plan(campaign))
     assert (written.sheet, written.missing) == (None, ("markers",))
     assert not (campaign / "A2-085-3").exists()
     elsewhere.rename(take)
     content = take.read_bytes()
     take.write_bytes(b"")
-    written = pair_test(only(campaign), plan_of(campaign))
-    assert (written.sheet, list(written.unread)) == (None, ["A2-085-3.csv"])
+    written = pair_test(only(campaign), read_plan(campaign))
+    assert (written.sheet, list(written.unreadable)) == (None, ["A2-085-3.csv"])
     assert not (campaign / "A2-085-3").exists()
     take.write_bytes(content)
-    assert pair_test(only(campaign), plan_of(campaign)).sheet is not None
+    assert pair_test(only(campaign), read_plan(campaign)).sheet is not None
 
 
-def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
+def test_different_file_is_not_overwritten_by_a_copy(campaign: Path) -> None:
     (campaign / "A2-085-3").mkdir()
     other = campaign / "A2-085-3" / "A2-085-3.csv"
     other.write_bytes(b"by hand")
     with pytest.raises(
         StoreError, match=r"expected a copy of .* found a different file of that name"
     ):
-        pair_test(only(campaign), plan_of(campaign))
+        pair_test(only(campaign), read_plan(campaign))
     assert other.read_bytes() == b"by hand"
 
 
-def test_files_that_no_rule_takes(campaign: Path) -> None:
+def test_unmatched_files_have_a_reason(campaign: Path) -> None:
     incoming = campaign / "incoming"
     for name in ("notes.docx", "A2-085-3_FORCE.mat", "A2-085-4_force.mat", "a\nb.csv", "x.yaml"):
         (incoming / name).write_bytes(b"x")
 
-    listed = list_candidates(campaign, plan_of(campaign))
+    listed = list_candidates(campaign, read_plan(campaign))
 
     assert [candidate.name for candidate in listed.candidates] == ["A2-085-3", "A2-085-4"]
     assert {path.name: why for path, why in listed.unmatched.items()} == {
@@ -129,12 +129,12 @@ def test_one_folder_per_test(lab: Lab) -> None:
     lab.sheet.unlink()
     (folder / "loose.csv").write_text("x", encoding="utf-8")
     (folder / "empty").mkdir()
-    plan = plan_of(folder)
+    plan = read_plan(folder)
     listed = list_candidates(folder, plan)
     assert [candidate.name for candidate in listed.candidates] == ["T1"]
     assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
     written = pair_test(listed.candidates[0], plan)
-    assert written.open == ("type", "spool", "sample")
+    assert written.open_keys == ("protocol", "type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
         load_test_sheet(lab.sheet)
 
@@ -158,7 +158,7 @@ files: {{frame: x.csv}}
         ("wire-cantilever conduit-bundle", 1e6, ()),
     ],
 )
-def test_a_force_alone_waits_for_what_the_other_tests_need(
+def test_roles_awaited_by_the_protocols_of_other_tests(
     lab: Lab, others: str, waited: float, missing: tuple[str, ...]
 ) -> None:
     """Of a bench with wires the take is yet to come; nobody waits for a load frame's export."""
@@ -169,50 +169,48 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
         folder.mkdir()
         (folder / "x.csv").write_text("x", encoding="utf-8")
         (folder / "test.yaml").write_text(SIBLING.format(folder.name, protocol), encoding="utf-8")
-    plan = plan_of(lab.raw.parent)
+    plan = read_plan(lab.raw.parent)
     candidates = list_candidates(lab.raw.parent, plan).candidates
     own = next(candidate for candidate in candidates if candidate.folder == lab.raw)
     written = pair_test(own, plan, waited=waited)
     assert (written.missing, written.sheet is None) == (missing, bool(missing))
 
 
-def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
+def test_written_sheet_awaits_its_exports(lab: Lab) -> None:
     (lab.raw / "take.csv").unlink()
-    written = pair_test(only(lab.raw.parent), plan_of(lab.raw.parent))
+    written = pair_test(only(lab.raw.parent), read_plan(lab.raw.parent))
     assert (written.sheet, written.missing) == (None, ("take.csv",))
 
 
-def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
+def test_faulty_plan_is_refused(campaign: Path) -> None:
     plan = campaign / "campaign.yaml"
     plan.write_text(BY_NAME.replace("{type}", "{labels.Type}"), encoding="utf-8")
     with pytest.raises(ProtocolError, match="expected one of"):
-        plan_of(campaign)
+        read_plan(campaign)
     plan.write_text(BY_NAME.replace("wire-cantilever", "wire-cantilver"), encoding="utf-8")
     with pytest.raises(UsageError, match="Did you mean 'wire-cantilever'"):
-        pair_test(only(campaign), plan_of(campaign))
+        pair_test(only(campaign), read_plan(campaign))
 
 
-def test_a_file_stands_still_once_it_did_not_change_for_long_enough(tmp_path: Path) -> None:
+def test_file_is_stable_after_a_time_without_change(tmp_path: Path) -> None:
     times, path = [100.0], tmp_path / "x"
     files = FileStability(lambda: times[-1], 2.0)
-    assert files.look(path) == "gone"
+    assert files.look(path) == "missing"
     for text, seconds, state_of_file in (
         ("1", 0.0, "growing"),
         ("1", 1.9, "growing"),
         ("12", 0.0, "growing"),
         ("12", 1.9, "growing"),
-        ("12", 0.1, "still"),
+        ("12", 0.1, "stable"),
     ):
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
         times.append(times[-1] + seconds)
         assert files.look(path) == state_of_file
-    assert files.moving_for(path) == pytest.approx(3.9)
-    assert times[-1] - files.still_since([path]) == pytest.approx(2.0)
+    assert times[-1] - files.last_change([path]) == pytest.approx(2.0)
     os.utime(path, (1.0, 1.0))  # it changes at the same size
     assert files.look(path) == "growing"
     times.append(times[-1] + 1.0)
     assert files.look(path) == "growing"
-    assert files.moving_for(path) == pytest.approx(1.0)
     path.unlink()
-    assert (files.look(path), files.mark(path)) == ("gone", None)
+    assert (files.look(path), files.signature(path)) == ("missing", None)

@@ -12,8 +12,14 @@ import openpyxl
 import pytest
 
 from labpipe.campaign.catalog import Catalog, new_catalog
-from labpipe.campaign.catalog_rows import OK, Entry, ResultRow, Seen, TestRow, as_json
-from labpipe.campaign.queries import Answer, escaped, query_results, write_answer, write_workbook
+from labpipe.campaign.catalog_rows import OK, Entry, FileState, ResultRow, TestRow, as_json
+from labpipe.campaign.queries import (
+    QueryResult,
+    escape_controls,
+    query_results,
+    write_answer,
+    write_workbook,
+)
 from labpipe.errors import UsageError
 
 NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
@@ -43,9 +49,9 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
     made.put([
-        Entry(one, Seen(), (), peaks),
-        Entry(two, Seen(), (), (result("peak_force.1", 2.5),)),
-        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), Seen(), (), ()),
+        Entry(one, FileState(), (), peaks),
+        Entry(two, FileState(), (), (result("peak_force.1", 2.5),)),
+        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), FileState(), (), ()),
     ])  # fmt: skip
     yield made
     made.close()
@@ -90,7 +96,7 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
         (f"{ENDLESS} > 0", r"found one that takes too long\. Limit its recursive part"),
     ],
 )
-def test_a_condition_that_is_none(
+def test_invalid_conditions_are_refused(
     catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._STEPS_PER_CHECK", 1000)
@@ -123,10 +129,10 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
     "cell",
     ["'=HYPERLINK(1)", "'+1+1", "'-A1", "'@SUM(1)", "'\t=1", "-1.5", "+49", "2 mm = 1"],
 )
-def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
+def test_formulas_in_csv_are_quoted(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
-    write_answer(Answer((text, "value"), [(text, -1.5)]), "csv", out)
+    write_answer(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 
@@ -139,11 +145,11 @@ def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None
     place = [cell.value for cell in rows[0]].index("cured")
     cell = rows[3][place]
     assert (cell.data_type, str(cell.value)[:5]) == ("s", "=1+1 ")
-    assert cell.value == escaped(NASTY.replace("\x00", ""))
+    assert cell.value == escape_controls(NASTY.replace("\x00", ""))
     assert [row[7].value for row in rows[1:]] == [1.5, None, 2.5, None]
 
 
-def test_more_rows_than_a_sheet_takes(
+def test_too_many_rows_for_a_worksheet_are_refused(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
-from labpipe.campaign.report_samples import add_sizes, number_kinds, sample_of
+from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
+from labpipe.campaign.report_samples import add_sizes, classify_results, make_sample
 from labpipe.campaign.reporting import (
-    RECIPE_FILE,
+    OPTIONS_FILE,
     ReportOptions,
     make_campaign,
     report_tests,
@@ -21,7 +21,7 @@ from labpipe.campaign.reporting import (
 from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
-from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import SpecimenBlock
 from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
@@ -60,10 +60,10 @@ def runs_of(files: list[Path]) -> list[str]:
     return [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
 
 
-def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
+def test_rejected_tests_are_left_out_with_reason(results: Path) -> None:
     files = find_results([results])
     runs = runs_of(files)
-    assert without_rejected(files) == (files, {})
+    assert exclude_rejected(files) == (files, {})
     facts = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
     decisions = [
         Decision("T-2", runs[3], "reject", **facts),
@@ -87,7 +87,7 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     assert "<b>twice" not in page
 
 
-def test_a_report_without_tests_that_count_is_refused(results: Path) -> None:
+def test_report_of_rejected_tests_only_is_refused(results: Path) -> None:
     files = find_results([results])
     decisions = [
         Decision(file.parent.name, run, "reject", "all slipped", "A. Tester")
@@ -119,7 +119,7 @@ def labelled(results: Path) -> list[Path]:
     return find_results([results])
 
 
-def test_main_numbers_come_first_and_are_compared(labelled: list[Path]) -> None:
+def test_main_results_come_first_and_are_compared(labelled: list[Path]) -> None:
     tests: list[str] = []
     campaign = make_campaign(labelled, "Pulls", tests.append)
     assert (tests, campaign.title, campaign.left_out) == (sorted(KINDS), "Pulls", {})
@@ -158,12 +158,12 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
 
 
-def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
+def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
     letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
     made = ReportOptions(
         *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
     )
-    (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
+    (tmp_path / OPTIONS_FILE).write_text(made.text(tmp_path), encoding="utf-8")
     assert ReportOptions.read(tmp_path) == made
     typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
     again = typed.or_earlier(ReportOptions.read(tmp_path))
@@ -175,7 +175,7 @@ def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None
     assert ReportOptions.read(report.folder) == options
 
 
-def test_a_recording_is_counted_once(results: Path) -> None:
+def test_copied_recordings_are_left_out(results: Path) -> None:
     """Two sheets that name the same export, and what a killed process left."""
     import h5py
 
@@ -192,7 +192,7 @@ def test_a_recording_is_counted_once(results: Path) -> None:
     assert f"found the same exports, byte for byte, as in {test / 'result.h5'}." in reason
 
 
-def test_two_tests_of_one_name_are_refused(results: Path, tmp_path: Path) -> None:
+def test_two_tests_with_one_name_are_refused(results: Path, tmp_path: Path) -> None:
     shutil.copytree(results / "c" / "T-1", results / "d" / "T-1")
     said = (
         r"d.T-1.result\.h5: expected one test for each name, found a second for 'T-1'\. .*c.T-1.res"
@@ -207,10 +207,10 @@ def read(done: Path, name: str) -> TestResult:
 
 
 def kept(result: TestResult, source: str = "") -> Sample:
-    return sample_of(ReportedTest(result, None, None), source=source)
+    return make_sample(ReportedTest(result, None, None), source=source)
 
 
-def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
+def test_sample_has_thinned_branches_up_to_the_failure(done: Path) -> None:
     result = read(done, "T-1")
     sample = kept(result, "here")
     assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
@@ -229,7 +229,7 @@ def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
     np.testing.assert_array_equal(branch.force, branch.as_measured)
 
 
-def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
+def test_repaired_slip_differs_from_the_measured_force(done: Path) -> None:
     sample = kept(read(done, "T-2"))
     (branch,), (slip,) = sample.loading, sample.slips
     added = branch.force - branch.as_measured
@@ -238,7 +238,7 @@ def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
     np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
 
 
-def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:
+def test_add_sizes_prefers_the_test_sheet() -> None:
     section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
     said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
     specimen = add_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
@@ -254,9 +254,7 @@ def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them
         ("pet-tape", {"slack"}, False),
     ],
 )
-def test_numbers_that_the_rig_sets_and_that_can_be_negative(
-    name: str, signed: set[str], is_set: bool
-) -> None:
-    found = number_kinds(load_protocol(known_protocols()[name]))
+def test_classify_results(name: str, signed: set[str], is_set: bool) -> None:
+    found = classify_results(load_protocol(list_protocols()[name]))
     assert found.signed == signed
     assert found.set_by_rig == ({"peak_displacement"} if is_set else set())

@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.campaign_folders import find_outcome
 from labpipe.campaign.catalog_rows import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.refreshing import account_for_files, open_campaign
+from labpipe.campaign.refreshing import find_unknown_files, open_campaign
 from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_test
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.store.summaries import FailedTest, write_failure
@@ -38,7 +38,7 @@ def states(kept: KeptCampaign) -> dict[str, str]:
     return {folder: row.state for folder, row in read_overview(kept.folders).rows.items()}
 
 
-def test_what_is_new_or_changed_is_processed_and_nothing_else(kept: KeptCampaign) -> None:
+def test_run_processes_new_and_changed_tests_only(kept: KeptCampaign) -> None:
     expected = {"T1": OK, "T2": DOUBTFUL, "T3": FAILED}
     assert set(states(kept).values()) == {PENDING}
     ran = kept.run()
@@ -81,7 +81,7 @@ def test_a_changed_protocol_runs_its_tests_again(
     assert kept.stand_in.processed == ["P"]
 
 
-def test_exports_that_were_taken_away(kept: KeptCampaign) -> None:
+def test_results_remain_without_exports(kept: KeptCampaign) -> None:
     kept.run()
     shutil.rmtree(kept.raw)
     kept.raw.mkdir()
@@ -105,7 +105,7 @@ def test_failures_are_cleared_by_code(kept: KeptCampaign) -> None:
         assert kept.stand_in.processed == names
 
 
-def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: KeptCampaign) -> None:
+def test_newer_results_are_kept_until_cleared(kept: KeptCampaign) -> None:
     kept.run()
     path = kept.processed / "T1" / "summary.json"
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "schema": 99}), "utf-8")
@@ -114,7 +114,7 @@ def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: Kep
     assert "expected 2 or less, found 99. A newer labpipe made it" in row.reason
     kept.run()
     assert kept.stand_in.processed == []
-    kept.run(again=clear_failures(kept.folders, "newer_result"))
+    kept.run(forced=clear_failures(kept.folders, "newer_result"))
     assert kept.stand_in.processed == ["T1"]
 
 
@@ -127,7 +127,9 @@ def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: Kep
         {"results": [{"name": "x", "value": "many"}]},
     ],
 )
-def test_a_damaged_summary_is_made_again(kept: KeptCampaign, damage: str | dict[str, Any]) -> None:
+def test_test_with_damaged_summary_is_processed_again(
+    kept: KeptCampaign, damage: str | dict[str, Any]
+) -> None:
     kept.run()
     path = kept.processed / "T1" / "summary.json"
     before = json.loads(path.read_text("utf-8"))
@@ -139,7 +141,7 @@ def test_a_damaged_summary_is_made_again(kept: KeptCampaign, damage: str | dict[
     assert (kept.stand_in.processed, states(kept)["T1"]) == (["T1"], OK)
 
 
-def test_another_run_meanwhile(kept: KeptCampaign) -> None:
+def test_two_simultaneous_runs_share_the_tests(kept: KeptCampaign) -> None:
     """Two runs at a time: no test is processed twice, none is forgotten, nothing is rebuilt."""
     other = KeptCampaign(kept.home)
     second = []
@@ -158,7 +160,7 @@ def test_another_run_meanwhile(kept: KeptCampaign) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), StoreError("the scheduler is gone")])
-def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseException) -> None:
+def test_interrupted_run_releases_its_claims(kept: KeptCampaign, error: BaseException) -> None:
     def before(name: str) -> None:
         if name == "T2":
             raise error
@@ -170,9 +172,7 @@ def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseEx
     assert (overview.claims, overview.counts) == ({}, {OK: 1, PENDING: 2})
 
 
-def test_a_folder_that_cannot_be_written(
-    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_read_only_folder(kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch) -> None:
     kept.run(only=["T1"])
     before = content_of(kept)
     monkeypatch.setattr("labpipe.campaign.catalog.os.access", lambda *_: False)
@@ -207,7 +207,9 @@ kept.run()
     "moments",
     [[0.05], pytest.param([0.03 * n for n in range(16)], marks=pytest.mark.slow)],
 )
-def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list[float]) -> None:
+def test_killed_runs_are_completed_by_the_next(
+    kept: KeptCampaign, repository: Path, moments: list[float]
+) -> None:
     for number in range(20):
         kept.add(f"K{number:02d}", f"{60 + number / 10}")
     program = KILLED.format(tree=str(repository), home=str(kept.home))
@@ -229,7 +231,7 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list
     assert kept.stand_in.processed == []
 
 
-def test_one_test_alone(kept: KeptCampaign) -> None:
+def test_run_test_processes_a_single_test(kept: KeptCampaign) -> None:
     row, outcome = run_test(kept.folders, kept.stand_in, "T2")
     assert kept.stand_in.processed == ["T2"]
     assert row is not None
@@ -244,7 +246,7 @@ def test_one_test_alone(kept: KeptCampaign) -> None:
 ODD = ("a b", "a'b\"c", "%;--", "T[1]{2}", "\x07\x1b[31m", "new\nline", "ü ½ 漢字 😀", "~$x", "C:x")
 
 
-def test_odd_names_are_kept(tmp_path: Path) -> None:
+def test_special_characters_in_names(tmp_path: Path) -> None:
     """Names of folders with characters that mean something to a shell, to SQL or to a terminal."""
     kept = KeptCampaign(tmp_path)
     for name in ODD:
@@ -328,7 +330,9 @@ LONG = [pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(2, 10)
 
 
 @pytest.mark.parametrize(("seed", "steps"), [(1, 15), *LONG])
-def test_accidents(tmp_path: Path, seed: int, steps: int) -> None:
+def test_catalog_equals_a_rebuild_after_random_changes(
+    tmp_path: Path, seed: int, steps: int
+) -> None:
     """Whatever happens, the catalog is what a rebuild makes of the files."""
     kept = KeptCampaign(tmp_path)
     for name in NAMES:
@@ -351,7 +355,7 @@ pair: {by: name, from: incoming, exports: {frame: "{test}_frame.csv"}}
 """
 
 
-def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
+def test_find_unknown_files(tmp_path: Path) -> None:
     kept = KeptCampaign(tmp_path)
     kept.add("T1")
     kept.add("T2", "fail bad_sheet")
@@ -364,13 +368,8 @@ def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     for name in (*odd, "T1/photo.jpg", "notes \x07.txt"):
         (kept.raw / name).write_text("", "utf-8")
     with open_campaign(kept.folders) as sync:
-        files = account_for_files(sync, sync.refresh())
-    assert files == {
-        "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml", odd[0]],
-        "waiting": ["T4/test.yaml", odd[1], "more/T3/frame.csv", "more/T3/test.yaml"],
-        "failed": ["T2/frame.csv", "T2/test.yaml"],
-        "unknown": ["T1/photo.jpg", "T4/frame.csv", odd[2], "notes \x07.txt"],
-    }
+        files = find_unknown_files(sync, sync.refresh())
+    assert files == ["T1/photo.jpg", "T4/frame.csv", odd[2], "notes \x07.txt"]
 
 
 @pytest.fixture
@@ -404,10 +403,8 @@ def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
         assert (row.state, row.code) == (FAILED, "unknown")
 
 
-def test_a_test_that_an_orphan_still_writes_is_tried_again(
-    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("labpipe.campaign.running._RETRY_PAUSE", 0.01)
+def test_test_in_use_is_tried_again(kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("labpipe.campaign.running._RETRY_DELAY", 0.01)
     (kept.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
     tries: list[str] = []
 

@@ -1,4 +1,4 @@
-"""The server of a report: to this machine alone, and no file but the campaign's."""
+"""The server of a report answers this machine only, with files of the campaign only."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import pytest
 from labpipe.campaign.decisions import add_decisions, read_decisions
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.errors import UsageError
+from labpipe.store.read import read_run
 from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
 
 PAGE = "<head><meta content=\"connect-src 'none'\"></head><body>ü</body>"
@@ -29,12 +30,12 @@ class Answer(NamedTuple):
     body: bytes
 
     @property
-    def said(self) -> Any:
+    def json(self) -> Any:
         return json.loads(self.body)
 
 
-class Asked:
-    """A server at work, and what its own page would ask of it."""
+class Client:
+    """A running server, and the requests of its own page."""
 
     def __init__(self, server: ReportServer, made: list[str]) -> None:
         self.server, self.made, self.site = server, made, server.site
@@ -45,7 +46,7 @@ class Asked:
         sent = {"Host": self.host} | {
             key.replace("_", "-"): header for key, header in headers.items()
         }
-        connection.request(method, path, body, {key: each for key, each in sent.items() if each})
+        connection.request(method, path, body, {key: text for key, text in sent.items() if text})
         got = connection.getresponse()
         answer = Answer(got.status, dict(got.getheaders()), got.read())
         connection.close()
@@ -66,7 +67,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def asked(done: Path, tmp_path: Path) -> Iterator[Asked]:
+def client(done: Path, tmp_path: Path) -> Iterator[Client]:
     processed = tmp_path / "processed" / "c"
     shutil.copytree(done, processed)
     (processed / "report" / "figures").mkdir(parents=True)
@@ -80,33 +81,33 @@ def asked(done: Path, tmp_path: Path) -> Iterator[Asked]:
     with ReportServer(site, 0) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
-        yield Asked(server, made)
+        yield Client(server, made)
         server.shutdown()
         thread.join()
 
 
-def test_the_page_may_talk_to_its_server(asked: Asked) -> None:
-    answer = asked.get("report/report.html")
+def test_report_page_may_connect_to_its_server(client: Client) -> None:
+    answer = client.get("report/report.html")
     assert answer.status == 200
     assert answer.body.decode() == PAGE.replace("'none'", "'self'")
     assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
     assert answer.headers["Referrer-Policy"] == "no-referrer"
     assert answer.headers["Cache-Control"] == "no-store"
     assert "Python" not in answer.headers["Server"]
-    place = asked.get("").headers["Location"]
-    assert place == f"/{asked.site.token}/report/report.html"
-    assert asked.server.socket.getsockname()[0] == "127.0.0.1"
-    assert asked.server.address == f"http://{asked.host}/{asked.site.token}/"
+    place = client.get("").headers["Location"]
+    assert place == f"/{client.site.token}/report/report.html"
+    assert client.server.socket.getsockname()[0] == "127.0.0.1"
+    assert client.server.address == f"http://{client.host}/{client.site.token}/"
 
 
-def test_files_of_the_campaign(asked: Asked) -> None:
-    figure = asked.get("report/figures/f%20%C3%BC.svg")
+def test_get_files_of_the_campaign(client: Client) -> None:
+    figure = client.get("report/figures/f%20%C3%BC.svg")
     assert (figure.status, figure.body) == (200, b"<svg/>")
     assert figure.headers["Content-Type"] == "image/svg+xml"
     assert figure.headers["Content-Security-Policy"].startswith("sandbox; default-src 'none'")
-    assert asked.get("T-1/summary.json").said["test"] == "T-1"
-    assert asked.get("report/tests/T-1.html").body.decode().endswith("/T-1/result.h5")
-    table = asked.get("report/tables.xlsx")
+    assert client.get("T-1/summary.json").json["test"] == "T-1"
+    assert client.get("report/tests/T-1.html").body.decode().endswith("/T-1/result.h5")
+    table = client.get("report/tables.xlsx")
     assert table.headers["Content-Disposition"] == "attachment"
     assert table.headers["X-Content-Type-Options"] == "nosniff"
 
@@ -119,20 +120,22 @@ def test_files_of_the_campaign(asked: Asked) -> None:
         "report/C:/x", "report//report.html", "%ff", "report/tests/..%2fT-1.html",
     ],
 )  # fmt: skip
-def test_no_other_file(asked: Asked, path: str) -> None:
-    (asked.site.folder / "link.json").symlink_to(asked.site.folder.parent.parent / "beside.json")
-    answer = asked.get(path)
+def test_other_files_are_not_found(client: Client, path: str) -> None:
+    (client.site.results_folder / "link.json").symlink_to(
+        client.site.results_folder.parent.parent / "beside.json"
+    )
+    answer = client.get(path)
     assert answer.status == 404
-    assert answer.said == {"error": "There is no such file in this campaign."}
+    assert answer.json == {"error": "There is no such file in this campaign."}
 
 
-def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
+def test_request_without_token_is_refused(client: Client) -> None:
     for path in ("/", "/report/report.html", "//report/report.html", "/x/report/report.html"):
-        answer = asked.raw("GET", path)
+        answer = client.raw("GET", path)
         assert answer.status == 403
-        assert answer.said["error"] == "Open the address that labpipe serve printed."
-    other = Site(asked.site.folder, "c", asked.site.report, lambda: None, str)
-    assert len({other.token, asked.site.token}) == 2
+        assert answer.json["error"] == "Open the address that labpipe serve printed."
+    other = Site(client.site.results_folder, "c", client.site.report_folder, lambda: None, str)
+    assert len({other.token, client.site.token}) == 2
     assert len(other.token) >= 32
 
 
@@ -145,36 +148,68 @@ def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
         ({"Sec_Fetch_Site": "cross-site"}, "The request came from another site."),
     ],
 )
-def test_other_sites_are_refused(asked: Asked, headers: dict[str, str], why: str) -> None:
+def test_other_sites_are_refused(client: Client, headers: dict[str, str], why: str) -> None:
     for answer in (
-        asked.get("report/report.html", **headers), asked.post("report/report", **headers)
+        client.get("report/report.html", **headers), client.post("report/report", **headers)
     ):  # fmt: skip
         assert answer.status == 403
-        assert why in answer.said["error"]
-    assert asked.made == []
+        assert why in answer.json["error"]
+    assert client.made == []
 
 
-def test_a_request_without_a_page_changes_nothing(asked: Asked) -> None:
-    assert asked.post("report/report", Origin="").status == 403
-    assert asked.made == []
-    assert asked.raw("DELETE", f"/{asked.site.token}/report/report.html").status == 501
+def test_post_without_origin_changes_nothing(client: Client) -> None:
+    assert client.post("report/report", Origin="").status == 403
+    assert client.made == []
+    assert client.raw("DELETE", f"/{client.site.token}/report/report.html").status == 501
 
 
-def test_decisions_are_saved_at_once(asked: Asked) -> None:
-    entry = {k: v for k, v in asdict(decision_on(asked.site.folder, "T-2")).items() if v}
+def test_save_decisions(client: Client) -> None:
+    entry = {k: v for k, v in asdict(decision_on(client.site.results_folder, "T-2")).items() if v}
     stale = entry | {"test": "T-1"}
     sent = {"schema": 1, "campaign": "c", "decisions": [entry, stale]}
-    answer = asked.post("report/decisions", sent, Content_Type="application/json")
+    answer = client.post("report/decisions", sent, Content_Type="application/json")
     assert answer.status == 200
-    assert answer.said["decisions"] == [entry]
-    assert answer.said["said"] == (
+    assert answer.json["decisions"] == [entry]
+    assert answer.json["message"] == (
         "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed since the"
         " decision. They take effect when the report is made again."
     )
-    (kept,) = read_decisions(asked.site.folder).decisions
+    (kept,) = read_decisions(client.site.results_folder).decisions
     assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
-    assert asked.post("report/report").said == {"said": "The report was rebuilt."}
-    assert asked.made == ["report"]
+    assert client.post("report/report").json == {"message": "The report was rebuilt."}
+    assert client.made == ["report"]
+
+
+def test_ten_thousand_decisions_in_one_request(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each result file is read once, so that the lock is held for a short time."""
+    read: list[Path] = []
+
+    def read_key(file: Path) -> str:
+        read.append(file)
+        return read_run(file)
+
+    monkeypatch.setattr("labpipe.campaign.decisions.read_run", read_key)
+    count = 10_000
+    entry = asdict(decision_on(client.site.results_folder, "T-2"))
+    entries = [entry | {"because": f"reason {number}"} for number in range(count)]
+    sent = {"schema": 1, "decisions": entries}
+    for _ in range(2):  # the second time, all are known
+        answer = client.post("report/decisions", sent)
+        assert answer.json["message"].startswith("10000 decisions saved.")
+        assert len(answer.json["decisions"]) == count
+    assert len(read) == 2
+    strangers = [entry | {"test": f"X-{number}"} for number in range(count)]
+    answer = client.post("report/decisions", {"schema": 1, "decisions": strangers})
+    assert answer.json["message"].startswith("0 decisions saved. X-0: not saved: there is no such")
+    assert answer.json["message"].endswith("test. 9990 more not saved.")
+    before = (client.site.results_folder / "decisions.json").read_bytes()
+    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(before))
+    answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
+    assert answer.status == 409
+    assert f"expected at most {len(before)} bytes of decisions" in answer.json["error"]
+    assert (client.site.results_folder / "decisions.json").read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -190,13 +225,13 @@ def test_decisions_are_saved_at_once(asked: Asked) -> None:
         ("", "-1", 413, "found -1."),
     ],
 )
-def test_what_is_no_decision_is_refused(
-    asked: Asked, body: str, length: str, status: int, message: str
+def test_invalid_decisions_are_refused(
+    client: Client, body: str, length: str, status: int, message: str
 ) -> None:
-    answer = asked.post("report/decisions", body, Content_Length=length)
+    answer = client.post("report/decisions", body, Content_Length=length)
     assert answer.status == status
-    assert message in answer.said["error"]
-    assert not (asked.site.folder / "decisions.json").exists()
+    assert message in answer.json["error"]
+    assert not (client.site.results_folder / "decisions.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -209,47 +244,47 @@ def test_what_is_no_decision_is_refused(
         "no request\r\n\r\n",
     ],
 )
-def test_a_browser_that_goes_away(
-    asked: Asked, capfd: pytest.CaptureFixture[str], request_text: str
+def test_lost_connection_prints_nothing(
+    client: Client, capfd: pytest.CaptureFixture[str], request_text: str
 ) -> None:
-    asked.server.daemon_threads = False  # so that closing waits for the threads of all requests
-    content = request_text.format(token=asked.site.token, host=asked.host).encode()
-    with socket.create_connection(("127.0.0.1", asked.server.server_port)) as browser:
+    client.server.daemon_threads = False  # so that closing waits for the threads of all requests
+    content = request_text.format(token=client.site.token, host=client.host).encode()
+    with socket.create_connection(("127.0.0.1", client.server.server_port)) as browser:
         browser.sendall(content)
         browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    assert asked.get("report/report.html").status == 200
-    asked.server.shutdown()
-    asked.server.server_close()
+    assert client.get("report/report.html").status == 200
+    client.server.shutdown()
+    client.server.server_close()
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("when", ["9999999-99", "yesterday", "2026-13-01", 10_000 * "9"])
-def test_a_decision_at_no_time_is_not_saved(asked: Asked, when: str) -> None:
-    entry = asdict(decision_on(asked.site.folder, "T-1")) | {"when": when}
-    answer = asked.post("report/decisions", {"schema": 1, "decisions": [entry]})
-    assert answer.said["decisions"] == []
-    assert f"T-1: not saved: its time '{when[:40]}' is not in the form 20" in answer.said["said"]
-    assert not (asked.site.folder / "decisions.json").exists()
+def test_decision_with_invalid_time_is_not_saved(client: Client, when: str) -> None:
+    entry = asdict(decision_on(client.site.results_folder, "T-1")) | {"when": when}
+    answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
+    assert answer.json["decisions"] == []
+    assert f"T-1: not saved: its time '{when[:40]}' is not in the form 20" in answer.json["message"]
+    assert not (client.site.results_folder / "decisions.json").exists()
 
 
-def test_what_goes_wrong_is_said_to_the_page(asked: Asked) -> None:
-    add_decisions(asked.site.folder, "c", [])
-    (asked.site.folder / "decisions.json").write_text("{", "utf-8")
-    entry = asdict(decision_on(asked.site.folder, "T-1"))
-    answer = asked.post("report/decisions", {"schema": 1, "decisions": [entry]})
+def test_errors_are_sent_to_the_page(client: Client) -> None:
+    add_decisions(client.site.results_folder, "c", [])
+    (client.site.results_folder / "decisions.json").write_text("{", "utf-8")
+    entry = asdict(decision_on(client.site.results_folder, "T-1"))
+    answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
     assert answer.status == 409
-    assert "decisions.json, line 1, column 2: expected decisions in JSON" in answer.said["error"]
-    (asked.site.report / "report.html").unlink()
-    gone = asked.get("report/report.html")
+    assert "decisions.json, line 1, column 2: expected decisions in JSON" in answer.json["error"]
+    (client.site.report_folder / "report.html").unlink()
+    gone = client.get("report/report.html")
     assert gone.status == 500
-    assert "found no such file" in gone.said["error"]
+    assert "found no such file" in gone.json["error"]
 
 
-def test_a_port_in_use_is_said(asked: Asked) -> None:
-    port = asked.server.server_port
+def test_port_in_use_is_refused(client: Client) -> None:
+    port = client.server.server_port
     with pytest.raises(UsageError, match=rf"--port {port}: expected a free port, found address al"):
-        ReportServer(asked.site, port)
+        ReportServer(client.site, port)
     with pytest.raises(
         UsageError, match=r"--port 99999: expected a free port, found an impossible"
     ):
-        ReportServer(asked.site, 99999)
+        ReportServer(client.site, 99999)

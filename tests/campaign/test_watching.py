@@ -24,14 +24,14 @@ from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
     DisplaySettings,
-    actions,
-    group_of,
-    verdict,
+    describe_test,
+    make_group_key,
+    read_actions,
 )
 from labpipe.campaign.running import decide, read_overview
 from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
-from labpipe.protocol.reference import kinds_of_notes
+from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.small_tests import Lab
@@ -61,7 +61,7 @@ class Campaign(WatchedCampaign):
     def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         return [sheet for sheet in sheets if sheet.parent.name not in self.done]
 
-    def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         name = sheet.parent.name
         self.asked.append(name)
         if self.trouble:
@@ -69,7 +69,7 @@ class Campaign(WatchedCampaign):
         folder = self.home / "processed" / "c" / name
         if name in self.fails:
             return Outcome(sheet, folder, "failed", self.fails[name], "x.mat: expected a. Do.")
-        if name in self.done and not again:
+        if name in self.done and not is_forced:
             return None
         folder.mkdir(parents=True, exist_ok=True)
         peak = {"name": "peak_force.1", "value": 1.0, "unit": "N", "status": "ok", "reasons": []}
@@ -78,7 +78,7 @@ class Campaign(WatchedCampaign):
         self.done.append(name)
         return Outcome(sheet, folder, "ok")
 
-    def values_beside(self, sheet: Path) -> dict[str, list[float]]:
+    def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
         return {"peak_force.1": [1.0 for name in self.done if name != sheet.parent.name]}
 
 
@@ -134,7 +134,7 @@ def put(bench: Bench, test: str, exports: dict[str, bytes], *names: str) -> Path
     return folder
 
 
-def test_a_test_is_paired_processed_and_judged_once(
+def test_watch_pairs_processes_and_judges_a_test_once(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:
     assert bench.go(5) == ""
@@ -154,7 +154,7 @@ def test_a_test_is_paired_processed_and_judged_once(
 
 
 @pytest.mark.slow
-def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_can_be(
+def test_unreadable_file_is_reported_and_read_later(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:
     folder = put(bench, "A2-085-1", exports)
@@ -164,32 +164,26 @@ def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_c
     assert said.startswith(
         "A2-085-1: force.mat cannot be read yet (expected a complete MAT v5 file"
     )
-    assert (
-        bench.go(3600, step=30)
-        == "A2-085-1: force.mat cannot be read after an hour; waiting for it"
-    )
     assert bench.go(3600, step=30) == ""
     (folder / "force.mat").write_bytes(exports["force.mat"])
     assert "WELL" in bench.go(3)
 
 
-def test_a_locked_file_is_waited_for(
+def test_locked_file_is_reported_and_awaited(
     bench: Bench, exports: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put(bench, "A2-085-1", exports)
     with monkeypatch.context() as patch:
-        patch.setattr("labpipe.campaign.watching._opens", lambda path: path.suffix != ".mat")
+        patch.setattr("labpipe.campaign.watching._can_open", lambda path: path.suffix != ".mat")
         assert bench.go(59, step=1) == ""
         assert bench.go(10, step=1) == (
             "A2-085-1: force.mat cannot be opened, another program uses it; waiting for it"
         )
-        assert "still cannot be opened after an hour" in bench.go(3600, step=30)
+        assert bench.go(3600, step=30) == ""
     assert "WELL" in bench.go(3)
 
 
-def test_a_folder_that_goes_away_is_said_once_and_waited_for(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
+def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[str, bytes]) -> None:
     put(bench, "A2-085-1", exports)
     bench.go(3)
     away = bench.campaign.home / "away"
@@ -203,9 +197,7 @@ def test_a_folder_that_goes_away_is_said_once_and_waited_for(
     assert bench.campaign.asked == ["A2-085-1", "A2-085-2"]
 
 
-def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
+def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, bytes]) -> None:
     bench.campaign.fails = {"A2-085-1": "cannot_process"}
     (bench.campaign.raw / "campaign.yaml").write_text(
         PLAN.replace("specimen: {spool: s}\n", ""), encoding="utf-8"
@@ -227,7 +219,7 @@ def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
     assert "A2-085-1: WELL" in bench.go(4)
 
 
-def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -> None:
+def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)
     bench.go(10)
@@ -324,10 +316,10 @@ def summary(
 
 def lines(said: Summary, peaks: Sequence[float] = ()) -> list[str]:
     others = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
-    return verdict("T", said, others, MM)
+    return describe_test("T", said, others, MM)
 
 
-def test_a_number_outside_the_spread_so_far() -> None:
+def test_result_outside_its_group_is_reported() -> None:
     before = [1.0 + 0.01 * i for i in range(-3, 4)]
     head, numbers, last = lines(summary(1.2), before)
     assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
@@ -338,24 +330,24 @@ def test_a_number_outside_the_spread_so_far() -> None:
     assert "(within 924.1 to 1076)" in lines(summary(1.07), before)[1]
 
 
-def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:
+def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     kept = KeptCampaign(tmp_path)
     for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
         kept.add(name, export)
     kept.run()
     decide(kept.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
     campaign = WatchedCampaign(kept.folders, kept.stand_in)
-    assert campaign.values_beside(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
+    assert campaign.read_group_values(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
     other = replace(row, specimen='{"length": 1, "sample": "2", "type": "A"}')
     longer = replace(row, specimen='{"type": "A", "length": 2}')
-    assert group_of(row) == group_of(other) != group_of(longer)
+    assert make_group_key(row) == make_group_key(other) != make_group_key(longer)
 
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:
     doubting = {
         kind.code
-        for kind in kinds_of_notes()
+        for kind in list_note_kinds()
         if kind.origin == "processing" and (kind.doubts or Severity.ERROR in kind.severities)
     }
     page = (repository / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
@@ -363,7 +355,7 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
     failing = set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE))
     said = set(re.findall(r"`(\w+)`", table))
 
-    missing = (doubting | failing | set(CODES)) - set(actions()) - {"mid_span", "code"}
+    missing = (doubting | failing | set(CODES)) - set(read_actions()) - {"mid_span", "code"}
     assert not missing
-    known = {kind.code for kind in kinds_of_notes()} | said | set(CODES)
-    assert not set(actions()) - known  # no action for a code that there is not
+    known = {kind.code for kind in list_note_kinds()} | said | set(CODES)
+    assert not set(read_actions()) - known  # no action for a code that there is not

@@ -15,10 +15,10 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.reporting import Reported
+from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
-from labpipe.cli.demo import CALIBRATED_WORDS, CAMPAIGNS, FIRST_LOOK, SHEET_WORDS
-from labpipe.cli.report import status_of
+from labpipe.cli.demo import CAMPAIGNS, FIRST_LOOK, SHEET_SECTION
+from labpipe.cli.report import print_left_out
 from labpipe.records.group import Campaign
 from labpipe.virtual_lab import Campaign as VirtualCampaign
 from tests.approved import Approve
@@ -65,7 +65,7 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     assert run("campaign", "rebuild", labs[0].processed.parent).out.startswith("c: ")
 
 
-def test_decide_and_status_lists_what_needs_a_look(run: Run, kept: KeptCampaign) -> None:
+def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
     decide = ("campaign", "decide", kept.raw)
     rejected = ("reject", "--by", "A. Tester", "--because")
     assert run(*decide, "T1", *rejected, " ").status == BAD_INPUT
@@ -104,9 +104,9 @@ def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
-def reported(*groups: object, **more: object) -> Reported:
+def reported(*groups: object, **more: object) -> WrittenReport:
     campaign = replace(Campaign("Synthetic", groups), **more)  # type: ignore[arg-type]
-    return Reported(Path("report"), campaign, (Path("report/report.html"),))
+    return WrittenReport(Path("report"), campaign, (Path("report/report.html"),))
 
 
 def pulls(home: Path) -> Path:
@@ -158,7 +158,7 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
-def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
+def test_demo_reports_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--png", "--jobs", 1)
     assert ran.status == 0
     folder = tmp_path / "processed" / "demo" / "one-of-each"
@@ -177,7 +177,7 @@ def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "processed" / "demo" / "wires").exists()
 
 
-def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
+def test_demo_has_a_test_of_each_kind() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
         return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
@@ -186,15 +186,14 @@ def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     assert set(first.values()) == {1}
 
 
-def test_an_example_is_of_the_wire_that_the_demo_calibrates() -> None:
+def test_demo_calibrates_the_wire_of_an_example() -> None:
     texts = [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("harness-*.yaml")]
     assert len(texts) == 4
-    assert sum(SHEET_WORDS in text for text in texts) == 1
-    assert CALIBRATED_WORDS.startswith(SHEET_WORDS[:-1])
+    assert sum(SHEET_SECTION in text for text in texts) == 1
 
 
 @pytest.mark.slow
-def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
+def test_harness_prints_results_and_folder(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, pushed()), tmp_path / "out"
     ran = run("harness", file, "--out", out, "--no-figures")
     assert ran.status == DONE, ran
@@ -214,9 +213,9 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
 def test_statuses_of_a_report() -> None:
     fine, troubled = build_group("tube", six_samples()), build_group("tube", troubled_samples())
     left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
-    assert status_of(reported(fine)) == 0
-    assert status_of(reported(troubled)) == 1
-    assert status_of(reported(troubled, left_out=left_out)) == 2
+    assert print_left_out(reported(fine)) == 0
+    assert print_left_out(reported(troubled)) == 1
+    assert print_left_out(reported(troubled, left_out=left_out)) == 2
 
 
 def test_bad_input(

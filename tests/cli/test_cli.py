@@ -66,12 +66,12 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     ran = run("new", tmp_path / "raw", "--from", sheet)
     assert ran.status == DONE
     assert ran.out.count("wrote ") == 2
-    assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
+    assert ran.out.count("  missing exports: force.mat, take.csv\n") == 2
     assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
 
 
 @pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
-def test_a_name_that_the_file_system_refuses(
+def test_impossible_file_name(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -85,7 +85,7 @@ def test_a_name_that_the_file_system_refuses(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names of files are Unicode there")
-def test_a_name_that_the_system_cannot_write(lab: Lab) -> None:
+def test_unencodable_file_name(lab: Lab) -> None:
     text = re.sub(r"files: {\w+: ", "\\g<0>\xe4", lab.sheet.read_text(encoding="utf-8"))
     lab.sheet.write_text(text, encoding="utf-8")
     program = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -131,7 +131,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
-def test_copies_what_a_lab_starts_from(run: Run, repository: Path, tmp_path: Path) -> None:
+def test_examples_are_copied(run: Run, repository: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "lab"
     ran = run("examples", folder)
     assert (ran.status, ran.err) == (DONE, "")
@@ -143,7 +143,7 @@ def test_copies_what_a_lab_starts_from(run: Run, repository: Path, tmp_path: Pat
     assert run("examples", folder).status == DONE, "the same again does no harm"
 
 
-def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
+def test_examples_never_replace_a_file(run: Run, tmp_path: Path) -> None:
     own = tmp_path / "protocols" / "tensile.yaml"
     own.parent.mkdir()
     own.write_text("mine", encoding="utf-8")
@@ -183,7 +183,9 @@ def test_writes_exports_sheet_and_truth(
         ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )
-def test_what_a_kind_does_not_have(run: Run, tmp_path: Path, options: str, rejected: str) -> None:
+def test_simulate_refuses_options_of_other_kinds(
+    run: Run, tmp_path: Path, options: str, rejected: str
+) -> None:
     ran = run("simulate", "--out", tmp_path, *options.split())
     assert ran.status == BAD_INPUT
     assert ran.err.startswith("labpipe simulate: options: expected --rate and --fps such as ")
@@ -208,7 +210,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return addresses
 
 
-def test_it_makes_the_report_and_opens_it(
+def test_serve_makes_and_opens_the_report(
     run: Run, processed: Path, opened: list[str], tmp_path: Path
 ) -> None:
     page = processed / "report" / "report.html"

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.reporting import Reported
+from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import BAD_INPUT, DONE
-from labpipe.cli.bundle import bundle_table
-from labpipe.cli.calibrate import calibration_table, comparison_lines
-from labpipe.cli.model import model_table
-from labpipe.cli.process import table
-from labpipe.cli.report import report_table
-from labpipe.cli.terminal import counting, progress
+from labpipe.cli.bundle import format_bundle
+from labpipe.cli.calibrate import format_calibration, format_comparisons
+from labpipe.cli.model import format_wire_models
+from labpipe.cli.process import format_test
+from labpipe.cli.report import format_report
+from labpipe.cli.terminal import show_completed
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.mechanics.studies.calibration_study import Calibrated
 from labpipe.mechanics.studies.first_loadings import FirstLoading
@@ -52,7 +52,7 @@ EMPTY = replace(
 
 def table_of(*results: Result, quality: tuple[QualityNote, ...] = ()) -> list[str]:
     result = replace(EMPTY, results=results, quality=quality)
-    lines = table(Processed(Path("out"), result, ())).splitlines()
+    lines = format_test(Processed(Path("out"), result, ())).splitlines()
     return [line.rstrip() for line in lines]
 
 
@@ -88,7 +88,7 @@ def test_table_of_a_test(approved: Approve) -> None:
         (53.43, None, "53.430 N"),
     ],
 )
-def test_digits_are_those_of_the_interval(
+def test_digits_follow_the_interval(
     value: float, ends: tuple[float, float] | None, shown: str
 ) -> None:
     """Two of half its width; a last bit, as processors differ in, changes nothing."""
@@ -100,12 +100,8 @@ def test_digits_are_those_of_the_interval(
 
 
 def test_progress_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
-    """A line for each test that begins, or for each that ended."""
-    with progress(2) as begin:
-        for test in TESTS:
-            begin(test)("read")
-    assert capsys.readouterr().err == "1/2 A\n2/2 B\n"
-    with counting("test") as (begin_all, say):
+    """A line for each test that ended."""
+    with show_completed("test") as (begin_all, say):
         begin_all(2)
         say("B: ok")
         say("A: failed")
@@ -116,7 +112,7 @@ def of_group(*numbers: GroupNumber) -> list[str]:
     """What is said of a report with one group of six samples from two spools."""
     group = replace(build_group("tube", six_samples()), numbers=numbers)
     campaign = Campaign("Synthetic", (group,))
-    return report_table(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
+    return format_report(WrittenReport(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
 
 
 def test_means_in_the_display_unit(approved: Approve) -> None:
@@ -130,7 +126,7 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
 
 
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])
-def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
+def test_invalid_bore_is_refused(run: Run, tmp_path: Path, bore: str) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
     assert ran.status == BAD_INPUT
     message = f'expected a length above zero with its unit, such as "10.7 mm", found {bore!r}'
@@ -141,7 +137,7 @@ def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
 def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) -> list[str]:
     made = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
     model = bundle_model(made, example_wires())
-    return bundle_table(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
+    return format_bundle(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +150,7 @@ def done() -> Calibrated:
     return Calibrated(Path("processed/calibration"), found, groups, {}, ())
 
 
-def test_rejected_tests_are_not_handed_over(
+def test_calibrate_leaves_out_rejected_tests(
     done: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     folder = Path("processed/A2")
@@ -169,7 +165,7 @@ def test_rejected_tests_are_not_handed_over(
     monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
     for rejected, targets in (({}, [folder]), ({one: "slipped (A. Tester)"}, [two])):
         monkeypatch.setattr(
-            "labpipe.cli.calibrate.without_rejected", lambda _, r=rejected: ([two], r)
+            "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([two], r)
         )
         ran = run("calibrate", folder)
         assert (ran.status, taken[-1]) == (DONE, targets)
@@ -178,7 +174,7 @@ def test_rejected_tests_are_not_handed_over(
 
 def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
     modelled = ModelledWires(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
-    return model_table(modelled).splitlines()
+    return format_wire_models(modelled).splitlines()
 
 
 def test_table_of_bundles(approved: Approve) -> None:
@@ -220,19 +216,19 @@ def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
         (silent, second, two),
     )
-    told = [calibration_table(done), calibration_table(replace(done, groups=(lost,)))]
+    told = [format_calibration(done), format_calibration(replace(done, groups=(lost,)))]
     for parameters in odd:
         calibration = replace(done.calibration, parameters=parameters, notes=(note,), n_samples=1)
-        told.append(calibration_table(replace(done, calibration=calibration)))
+        told.append(format_calibration(replace(done, calibration=calibration)))
     prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
     found = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
     assert isinstance(found, Calibration)
-    told.append(calibration_table(replace(done, calibration=found)))
+    told.append(format_calibration(replace(done, calibration=found)))
     lines = [
         re.sub(r"\d[\d.]*( x 10\^?[-\d]+|e[-+]\d+)?", "#", " ".join(line.split()))
         for text in told
         for line in text.splitlines()
     ]
     curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]
-    assert comparison_lines([]) == []
-    approved([*lines, *comparison_lines(curves)])
+    assert format_comparisons([]) == []
+    approved([*lines, *format_comparisons(curves)])

@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
-from labpipe.protocol.cross_checks import result_names
+from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,
@@ -16,14 +16,14 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import json_schema
+from labpipe.protocol.reference import format_json_schema
 from labpipe.protocol.schema import Protocol
 from labpipe.readers.channels import find_channel
 
 SHIPPED = sorted((Path(__file__).parents[2] / "protocols").glob("*.yaml"))
 
 
-SCHEMA = jsonschema.Draft202012Validator(json.loads(json_schema(Protocol)))
+SCHEMA = jsonschema.Draft202012Validator(json.loads(format_json_schema(Protocol)))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -35,7 +35,9 @@ def test_it_loads_and_asks_for_what_can_be_shown(path: Path) -> None:
     assert protocol.about
     assert parse_protocol(dump_protocol(protocol), "result.h5") == protocol
     names = [
-        name for entry in protocol.results for name in result_names(entry.result, asdict(entry))
+        name
+        for entry in protocol.results
+        for name in list_result_names(entry.result, asdict(entry))
     ]
     assert len(names) == len(set(names))
     assert set(protocol.groups.main) <= set(names)

@@ -18,7 +18,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
-from labpipe.results.measured_law import law_points
+from labpipe.results.measured_law import evaluate_law
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, observe
 from labpipe.virtual_lab.observations import simulate_test
@@ -181,7 +181,7 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
         force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
         done: Any = reduce_recordings({"force": force, "markers": test.markers}, plan)
         law = done.reduced_test.bending.law
-        points = law_points(
+        points = evaluate_law(
             law.knots,
             law.compliance,
             law.compliance_covariance,

@@ -157,7 +157,8 @@ def test_killed_while_the_first_result_is_put_in_place(
 RUN = """
 import sys
 from pathlib import Path
-from labpipe.campaign.executors import Task, local
+from labpipe.campaign.executors import local
+from labpipe.process.run import Task
 sheets = sorted(Path(sys.argv[1]).glob("raw/c/*/test.yaml"))
 for outcome in local(2)(Task(sheet, png=True) for sheet in sheets):
     print(outcome.sheet.parent.name, outcome.state, outcome.code, flush=True)

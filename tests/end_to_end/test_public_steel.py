@@ -170,3 +170,16 @@ def test_yield_stress_of_certified_steel_by_the_shipped_protocol(
     assert rows["tensile_strength"]["value"] == pytest.approx(strength, rel=1e-3)
     assert rows["elastic_modulus"]["status"] == "doubtful"
     assert rows["elongation_at_break"]["code"] == "extensometer_off"
+
+
+def test_modulus_of_a_film_in_the_strain_window_of_its_laboratory(
+    realdata: Path, tmp_path: Path
+) -> None:
+    """The export states modulus, strength and strain at the largest force, by its program."""
+    export = next((realdata / "zwick").glob("Zugversuch*.TRA"))
+    sheet = BY_STANDARD.format(gauge=80.0, area="2.261").replace("iso-6892", "iso-527-tape")
+    rows = process(tmp_path, sheet, {"export.csv": export.read_bytes()}).results
+    assert rows["elastic_modulus"]["value"] == pytest.approx(1096.58e6, rel=1e-4)
+    assert rows["tensile_strength"]["value"] == pytest.approx(37.5775e6, rel=1e-4)
+    elongation = rows["elongation_at_maximum_force"]["value"]
+    assert elongation == pytest.approx(2.87605, abs=5e-4)  # counted from the toe

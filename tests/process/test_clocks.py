@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labpipe.process.clock_joining import align_clocks, fit_common_start, use_stated_clocks
-from labpipe.process.motion import Turn, check_turns, turning_points
+from labpipe.process.clock_joining import fit_common_start, fit_turning_points, use_stated_clocks
+from labpipe.process.motion import Turn, check_turns, find_motion_turns
 from labpipe.protocol.schema import AlignCommonStart, AlignStated, AlignTurningPoints
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit
@@ -137,7 +137,7 @@ SHARP = travel((0, 0), (5, 0), (25, 20), (45, 0), (50, 0))
 def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, list[Turn]]:
     signal = Signal(time, motion, "m", "markers")
     strokes = find_strokes(time, motion, min_stroke=5e-3)
-    turns = turning_points(signal, strokes, window=25.0)
+    turns = find_motion_turns(signal, strokes, window=25.0)
     return Findings() + check_turns(signal, strokes, turns), turns
 
 
@@ -267,8 +267,8 @@ def seen(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Seen:
 
 
 def aligned(made: Seen, align: AlignTurningPoints = ALIGN, *, window: float = 8.0) -> Joined:
-    turns = turning_points(made.travel, made.strokes, window=window)
-    fit, found = align_clocks(made.force, align, made.travel, made.strokes, turns)
+    turns = find_motion_turns(made.travel, made.strokes, window=window)
+    fit, found = fit_turning_points(made.force, align, made.travel, made.strokes, turns)
     return Joined(fit, Findings() + found)
 
 
@@ -337,9 +337,9 @@ def joined(test: Dwelling, *, hidden: int | None = None) -> Joined:
     motion = Signal(time, travel, "m", "markers")
     force = Signal(*test.seen_by_load_cell(), "N", "force")
     strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
-    turns = turning_points(motion, strokes, window=25.0)
+    turns = find_motion_turns(motion, strokes, window=25.0)
     align = ALIGN.model_copy(update={"max_residual": 10e-3})
-    fit, found = align_clocks(force, align, motion, strokes, turns)
+    fit, found = fit_turning_points(force, align, motion, strokes, turns)
     return Joined(fit, Findings() + found + check_turns(motion, strokes, turns))
 
 
@@ -419,7 +419,7 @@ def recorded_together(
 
 def fitted(motion: Signal, force: Signal) -> tuple[ClockFit, Findings]:
     strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
-    turns = turning_points(motion, strokes, window=TOGETHER.motion_window)
+    turns = find_motion_turns(motion, strokes, window=TOGETHER.motion_window)
     fit, found = fit_common_start(force, TOGETHER, motion, strokes, turns)
     return fit, Findings() + found
 
@@ -442,7 +442,7 @@ def test_recorders_that_start_together(offset: float | None, approved: Approve) 
 TEST = Dwelling(1.0, offset=-3.2)
 
 
-def stated(offset: str, **more: str) -> AlignStated:
+def make_stated_state(offset: str, **more: str) -> AlignStated:
     return AlignStated.model_validate(
         {"method": "stated", "offset": offset, "because": "LED in frame 512", **more}
     )
@@ -461,7 +461,7 @@ def taken(
 def test_clocks_that_are_stated(approved: Approve) -> None:
     """Without an uncertainty they are known to a sample, of 50 a second."""
     for more in ({"drift": "40 ppm", "uncertainty": "0.03 s"}, {}):
-        findings, fit = taken(stated("-3.2 s", **more))
+        findings, fit = taken(make_stated_state("-3.2 s", **more))
         error = 0.03 if more else 0.02
         assert (fit.offset, fit.drift) == (-3.2, 40e-6 if more else 0.0)
         assert fit.offset_interval.standard_error == pytest.approx(error)
@@ -491,8 +491,8 @@ def test_a_statement_that_the_force_contradicts(
 ) -> None:
     """A wrong sign is found, a statement that is known no better is not."""
     for sign in (1.0, -1.0):
-        findings, _ = taken(stated(offset, uncertainty=uncertainty), sign=sign)
+        findings, _ = taken(make_stated_state(offset, uncertainty=uncertainty), sign=sign)
         assert set(doubted(findings.entries)) == ({"clock", "force"} if is_wrong else set())
         assert ("clocks_stated_wrong: " in str(doubted(findings.entries))) is is_wrong
-    never_peaks, _ = taken(stated(offset, uncertainty=uncertainty), sign=0.0)
+    never_peaks, _ = taken(make_stated_state(offset, uncertainty=uncertainty), sign=0.0)
     assert not doubted(never_peaks.entries)

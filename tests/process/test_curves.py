@@ -92,7 +92,7 @@ def test_corrections_of_a_curve(name: str) -> None:
     """What they make of results is in the records of results."""
     force, block, expected_path, expected_force = CORRECTED[name]
     test, _ = pulled(TRAVEL, force, curve=block)
-    curve = test.known_curve
+    curve = test.required_curve
     np.testing.assert_allclose(curve.displacement, expected_path, atol=2e-5)
     np.testing.assert_allclose(curve.force, expected_force, atol=0.2)
     if block == GIVES:  # 11 um/N in place of 10 um/N

@@ -11,7 +11,11 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.camera_steps import fit_shapes, repair, turn_into_specimen
+from labpipe.process.camera_steps import (
+    find_specimen_axes,
+    fit_specimen_shapes,
+    repair_marker_tracks,
+)
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
@@ -62,9 +66,11 @@ def done(
 ) -> tuple[Prepared, Findings]:
     mend, turn, fit = steps(protocol)
     said = words(protocol, **changes)
-    made, first = repair(Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, said)
-    made, second = turn_into_specimen(made, turn, said)
-    made, third = fit_shapes(made, fit, said)
+    made, first = repair_marker_tracks(
+        Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, said
+    )
+    made, second = find_specimen_axes(made, turn, said)
+    made, third = fit_specimen_shapes(made, fit, said)
     return made, Findings((*first, *second, *third))
 
 

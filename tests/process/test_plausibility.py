@@ -12,21 +12,21 @@ import pytest
 
 from labpipe.process.calibrated_signals import check_channels
 from labpipe.process.motion import Motion
-from labpipe.process.run import day_and_operator
+from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
-    check_due,
+    check_calibration_due,
     check_rest,
     check_rig,
     check_signs,
-    file_is_cut,
     find_cut_ends,
-    instruments_of,
+    is_file_cut,
+    list_certified_instruments,
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Interval, Shape
-from labpipe.records.quality import Finding, Findings, warning
+from labpipe.records.quality import Finding, Findings, QualityNote, Severity
 from labpipe.records.recording import Recording
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Clocks, Signal, Signals
@@ -237,13 +237,13 @@ def test_a_file_with_fewer_rows_than_it_promised(
     time, displacement, force = record.arrays()
     motion = Signal(time, displacement, "m", "frame")
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
-    notes = Findings(tuple(warning(code, "frame: file", "rows are missing") for code in codes))
+    notes = [QualityNote(code, Severity.WARNING, "frame: file", "") for code in codes]
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     ends = find_cut_ends(
         signals,
         Motion(motion, branches, Clocks("frame")),
         is_full_stroke=is_full,
-        is_cut_file=file_is_cut(notes),
+        is_cut_file=is_file_cut(Findings(tuple(map(Finding, notes)))),
     )
     assert ends.get("force", np.inf) == pytest.approx(expected)
 
@@ -300,10 +300,12 @@ def test_a_test_after_the_day_is_doubted(approved: Approve) -> None:
     protocols: list[Protocol] = [
         parse_protocol(text, "p.yaml") for text in (CHANNELS, CAMERAS, BESIDE, BY_SPEED)
     ]
-    approved(line for protocol in protocols for line in lines(check_due(protocol, AFTER)))
+    approved(
+        line for protocol in protocols for line in lines(check_calibration_due(protocol, AFTER))
+    )
     for protocol in protocols:
         for tested in (None, DUE, date(2025, 6, 1)):
-            assert not list(check_due(protocol, tested))
+            assert not list(check_calibration_due(protocol, tested))
     for tested, is_late in ((AFTER, True), (DUE, False)):
         _, results = pulled(*pull(), more=CERTIFICATE, results=["peak-force"], tested=tested)
         assert ("calibration_overdue: " in results["peak_force.1"].reason_text) is is_late
@@ -322,13 +324,15 @@ def test_a_test_after_the_day_is_doubted(approved: Approve) -> None:
 )
 def test_day_of_a_test(sheet: str, metadata: dict[str, object], day: date | None) -> None:
     exports = {"force": Recording("a"), "markers": Recording("b", metadata=metadata)}
-    assert day_and_operator(sheet, exports)[0] == day
+    assert find_day_and_operator(sheet, exports)[0] == day
 
 
 def test_instruments_are_those_with_a_certificate() -> None:
     certificate = CERTIFICATE.replace("}", ", uncertainty: 0.5 %, k: 3}")
-    (cell,) = instruments_of(parse_protocol(CHANNELS.replace(CERTIFICATE, certificate), "p.yaml"))
+    (cell,) = list_certified_instruments(
+        parse_protocol(CHANNELS.replace(CERTIFICATE, certificate), "p.yaml")
+    )
     assert cell == Instrument("force", ("force",), "LC-7", date(2025, 1, 10), DUE, 0.005, 3.0)
-    (cameras,) = instruments_of(parse_protocol(CAMERAS, "p.yaml"))
+    (cameras,) = list_certified_instruments(parse_protocol(CAMERAS, "p.yaml"))
     assert (cameras.channel, cameras.measures) == ("markers", ("mid_span", "displacement"))
     assert (cameras.uncertainty, cameras.k) == (None, 2.0)

@@ -15,10 +15,10 @@ from labpipe.errors import ProcessingError, ReadError
 from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.reading import join_exports, read_inputs, read_role
 from labpipe.protocol.load import (
-    checked,
     load_test_sheet,
     parse_protocol,
     resolve,
+    validate_document,
 )
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
@@ -100,7 +100,7 @@ def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
         monkeypatch.setattr(
             "labpipe.process.reading.read_export", lambda path, *_, **__: files[path.name]
         )
-        sheet = checked(
+        sheet = validate_document(
             TestSheet,
             parse_yaml(
                 "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"

@@ -20,11 +20,11 @@ from labpipe.process.output_paths import (
     find_copies,
     find_results,
     find_tests,
-    recording_of,
-    refuse_repeated,
+    identify_recording,
+    refuse_duplicates,
 )
 from labpipe.process.run import Processed, Refused, Task, attempt, process_test
-from labpipe.process.sheet_inference import folders_of_tests, read_folder
+from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult
@@ -272,9 +272,9 @@ def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
 
 def test_two_tests_that_share_a_name(tmp_path: Path) -> None:
     files = [tmp_path / name / "result.h5" for name in "abc"]
-    refuse_repeated(zip(("T-1", "T-2", "T-3"), files, strict=True), "name")
+    refuse_duplicates(zip(("T-1", "T-2", "T-3"), files, strict=True), "name")
     with pytest.raises(UsageError) as told:
-        refuse_repeated(zip(("T-1", "T-2", "t-1"), files, strict=True), "name")
+        refuse_duplicates(zip(("T-1", "T-2", "t-1"), files, strict=True), "name")
     assert str(told.value) == (
         f"{files[2]}: expected one test for each name, found a second for 't-1'. {files[0]} is the"
         " first: rename one of them in its test.yaml, or leave it out."
@@ -317,15 +317,15 @@ def protocol(old: str = "", new: str = "") -> Protocol:
 
 def test_what_makes_one_recording_of_two_results() -> None:
     """Not the names of test and files: their bytes, and what the protocol takes of them."""
-    own = recording_of(RESULT, protocol())
+    own = identify_recording(RESULT, protocol())
     first, second = RESULT.inputs
     renamed = tuple(replace(file, file="c.csv") for file in (second, first))
     other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
-    assert recording_of(other, protocol()) == own
+    assert identify_recording(other, protocol()) == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
-    assert recording_of(changed, protocol()) != own
+    assert identify_recording(changed, protocol()) != own
     for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):
-        assert recording_of(RESULT, protocol(old, new)) != own, new
+        assert identify_recording(RESULT, protocol(old, new)) != own, new
 
 
 def test_all_but_the_first_are_copies() -> None:
@@ -360,7 +360,7 @@ def test_folders_of_a_campaign(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
     for name in ("B", "A", ".git"):
         (tmp_path / name / "x.csv").write_text("x", encoding="utf-8")
-    assert folders_of_tests(tmp_path) == [tmp_path / "A", tmp_path / "B"]
+    assert list_test_folders(tmp_path) == [tmp_path / "A", tmp_path / "B"]
     (tmp_path / "test.yaml").write_text("test: x", encoding="utf-8")
-    assert folders_of_tests(tmp_path) == []
-    assert folders_of_tests(tmp_path / "A") == []
+    assert list_test_folders(tmp_path) == []
+    assert list_test_folders(tmp_path / "A") == []

@@ -12,7 +12,13 @@ from scipy.signal import lfilter
 from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
-from labpipe.process.zeros import end_level, line_zero, mean_level, required_samples, rezero_at_rest
+from labpipe.process.zeros import (
+    average_level,
+    fit_end_level,
+    measure_moving_zero,
+    required_samples,
+    rezero_at_rest,
+)
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
@@ -89,8 +95,8 @@ def test_levels_hold_in_their_errors() -> None:
     for seed in range(100):
         white = np.random.default_rng(seed).normal(0.0, 1.0, 620)
         noise = np.convolve(white, np.ones(5) / 5.0, "valid")
-        mean, mean_error = mean_level(noise[:20], noise[20:])
-        end, end_error = end_level(noise[:20], noise[20:])
+        mean, mean_error = average_level(noise[:20], noise[20:])
+        end, end_error = fit_end_level(noise[:20], noise[20:])
         pulls.append((mean / mean_error, end / end_error))
     held = np.mean(np.abs(pulls) <= 1.96, axis=0)
     assert (held >= 0.93).all(), held
@@ -141,7 +147,7 @@ def test_a_line_over_rest_and_motion(rest: int, beside: int) -> None:
     number: Floats = np.arange(200.0 + beside)
     noise = np.random.default_rng(8).normal(0.0, 1e-3, len(number))
     values: Floats = 0.7 + 0.01 * np.clip(number - rest, 0.0, None) + noise
-    level, error, rested = line_zero(values[:200], values[200:])
+    level, error, rested = measure_moving_zero(values[:200], values[200:])
     assert rested == (pytest.approx(rest, abs=2) if rest >= 20 and rest < 199 else rested)
     assert abs(level - 0.7) < 4.0 * error
     assert error < 2e-3
@@ -156,6 +162,6 @@ def test_zeros_of_few_samples_hold_in_a_short_record(memory: float) -> None:
         white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), 160)
         noise = lfilter([1.0], [1.0, -memory], white)[100:]
         rising = noise + 0.5 * np.arange(60.0)
-        level, error = end_level(rising[:3], rising[3:])
+        level, error = fit_end_level(rising[:3], rising[3:])
         held += abs(level) <= 1.96 * error
     assert 273 <= held <= 297  # 91 of 100

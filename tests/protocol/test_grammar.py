@@ -13,7 +13,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.grammar import validated
+from labpipe.protocol.grammar import build_pydantic_type
 from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.records.declarations import (
     Distance,
@@ -45,7 +45,7 @@ class Line:
     number: int = field(default=0, compare=False)
 
     @staticmethod
-    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
+    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a line of the name of another kind."""
         if entry.get("name") == "span":
             yield Fault(("name",), "another name", "'span'", "Rename it.")
@@ -62,7 +62,7 @@ class Stretch:
 Entry = Annotated[Line | Stretch, TaggedChoice("kind")]
 
 
-ENTRIES: TypeAdapter[Any] = TypeAdapter(validated(tuple[Entry, ...]))
+ENTRIES: TypeAdapter[Any] = TypeAdapter(build_pydantic_type(tuple[Entry, ...]))
 
 
 def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
@@ -101,8 +101,8 @@ def test_places_of_values_and_of_faults(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("a:\n  - b\n  - {c: d}\n", encoding="utf-8-sig")
     document = parse_yaml(read_text(path), "x.yaml")
-    spot, _ = document.spot_at(("a", 1, "c"))
-    assert (spot.file, spot.key, spot.value) == ("x.yaml", (3, 6), (3, 9))
+    location, _ = document.find_location(("a", 1, "c"))
+    assert (location.file, location.key, location.value) == ("x.yaml", (3, 6), (3, 9))
     assert document.at(("a", 1, "c")) == "d"
     assert document.data == {"a": ["b", {"c": "d"}]}
     *_, text = document.place(Fault(("a", 1, "z"), "this", "that"), "(Remark.)")

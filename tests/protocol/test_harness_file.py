@@ -8,7 +8,15 @@ import pytest
 import yaml
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.harness_file import END, START, Clip, Grip, HarnessFile, Plane, start_of
+from labpipe.protocol.harness_file import (
+    END,
+    START,
+    Clip,
+    Grip,
+    HarnessFile,
+    Plane,
+    find_line_start,
+)
 from labpipe.protocol.load import load_harness
 
 WHOLE = """\
@@ -99,14 +107,14 @@ boundaries:
 
 
 def test_a_line_begins_where_its_first_clip_is(tmp_path: Path) -> None:
-    assert start_of(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
+    assert find_line_start(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
     own = BETWEEN_CLIPS.replace(
         "  section:", "  start: [1 mm, 0 mm, 0 mm]\n  direction: [0, 0, 1]\n  section:"
     )
-    assert start_of(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert find_line_start(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm", "300 mm")), "straight between clips"
     at_the_end = BETWEEN_CLIPS.replace("at: start", "at: 1 mm")
-    assert start_of(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    assert find_line_start(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 
 
 def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
@@ -117,5 +125,5 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
         "\nsteps: 40\n"
     )
     assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
-    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
+    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm at step 30"):
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))

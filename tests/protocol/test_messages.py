@@ -11,16 +11,16 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.grammar import validated
+from labpipe.protocol.grammar import build_pydantic_type
 from labpipe.protocol.load import (
-    checked,
     load_calibration_plan,
     load_campaign_plan,
     load_harness,
     parse_protocol,
+    validate_document,
 )
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.values import FileStem, Line, Text
+from labpipe.protocol.values import FileStem, SingleLine, Text
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.declarations import (
     Compliance,
@@ -64,7 +64,7 @@ comparisons:
 VALUE_FAULTS: list[tuple[Any, tuple[object, ...]]] = [
     (Text, (True, "")),
     (FileStem, ("a/b", "nul.1")),
-    (Line, ("A\x072", "\ud800", "A2\n")),
+    (SingleLine, ("A\x072", "\ud800", "A2\n")),
     (Snake, ("Force",)),
     (Length, ("53", "53 s", "85 kg", "85 MM", "20 1/m", "0 mm", "-5 mm", None)),
     (Length, ("12,5 mm", "-0,125 mm", "1,000 mm", "1 000 mm", "1'000 mm")),
@@ -180,7 +180,7 @@ def test_sheets(approved: Approve) -> None:
 
 
 def _sheet(text: str) -> object:
-    return checked(TestSheet, parse_yaml(text, "x"))
+    return validate_document(TestSheet, parse_yaml(text, "x"))
 
 
 def test_values(approved: Approve) -> None:
@@ -190,7 +190,7 @@ def test_values(approved: Approve) -> None:
 
 
 def _parse(kind: Any, text: object) -> object:
-    return TypeAdapter(validated(kind)).validate_python(text)
+    return TypeAdapter(build_pydantic_type(kind)).validate_python(text)
 
 
 def test_yaml(approved: Approve) -> None:

@@ -18,9 +18,9 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.overrides import absent_faults, without_absent
+from labpipe.protocol.overrides import find_absent_needs, remove_absent_sources
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
-from labpipe.protocol.source import PLAUSIBLE
+from labpipe.protocol.source import PLAUSIBLE_RANGES
 from labpipe.results.stiffness import ComplianceResult, LineStiffness
 from tests.protocol.conftest import SHEET, Tell
 
@@ -205,17 +205,17 @@ files: {%s}
 def test_what_is_left_without_a_file() -> None:
     """A protocol on one clock, whose steps keep the numbers that the whole one gives them."""
     whole = load_protocol(CONDUIT)
-    kept = without_absent(whole, ["force"])
+    kept = remove_absent_sources(whole, ["force"])
     steps = [f"{step.step} {getattr(step, 'channel', '')}".strip() for step in kept.steps]
     assert steps == ["zero force", "travel-from-speed displacement", "smooth force"]
     assert (kept.align, kept.steps[0].key) == (AlignNone(), "steps.3")
     assert "clock" not in [result.result for result in kept.results]
-    assert list(absent_faults(kept, whole)) == []
+    assert list(find_absent_needs(kept, whole)) == []
     without_speed = re.sub(".*crosshead_speed.*\n", "", dump_protocol(kept))
     with pytest.raises(ProtocolError, match=r"expected 'rig\.crosshead_speed' for 'travel-from-sp"):
         parse_protocol(without_speed, "p.yaml")
     for roles in (["force", "frame"], ["force", "markers"]):
-        kept = without_absent(whole, roles)
+        kept = remove_absent_sources(whole, roles)
         again = parse_protocol(dump_protocol(kept), "result.h5")
         assert dump_protocol(again) == dump_protocol(kept)  # its steps know other numbers
         assert [step.key for step in kept.steps] == [
@@ -227,12 +227,12 @@ CONDUIT_FAULTS = {
     "neither frame nor speed": (
         "force: a.mat",
         r"crosshead_speed: 0\.5 mm/s, ",
-        "expected a file in the role 'frame', or 'rig.crosshead_speed' to make 'displacement' from",
+        "the role 'frame', or 'rig.crosshead_speed', for the channel 'displacement'",
     ),
     "neither frame nor a step that makes it": (
         "force: a.mat",
         r".*travel-from-speed.*\n",
-        "expected a file in the role 'frame', which gives 'displacement', found none.",
+        "expected a file in the role 'frame' for the channel 'displacement', found none.",
     ),
     "not optional": ("frame: a.txt", "$^", "expected a file in the role 'force', found none."),
 }
@@ -256,7 +256,7 @@ specimen: {type: A, spool: s, sample: 1}
 PROTOCOL = "version: 1\nname: own\nsources: {force: {reader: dspace-mat, channel: x, unit: N}}\n"
 FOLLOWED_BY_TEST = "overrides: {follow_links: {value: true, because: x}}\n"
 OUTSIDE = "line 4, column 16 (files.force): expected a file inside the folder of the test, found"
-LOOP = "expected a file, found 'force.mat', a link that leads back to itself. Make the link again."
+LOOP = "expected a file, found 'force.mat', a link to itself."
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def test_a_test_or_a_protocol_widens_a_range(resolved: Resolved, ends: str) -> N
     own = resolved(f"plausible.length: {{value: {ends}, because: x}}", sheet=long)
     assert own.specimen.length == 1e5
     assert own.plausible["length"].start == "1 mm"
-    assert own.plausible["span"].stop == PLAUSIBLE["span"][2]
+    assert own.plausible["span"].stop == PLAUSIBLE_RANGES["span"][2]
     assert parse_protocol(dump_protocol(own), "result.h5") == own
 
     change = ("version: 1\n", f"version: 1\nplausible: {{length: {ends}}}\n")
@@ -376,7 +376,7 @@ def test_uncertainties_of_channels_and_sizes(wire: str, tube: str) -> None:
     drifts = {name: channel.zero_drift for name, channel in protocol.channels.items()}
     assert drifts == {"force": 0.0, "displacement": None}
     assert protocol.specimen.uncertainty is not None
-    assert protocol.specimen.uncertainty.stated == pytest.approx(
+    assert protocol.specimen.uncertainty.by_key == pytest.approx(
         {"length": 5e-4, "thickness": 6e-6, "area": 5e-8}
     )
 
@@ -395,4 +395,4 @@ def test_a_test_has_uncertainties_of_its_own(
     sheet = SHEET.replace("length: 80 mm", f"length: 80 mm{own}")
     specimen = resolved(*overrides, sheet=sheet, change=("{length: 85 mm}", shared)).specimen
     assert specimen.uncertainty is not None
-    assert specimen.uncertainty.stated == {"length": 0.001, "wall": 1e-6}
+    assert specimen.uncertainty.by_key == {"length": 0.001, "wall": 1e-6}

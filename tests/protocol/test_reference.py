@@ -13,8 +13,8 @@ import yaml
 from labpipe.protocol.reference import (
     PAGES,
     SCHEMAS,
-    json_schema,
-    with_tables,
+    format_json_schema,
+    replace_tables,
 )
 from tests.protocol.conftest import WIRE
 from tests.protocol.test_harness_file import WHOLE
@@ -24,7 +24,7 @@ from tests.protocol.test_harness_file import WHOLE
 def test_the_schema_for_editors_is_fresh(name: str, repository: Path) -> None:
     kept = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
 
-    assert kept == json_schema(SCHEMAS[name]), "run: make reference"
+    assert kept == format_json_schema(SCHEMAS[name]), "run: make reference"
 
 
 TEST_SHEET: dict[str, object] = {
@@ -77,7 +77,7 @@ CLIP = HARNESS["boundaries"][0]
 def test_a_schema_takes_and_refuses_as_labpipe_does(
     name: str, data: dict[str, object], changes: list[dict[str, object]]
 ) -> None:
-    schema = json.loads(json_schema(SCHEMAS[name]))
+    schema = json.loads(format_json_schema(SCHEMAS[name]))
     jsonschema.Draft202012Validator.check_schema(schema)
     checker = jsonschema.Draft202012Validator(schema)
     assert checker.is_valid(data)
@@ -89,7 +89,7 @@ def test_a_schema_takes_and_refuses_as_labpipe_does(
 def test_the_tables_of_a_page_are_fresh(name: str, repository: Path) -> None:
     kept = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
 
-    assert kept == with_tables(kept), "run: make reference"
+    assert kept == replace_tables(kept), "run: make reference"
 
 
 @pytest.mark.parametrize(

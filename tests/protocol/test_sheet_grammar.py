@@ -11,9 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, UsageError
-from labpipe.protocol.load import checked
-from labpipe.protocol.sheet_grammar import SheetBundle, TestSheet, bundle_in_words, write_test_sheet
-from labpipe.protocol.sheet_grammar import test_sheet_faults as sheet_faults
+from labpipe.protocol.load import validate_document
+from labpipe.protocol.sheet_grammar import SheetBundle, TestSheet, parse_bundle, write_test_sheet
+from labpipe.protocol.sheet_grammar import find_sheet_faults as sheet_faults
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import Specimen
@@ -27,7 +27,7 @@ files: {force: force.mat}
 
 
 def read(sheet: str) -> TestSheet:
-    return checked(TestSheet, parse_yaml(sheet, "x"))
+    return validate_document(TestSheet, parse_yaml(sheet, "x"))
 
 
 def test_a_sheet_holds_what_was_written() -> None:
@@ -127,10 +127,10 @@ def test_a_bundle_holds_what_was_written() -> None:
     assert bundle_of(**TAPED) == bundle
     assert bundle_of(**TAPED | {"wires": "10 B1 + 9 B2 (1.6 mm)"}) == bundle
     assert bundle_of(wires=bundle.composition).composition == bundle.composition
-    assert bundle_in_words("10 B1 + 9 B2 (1.6 mm)", arrangement="symmetric") == Bundle(
+    assert parse_bundle("10 B1 + 9 B2 (1.6 mm)", arrangement="symmetric") == Bundle(
         wires, "symmetric"
     )
-    assert bundle_in_words("7 B1") == bundle_of(wires={"B1": 7}) == Bundle((BundleWire("B1", 7),))
+    assert parse_bundle("7 B1") == bundle_of(wires={"B1": 7}) == Bundle((BundleWire("B1", 7),))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_bundle_holds_what_was_written() -> None:
 )
 def test_an_arrangement_that_there_is_not(wires: str, arrangement: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        bundle_in_words(wires, arrangement=arrangement)
+        parse_bundle(wires, arrangement=arrangement)
 
 
 @given(
@@ -165,8 +165,10 @@ def test_positions_may_touch_and_give_way_a_little(scale: float) -> None:
     places = bundle_of(wires=SEVEN, positions=positions).positions
     assert places[1] == pytest.approx((scale * 1e-3, 0.0))
     assert len(places) == 7
-    nearest = min((x - u) ** 2 + (y - v) ** 2 for (x, y), (u, v) in combinations(places, 2))
-    assert nearest == pytest.approx((scale * 1e-3) ** 2, rel=1e-5)
+    sort_by_likeness = min(
+        (x - u) ** 2 + (y - v) ** 2 for (x, y), (u, v) in combinations(places, 2)
+    )
+    assert sort_by_likeness == pytest.approx((scale * 1e-3) ** 2, rel=1e-5)
 
 
 @pytest.mark.parametrize("wires", [SEVEN, {"B1": 70}, {"B1": {"number": 1, "diameter": "4.45 mm"}}])
@@ -186,11 +188,11 @@ def test_faults_of_wires_do_not_hide_the_others_or_make_new_ones(
     more: dict[str, str], places: list[tuple[str, ...]]
 ) -> None:
     wrong = {"wires": {"B1": "ten"}, "number": "19", "arrangement": "symmetric"}
-    faults = faults_of(wrong | {"positions": [["1 mm", "2 mm"]]} | more)
+    faults = convert_errors(wrong | {"positions": [["1 mm", "2 mm"]]} | more)
     assert [fault.path for fault in faults] == places
 
 
-def faults_of(bundle: object) -> list[Fault]:
+def convert_errors(bundle: object) -> list[Fault]:
     block = SheetBundle.read(bundle)
     return block if isinstance(block, list) else []
 
@@ -212,4 +214,4 @@ keys = st.sampled_from(["number", "diameter", *SheetBundle.model_fields])
 
 @given(st.dictionaries(keys, anything | st.dictionaries(words, st.just("7")), max_size=6))
 def test_whatever_is_written_is_taken_or_told_in_our_words(bundle: dict[str, object]) -> None:
-    assert not [fault for fault in faults_of(bundle) if "nput should" in fault.expected]
+    assert not [fault for fault in convert_errors(bundle) if "nput should" in fault.expected]

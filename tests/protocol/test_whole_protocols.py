@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.cross_checks import result_names
+from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     find_protocol,
-    known_protocols,
+    find_shipped_folder,
+    list_protocol_folders,
+    list_protocols,
     parse_protocol,
-    protocol_folders,
-    shipped_folder,
 )
 from labpipe.protocol.schema import (
     AlignNone,
@@ -237,19 +237,19 @@ def test_folders_of_protocols(
     own.mkdir()
     (own / "wire-cantilever.yml").write_text("", encoding="utf-8")
     (own / "notes.txt").write_text("", encoding="utf-8")
-    assert protocol_folders(own) == (own, repository / "protocols")
-    known = known_protocols(own)
+    assert list_protocol_folders(own) == (own, repository / "protocols")
+    known = list_protocols(own)
     assert known["wire-cantilever"] == own / "wire-cantilever.yml"
     assert known["markers-only"] == repository / "protocols" / "markers-only.yaml"
     assert "notes" not in known
     monkeypatch.chdir(tmp_path)
-    assert protocol_folders()[0] == Path("protocols")
+    assert list_protocol_folders()[0] == Path("protocols")
     installed = tmp_path / "labpipe" / "shipped" / "protocols"
     installed.mkdir(parents=True)
     module = tmp_path / "labpipe" / "protocol" / "load.py"
     monkeypatch.setattr("labpipe.protocol.load.__file__", str(module))
-    assert protocol_folders(tmp_path / "lab") == (installed,)
-    assert shipped_folder("examples") == tmp_path / "examples", "as in a checkout"
+    assert list_protocol_folders(tmp_path / "lab") == (installed,)
+    assert find_shipped_folder("examples") == tmp_path / "examples", "as in a checkout"
 
 
 def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
@@ -263,12 +263,9 @@ def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
     assert find_protocol("../own.yaml", beside=beside) == beside / "../own.yaml"
     assert find_protocol("raw/own.yaml", beside=beside) == Path("raw/own.yaml")
     missing = find_protocol("no/own.yaml", beside=beside)
-    assert missing == Fault(
-        ("protocol",),
-        "a protocol",
-        "'no/own.yaml'",
-        f"There is none at {beside / 'no/own.yaml'} or {Path('no/own.yaml')}.",
-    )
+    assert isinstance(missing, Fault)
+    assert (missing.path, missing.found) == (("protocol",), "'no/own.yaml'")
+    assert str(beside / "no/own.yaml") in missing.remedy
 
 
 @pytest.mark.parametrize(
@@ -286,4 +283,4 @@ def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
     ],
 )
 def test_names_in_the_summary(tag: str, entry: dict[str, object], names: tuple[str, ...]) -> None:
-    assert result_names(tag, entry) == names
+    assert list_result_names(tag, entry) == names

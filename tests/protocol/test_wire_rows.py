@@ -11,15 +11,15 @@ import pytest
 from labpipe.errors import Fault
 from labpipe.protocol.wire_rows import (
     COLUMNS,
-    NEEDED,
+    REQUIRED_CELLS,
     StressPoint,
     WireRow,
-    column_name,
-    curve_fault,
-    curve_of,
-    field_of,
-    heading_faults,
-    wire_spec,
+    build_wire_spec,
+    convert_points,
+    find_curve_fault,
+    find_heading_faults,
+    get_spec_field,
+    normalise_heading,
 )
 from labpipe.records.wire import LAYOUTS, WireSpec
 from tests.approved import Approve
@@ -47,14 +47,14 @@ def test_every_number_of_a_spec_has_a_column() -> None:
     elsewhere = {"name", "layout", "stress_table", "insulation_table", "defaults", "place"}
     merged = {"strands", "conductor_area", "strand_diameter"}
     numbers = {field.name for field in fields(WireSpec)} - elsewhere
-    assert {field_of(name) for name in COLUMNS} - merged == numbers
+    assert {get_spec_field(name) for name in COLUMNS} - merged == numbers
     assert get_args(WireRow.model_fields["layout"].annotation) == LAYOUTS
 
 
 def test_numbers_keep_their_unit_until_they_become_si() -> None:
     read = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
-    assert (read.wire_diameter_mm, read.counts) == (1.6, (1, 3, 3))
-    spec = wire_spec(read, (), "row 2", None)
+    assert (read.wire_diameter_mm, read.strands_per_layer) == (1.6, (1, 3, 3))
+    spec = build_wire_spec(read, (), "row 2", None)
     assert (spec.wire_diameter, spec.conductor_modulus) == (0.0016, 110e9)
     assert spec.lay_angles == pytest.approx((0.20943951, -0.26179939), abs=1e-8)
     assert row(orientation_deg="450") == row(orientation_deg="90")
@@ -66,10 +66,14 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
     documented = dict(re.findall(r"^\| `(\w+)` \| ([^|]*) \|", page, flags=re.MULTILINE))
     assert set(documented) == set(WireRow.model_fields)
     for name, column in COLUMNS.items():
-        low, high, default = column.minimum, column.maximum, getattr(SILENT, field_of(name), None)
+        low, high, default = (
+            column.minimum,
+            column.maximum,
+            getattr(SILENT, get_spec_field(name), None),
+        )
         assert f"| {name.replace('_', ' ')} | {low:.10g} to {high:.10g} |" in page
         assert math.isfinite(high * column.factor)
-        if isinstance(default, float) and name not in NEEDED:
+        if isinstance(default, float) and name not in REQUIRED_CELLS:
             assert float(documented[name]) == pytest.approx(default / column.factor)
             assert low <= default / column.factor <= high
 
@@ -83,15 +87,15 @@ def points(pairs: Pairs) -> list[StressPoint]:
 
 def test_a_curve_in_si_without_its_zero() -> None:
     curve = points([(0.0, 0.0), (0.001, 110.0), (0.1, 150.0)])
-    assert curve_fault(curve, "stress_table") is None
-    assert curve_fault(points([(0.01, 10), (0.3, 20)]), "insulation_table") is None
-    assert curve_of(curve) == ((0.001, 0.1), (110e6, 150e6))
+    assert find_curve_fault(curve, "stress_table") is None
+    assert find_curve_fault(points([(0.01, 10), (0.3, 20)]), "insulation_table") is None
+    assert convert_points(curve) == ((0.001, 0.1), (110e6, 150e6))
 
 
 def test_a_heading_and_a_mass_that_are_right() -> None:
     """Copper 0.563 mm^2, five sixths of its strands 1 / cos(12 deg) longer, and PVC 1.225 mm^2."""
-    assert column_name("Wire diameter-MM") == "wire_diameter_mm"
-    assert list(heading_faults((*A2, "remark", "Layer Counts"))) == []
+    assert normalise_heading("Wire diameter-MM") == "wire_diameter_mm"
+    assert list(find_heading_faults((*A2, "remark", "Layer Counts"))) == []
     assert row(mass_per_length_g_per_m="9").has_mass
     assert row(mass_per_length_g_per_m="5.2", conductor_density_kg_per_m3="8900").has_mass
 
@@ -141,7 +145,7 @@ CURVES: list[tuple[str, Pairs]] = [
 
 def test_wires_that_are_refused(approved: Approve) -> None:
     """By their columns, by their cells, and by the points of their curves."""
-    faults = [fault for heading in HEADINGS for fault in heading_faults(heading)]
+    faults = [fault for heading in HEADINGS for fault in find_heading_faults(heading)]
     for column, texts in CELLS.items():
         for text in texts:
             parsed = WireRow.read(A2 | {column: text})
@@ -151,7 +155,7 @@ def test_wires_that_are_refused(approved: Approve) -> None:
     parsed = WireRow.read(A2 | light)
     assert isinstance(parsed, list)
     faults += [(0, fault) for fault in parsed]
-    faults += [curve_fault(points(pairs), table) or (0, NONE) for table, pairs in CURVES]
+    faults += [find_curve_fault(points(pairs), table) or (0, NONE) for table, pairs in CURVES]
     approved(
         f"{place} {fault.path}: expected {fault.expected}, found {fault.found}. {fault.remedy}"
         for place, fault in faults

@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from labpipe.protocol.grammar import validated
+from labpipe.protocol.grammar import build_pydantic_type
 from labpipe.protocol.plans import parse_name_pattern
 from labpipe.protocol.values import (
     FileStem,
     QuantityText,
-    file_inside,
-    is_name_of_a_test,
-    parse_whole,
+    build_path_validator,
+    is_test_name,
+    parse_whole_number,
 )
 from labpipe.records.declarations import (
     Area,
@@ -39,12 +39,12 @@ from labpipe.records.declarations import (
     Speed,
     WholeNumber,
 )
-from labpipe.units import si_factor
+from labpipe.units import find_si_factor
 from tests.approved import Approve
 
 
 def _parse(kind: Any, text: object) -> object:
-    return TypeAdapter(validated(kind)).validate_python(text)
+    return TypeAdapter(build_pydantic_type(kind)).validate_python(text)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_quantity_becomes_si(kind: object, text: str, value: float) -> None:
     ],
 )
 def test_a_span_in_its_four_ways(text: str, span: Span) -> None:
-    adapter = TypeAdapter(validated(Span))
+    adapter = TypeAdapter(build_pydantic_type(Span))
 
     assert adapter.validate_python(text) == span
     assert adapter.validate_python(adapter.dump_python(span)) == span
@@ -108,32 +108,34 @@ def _quantities() -> Iterator[QuantityText]:
 def test_a_quantity_written_reads_back_as_the_same_float(
     quantity: QuantityText, number: float, is_shown: bool
 ) -> None:
-    unit = quantity.of.shown if is_shown else quantity.of.unit
+    unit = quantity.quantity.shown if is_shown else quantity.quantity.unit
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
-        value = number * si_factor(unit, quantity.of.unit)
-        assert value in (0.0, float("inf")) or value > quantity.of.maximum
+        value = number * find_si_factor(unit, quantity.quantity.unit)
+        assert value in (0.0, float("inf")) or value > quantity.quantity.maximum
         return
 
-    assert quantity.parse(quantity.written(value)) == value
+    assert quantity.parse(quantity.format(value)) == value
 
 
 def test_a_quantity_is_written_as_a_person_would() -> None:
     """In SI where it is too large for the unit of people."""
     length = QuantityText(Quantity("m", "mm", "1 mm"))
-    assert [length.written(value) for value in (0.053, 1e308)] == ["53 mm", "1e+308 m"]
+    assert [length.format(value) for value in (0.053, 1e308)] == ["53 mm", "1e+308 m"]
 
 
 @pytest.mark.parametrize("text", ["5 mm", "-.5e3 s", "+2. N/V", "3 %", "1e-3ppm"])
 @pytest.mark.parametrize("wrong", ["mm", "5", 5, "five mm"])
 def test_the_json_schema_takes_a_number_with_unit(text: str, wrong: object) -> None:
-    checker = jsonschema.Draft202012Validator(TypeAdapter(validated(Length)).json_schema())
+    checker = jsonschema.Draft202012Validator(
+        TypeAdapter(build_pydantic_type(Length)).json_schema()
+    )
     assert checker.is_valid(text)
     assert not checker.is_valid(wrong)
 
 
-NAME = TypeAdapter(Annotated[str, file_inside("the folder of the test", "Copy it.")])
+NAME = TypeAdapter(Annotated[str, build_path_validator("the folder of the test", "Copy it.")])
 ELSEWHERE = "expected a file inside the folder of the test, found .* Copy it"
 UPWARDS = ["../a.csv", "a/../../b", r"a\..\b", "/a.csv", r"C:\a.csv", "C:a.csv"]
 
@@ -162,7 +164,7 @@ NO_NAMES = ["", ".", "..", "../x", "a/b", r"a\b", "a b", "CON", "lpt1.x", "a.", 
     ("name", "is_name"), [*((name, True) for name in NAMES), *((name, False) for name in NO_NAMES)]
 )
 def test_names_of_tests(name: str, is_name: bool) -> None:
-    assert is_name_of_a_test(name) is is_name
+    assert is_test_name(name) is is_name
     with nullcontext() if is_name else pytest.raises(ValidationError):
         assert TypeAdapter(FileStem).validate_python(name) == name
 
@@ -205,14 +207,18 @@ def test_what_is_refused(approved: Approve) -> None:
     calls: list[tuple[Callable[..., object], tuple[object, ...]]]
     calls = [(parse_name_pattern, (pattern,)) for pattern in NO_PATTERNS]
     numbers: tuple[object, ...] = ("three", "2.5", "1", "13", "", True, None, "0x3")
-    calls += [(parse_whole, (WholeNumber(2, 12), text)) for text in numbers]
+    calls += [(parse_whole_number, (WholeNumber(2, 12), text)) for text in numbers]
     messages = []
     for parse, given_to_it in calls:
         with pytest.raises(ValueError) as refused:  # noqa: PT011  the text is approved
             parse(*given_to_it)
         messages.append(refused.value)
     approved(messages)
-    assert parse_whole(WholeNumber(2, 12), "2") == parse_whole(WholeNumber(2, 12), 2) == 2
+    assert (
+        parse_whole_number(WholeNumber(2, 12), "2")
+        == parse_whole_number(WholeNumber(2, 12), 2)
+        == 2
+    )
 
 
 @given(st.text(min_size=1, max_size=40))

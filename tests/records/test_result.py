@@ -13,15 +13,12 @@ from labpipe.records.estimates import Estimate, add_errors
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import (
     Doubt,
+    Finding,
     Findings,
     QualityNote,
     Reason,
     Severity,
-    blocking,
     doubt_stretches,
-    doubtful,
-    not_available,
-    warning,
 )
 from labpipe.records.result import Contribution, Result, Specimen, Status
 
@@ -82,11 +79,12 @@ def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) 
 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
-    found = doubtful("a", "align", "b", "force", "clock", during=(1.0, 2.0), clock="force")
-    assert found.note == QualityNote("a", Severity.WARNING, "align", "b")
-    reason = Reason("a", "b")
-    assert found.doubts == tuple(
-        Doubt(each, reason, (1.0, 2.0), "force") for each in ("force", "clock")
+    name, quantities = "process.alignment_one_event", ("force", "clock")
+    finding = Finding.of(name, "align", *quantities, during=(1.0, 2.0), clock="force")
+    assert finding.note == QualityNote.of(name, "align")
+    reason = Reason("alignment_one_event", finding.note.message)
+    assert finding.doubts == tuple(
+        Doubt(quantity, reason, (1.0, 2.0), "force") for quantity in quantities
     )
 
 
@@ -101,17 +99,24 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
 
 
+def note(code: str, message: str = "") -> QualityNote:
+    return QualityNote(code, Severity.ERROR, "align", message)
+
+
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     """Notes and doubts count once."""
-    one, other = doubtful("a", "c", "b", "force"), doubtful("a", "c", "b", "clock")
+    one, other = (
+        Finding(note("a"), (Doubt(quantity, Reason("a", "")),)) for quantity in ("force", "clock")
+    )
     joined = Findings((one, one)) + iter((other,))
     assert (len(joined.entries), joined.notes) == (3, (one.note,))
     assert [doubt.quantity for doubt in joined.doubts] == ["force", "clock"]
-    assert Findings((not_available("x", "", ""),)).blocked is None
-    several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
+    error = Finding(note("x"))
+    assert Findings((error,)).blocked is None
+    several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))
     assert [finding.code for finding in several.without("a").entries] == ["b"]
-    found = Findings((warning("b", "", ""), blocking("c", "align", "three")))
-    assert (found + iter([blocking("d", "align", "four")])).blocked == Reason("c", "three")
+    findings = Findings((Finding(note("b")), Finding(note("c", "three"), blocks=True)))
+    assert (findings + iter([replace(error, blocks=True)])).blocked == Reason("c", "three")
 
 
 def test_what_tests_of_a_rig_share() -> None:

@@ -46,7 +46,7 @@ MIXED = bundle_model(
 ALIKE = bundle_model(bundle(("B1", 7)), example_wires())
 
 
-SCALE = Scale(1e6, "N*mm^2")
+SCALE = Scale(1e6, "N·mm²")
 GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
 NAME = GROUPS[0].name
 ENDS, SHARE = Interval(0.0058, 0.0062), Interval(0.0290, 0.0316)
@@ -85,7 +85,7 @@ HARNESS = DrawnHarness(
     marks=(
         DrawnMark("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
         DrawnMark("hand", "grip", ARC[-1], ARC[[0, -1]]),
-        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), holds=False),
+        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), is_holding=False),
     ),
     planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
     allowed=0.05,
@@ -95,7 +95,7 @@ SWEEP = DrawnSweep(
     note="A note.",
     length=np.array([0.15, 0.2]),
     radius=np.array([0.03, np.nan]),
-    way=np.array([0.02, np.nan]),
+    radius_over_steps=np.array([0.02, np.nan]),
     radius_band=(np.array([0.025, np.nan]), np.array([0.04, np.nan])),
     shapes=(ARC, ARC[:0]),
     allowed=0.05,

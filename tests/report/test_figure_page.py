@@ -38,12 +38,12 @@ def test_worst_flag_of_a_stretch_wins() -> None:
     flags = np.ones((1000, 2), dtype=np.uint8)
     flags[503, 1] = 0
     flags[504, 1] = 2
-    rank = np.array([2, 0, 1], dtype=np.uint8)
-    thin = thin_flags(flags, rank, bins=10)
+    by_rank = (1, 2, 0)
+    thin = thin_flags(flags, by_rank, bins=10)
     assert thin[:, 0].tolist() == [1] * 10
     assert thin[:, 1].tolist() == [1] * 5 + [0] + [1] * 4
-    np.testing.assert_array_equal(thin_flags(flags[:7], rank, bins=10), flags[:7])
-    assert thin_flags(flags[:0], rank, bins=10).shape == (0, 2)
+    np.testing.assert_array_equal(thin_flags(flags[:7], by_rank, bins=10), flags[:7])
+    assert thin_flags(flags[:0], by_rank, bins=10).shape == (0, 2)
 
 
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:

@@ -221,7 +221,7 @@ def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> N
     assert (reached >= steps.levels - 1e-12).all()
     assert (reached - steps.levels < 2.6e-4).all()
     assert result.shape.time[steps.frames].max() <= result.curve.branches[0].stop_time
-    assert steps.word == "tip deflection"
+    assert steps.name == "tip deflection"
 
 
 def test_words_of_markers(result: TestResult, approved: Approve) -> None:

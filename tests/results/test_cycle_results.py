@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import replicate_curves
-from labpipe.results.cycles import _time_of_part, stretch_of_cycle
+from labpipe.results.cycles import _time_of_part, find_cycle_samples
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 
@@ -26,8 +26,8 @@ def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
     flags = np.zeros(13, int)
     for sense in (1.0, -1.0):
         curve = Curve(np.arange(13.0), sense * way, way, flags, flags, branches)
-        assert stretch_of_cycle(curve, [*branches[:2]]) == slice(0, 7)
-        assert stretch_of_cycle(curve, [*branches[2:]]) == slice(6, 13)
+        assert find_cycle_samples(curve, [*branches[:2]]) == slice(0, 7)
+        assert find_cycle_samples(curve, [*branches[2:]]) == slice(6, 13)
 
 
 def test_parts_of_a_cycle_counted_in_branches() -> None:

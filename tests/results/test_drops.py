@@ -11,7 +11,12 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
 from labpipe.results.curve_replicates import add_back
-from labpipe.results.failures import LossOfForce, final_loss, lost_earlier, slow_loss
+from labpipe.results.failures import (
+    LossOfForce,
+    find_loss_start,
+    find_slow_loss,
+    measure_earlier_loss,
+)
 from labpipe.results.slack_and_slips import (
     LoadDrop,
     PullCurve,
@@ -20,9 +25,9 @@ from labpipe.results.slack_and_slips import (
     _is_outlier,
     _step_kernel,
     _Window,
+    count_samples_before,
     find_slips,
     fit_load_drop,
-    samples_before,
 )
 
 RULE: Final = LossOfForce(force_below=0.5, loss=0.1, within=0.05)
@@ -44,7 +49,7 @@ F = np.where(D <= 0.02, 5000.0 * D, 3.0)
 def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
     """A sample a second, 5 N slower each, and 10 % of 100 N on the way below half of it."""
     force = np.array([0.0, 50.0, 100.0, *np.arange(95.0, 54.0, -5.0), low, 42.0, 41.0])
-    found = final_loss(np.arange(float(len(force))), force, RULE)
+    found = find_loss_start(np.arange(float(len(force))), force, RULE)
     assert found == 11 if is_lost else isinstance(found, Failure)
 
 
@@ -61,7 +66,7 @@ def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Flo
 @pytest.mark.parametrize("neck", [0.0, 40.0])
 def test_a_break_is_found_at_any_rate_behind_the_necking(rate: float, neck: float) -> None:
     time, force = broken(rate, neck=neck)
-    sample = final_loss(time, force, RULE)
+    sample = find_loss_start(time, force, RULE)
     assert isinstance(sample, int)
     assert 22.0 - 0.1 <= time[sample] <= 22.0 + 0.004
     assert force[sample] == pytest.approx(100.0 - neck, rel=0.05)
@@ -74,9 +79,12 @@ def test_why_there_is_no_break() -> None:
     steps = np.maximum(100.0 - 5.0 * np.floor(np.arange(200) / 10.0), 0.0)
     back = np.concatenate([F[:200], F[:200][::-1]])
     why = [
-        *(final_loss(time, relaxed, RULE), final_loss(0.1 * np.arange(200.0), steps, RULE)),
-        final_loss(TIME[:200], F[:200], RULE),
-        final_loss(0.1 * np.arange(400.0), back, RULE, np.arange(400) >= 200),
+        *(
+            find_loss_start(time, relaxed, RULE),
+            find_loss_start(0.1 * np.arange(200.0), steps, RULE),
+        ),
+        find_loss_start(TIME[:200], F[:200], RULE),
+        find_loss_start(0.1 * np.arange(400.0), back, RULE, np.arange(400) >= 200),
     ]
     messages = ("slowly", "slowly", "the force ends at 99.5 N, 100% of its peak 99.5 N; below 50%")
     for failure, message in zip(why, (*messages, "while the displacement goes back"), strict=True):
@@ -93,14 +101,14 @@ def test_a_slow_loss_needs_a_motion_that_goes_on() -> None:
     at = np.arange(400.0)
     force = np.maximum(np.where(at < 200.0, 0.5 * at, 300.0 - at), 0.0)
     motions = (at, np.minimum(at, 200.0), 200.0 - np.abs(at - 200.0), at[:240])
-    found = [slow_loss(motion, force[: len(motion)], RULE) for motion in motions]
+    found = [find_slow_loss(motion, force[: len(motion)], RULE) for motion in motions]
     assert found == [250, None, None, None]
 
 
 def test_no_tension() -> None:
     for force, most in ((-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")):
         message = f"the force is nowhere above zero, at most {most} N"
-        assert final_loss(TIME, force, RULE) == Failure("no_tension", message)
+        assert find_loss_start(TIME, force, RULE) == Failure("no_tension", message)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +118,10 @@ def test_what_was_lost_before(lost: float, comes_back_to: float, share: float) -
     """60 N are carried, then some are lost at once; only what never comes back counts."""
     parts = [np.linspace(0.0, 60.0, 121), np.linspace(60.0 - lost, comes_back_to, 80)]
     force = np.concatenate(parts).astype(np.float64)
-    found = lost_earlier(0.1 * np.arange(float(len(force))), force, RULE)
+    found = measure_earlier_loss(0.1 * np.arange(float(len(force))), force, RULE)
     assert found == pytest.approx(share)
     force[::9] = np.nan
-    assert lost_earlier(0.1 * np.arange(float(len(force))), force, RULE) == pytest.approx(
+    assert measure_earlier_loss(0.1 * np.arange(float(len(force))), force, RULE) == pytest.approx(
         share, abs=0.01
     )
 
@@ -196,8 +204,8 @@ def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
     assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     force[2] = np.nan
     assert np.isnan(add_back(force, (ledger(1, 3, 1.0),))[2])
-    assert samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
-    assert samples_before((), 7) == 7
+    assert count_samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
+    assert count_samples_before((), 7) == 7
 
 
 @pytest.mark.parametrize("rate", [20, 100, 1000])

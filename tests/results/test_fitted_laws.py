@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from labpipe.records.arrays import Floats
 from labpipe.results.measured_law import (
     LawBasis,
+    LawData,
     LawShapes,
     Line,
-    Loaded,
+    choose_knots,
     fit_law,
-    law_knots,
     refine_law,
 )
 
@@ -24,7 +24,7 @@ LENGTH, FRAMES = 0.1, 60
 PLACES: Floats = np.linspace(0.01, 0.095, 7)
 
 
-BASIS = law_knots(0.06, 5)
+BASIS = choose_knots(0.06, 5)
 
 
 LAW: Floats = np.array([180.0, 200.0, 240.0, 300.0, 340.0])
@@ -32,11 +32,11 @@ LAW: Floats = np.array([180.0, 200.0, 240.0, 300.0, 340.0])
 
 def loading(
     basis: LawBasis = BASIS, law: Floats = LAW, *, noise: float = 0.0, seed: int = 0
-) -> Loaded:
+) -> LawData:
     """Moments that grow and fall linearly towards the tip, and markers where a law has them."""
     line = Line.through(PLACES, LENGTH)
     shape = 1.0 - line.arc_length / LENGTH
-    blank = Loaded(
+    blank = LawData(
         line=line,
         moment=0.06 * np.linspace(0.02, 1.0, FRAMES)[:, None] * shape,
         moment_at_rest=-0.002 * shape,
@@ -96,7 +96,7 @@ def test_a_shift_is_what_another_fit_finds() -> None:
 def test_no_more_knots_than_the_markers_tell_of() -> None:
     smooth, smooth_change = refine_law(loading(noise=2e-5))
     assert len(smooth.compliance) <= 13
-    kinked = law_knots(0.06, 25)
+    kinked = choose_knots(0.06, 25)
     law = np.where(kinked.knots < 0.025, 150.0, 900.0)
     sharp, sharp_change = refine_law(loading(kinked, law, noise=2e-5))
     assert len(sharp.compliance) == 25
@@ -114,7 +114,7 @@ def test_moments_that_do_not_fix_the_law_are_told() -> None:
             fit_law(replace(test, moment=moment), BASIS)
 
 
-BASIS_BASIS = law_knots(0.06, 7)
+BASIS_BASIS = choose_knots(0.06, 7)
 
 
 amounts = st.lists(st.floats(0.0, 500.0), min_size=7, max_size=7)
@@ -148,7 +148,7 @@ def bent_evenly(moment: float, *, height: float) -> LawShapes:
     """A line along which the moment is the same everywhere, by a law of five knots."""
     line = Line.through(PLACES, LENGTH)
     blank = np.zeros(len(line.arc_length))
-    even = Loaded(
+    even = LawData(
         line=line,
         moment=(blank + moment)[None],
         moment_at_rest=blank,

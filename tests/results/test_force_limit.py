@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.process.story import ReductionOfTest, reduce_recordings
+from labpipe.process.story import Reduction, reduce_recordings
 from labpipe.protocol.limit_cards import read_limit_card
 from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.yaml_text import FaultsError
@@ -39,11 +39,14 @@ MEASURED = {
 
 def pulled(
     force: Floats, conductor: str, entry: str = CARD_ENTRY, separation: str = "slip"
-) -> ReductionOfTest:
+) -> Reduction:
     """Reduce a pull at 25 mm/min with 20 samples per second."""
     time = np.arange(len(force)) / 20.0
     path = np.maximum(time - 1.0, 0.0) * 25e-3 / 60.0
-    values = {"force": ("Load", "N", force), "displacement": ("Crosshead", "m", path)}
+    values: dict[str, tuple[str, str, Floats]] = {
+        "force": ("Load", "N", force),
+        "displacement": ("Crosshead", "m", path),
+    }
     channels = tuple(
         Channel(name, where, numbers, unit=unit) for name, (where, unit, numbers) in values.items()
     )
@@ -63,7 +66,7 @@ def rising(peak: float, *, then: float = 0.0) -> Floats:
     return force + noise
 
 
-def named(reduced: ReductionOfTest) -> dict[str, Result]:
+def named(reduced: Reduction) -> dict[str, Result]:
     return {result.name: result for result in reduced.results}
 
 

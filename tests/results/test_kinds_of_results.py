@@ -8,10 +8,10 @@ import pytest
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
+from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import loading_of, traced
+from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
 from labpipe.results.reduced_test import FailurePoint, ReducedTest
 
@@ -22,7 +22,18 @@ class ByLine(Kind):
     method = "by a line"
 
     def measure(self, test: ReducedTest) -> Computed:
-        raise test.unavailable(Failure("none", ""))
+        raise test.make_error(Failure("none", ""))
+
+
+def finding(
+    code: str,
+    message: str,
+    *quantities: str,
+    during: tuple[float, float] | None = None,
+    blocks: bool = False,
+) -> Finding:
+    note, reason = QualityNote(code, Severity.WARNING, "force", message), Reason(code, message)
+    return Finding(note, tuple(Doubt(x, reason, during, "force") for x in quantities), blocks)
 
 
 def evidence(*found: Finding) -> ReducedTest:
@@ -30,7 +41,7 @@ def evidence(*found: Finding) -> ReducedTest:
 
 
 def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, part: str = "") -> Result:
-    return ByLine().number(test, outcome, doubts=doubts, part=part)
+    return ByLine().make_result(test, outcome, doubts=doubts, part=part)
 
 
 def test_a_number() -> None:
@@ -44,7 +55,7 @@ def test_a_number() -> None:
 def test_errors_from_outside_the_fit_come_on_top() -> None:
     """The part of the fit in an interval of its own is half its width, as a normal one has it."""
     errors = {"scale of the force": 3.0, "length": 4.0}
-    result = ByLine().number(evidence(), Estimate(10.0, 0.0, 50), errors)
+    result = ByLine().make_result(evidence(), Estimate(10.0, 0.0, 50), errors)
     assert result.interval is not None
     assert result.interval.standard_error == pytest.approx(5.0)
     scale = Contribution("scale of the force", 3.0, is_common=True)
@@ -69,21 +80,21 @@ def test_no_number() -> None:
 
 def test_doubts_of_its_quantities() -> None:
     test = evidence(
-        doubtful("drift", "force", "the zero drifts", "force"),
-        doubtful("drift", "clock", "the clock drifts", "clock"),
+        finding("drift", "the zero drifts", "force"),
+        finding("drift", "the clock drifts", "clock"),
     )
     found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert found.status is Status.DOUBTFUL
     assert found.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
-    twice = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
+    twice = evidence(finding("turn", "not seen", "force", "displacement"))
     assert number(twice, Estimate(1.0, 0.1, 5)).reason_text == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
-    assert evidence().unavailable(otherwise).failure is otherwise
-    stopped = evidence(blocking("no_motion", "travel", "it spans 0.1 mm: too little"))
-    assert stopped.unavailable(otherwise).failure == Failure(
+    assert evidence().make_error(otherwise).failure is otherwise
+    stopped = evidence(finding("no_motion", "it spans 0.1 mm: too little", blocks=True))
+    assert stopped.make_error(otherwise).failure == Failure(
         "no_motion", "it spans 0.1 mm: too little"
     )
 
@@ -134,8 +145,8 @@ def located(clocks: Clocks = APART) -> ReducedTest:
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.add_signal(name, Signal(time, time, "N", clock))
-    found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
-    return ReducedTest(signals, clocks, findings=Findings((found,)))
+    frozen = finding("frozen", "stands", "force", during=(40.0, 42.0))
+    return ReducedTest(signals, clocks, findings=Findings((frozen,)))
 
 
 def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
@@ -144,9 +155,9 @@ def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
     for test, ahead in ((located(), 0.0), (located(Clocks("markers", joined)), 10.0)):
         for during, reasons in (((41.0, 60.0), FROZEN), ((38.0, 41.0), FROZEN), ((0.0, 39.0), ())):
             there = (during[0] - ahead, during[1] - ahead)
-            assert test.why_doubtful("force", there) == reasons
-            assert test.why_doubtful("displacement", there) == ()
-        assert test.why_doubtful("force") == FROZEN
+            assert test.find_doubts("force", there) == reasons
+            assert test.find_doubts("displacement", there) == ()
+        assert test.find_doubts("force") == FROZEN
 
 
 def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
@@ -155,15 +166,15 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
         replace(test.signals, zero_stretches=zero),
         replace(test.signals, moving_zero_stretches=zero),
     ):
-        assert replace(test, signals=signals).why_doubtful("force", (60.0, 70.0)) == FROZEN
+        assert replace(test, signals=signals).find_doubts("force", (60.0, 70.0)) == FROZEN
 
 
 def test_of_each_code_the_first_reason_counts() -> None:
-    more = doubtful("frozen", "force", "again", "force")
-    other = doubtful("drift", "force", "the zero drifts", "force")
+    more = finding("frozen", "again", "force")
+    other = finding("drift", "the zero drifts", "force")
     test = located()
     test = replace(test, findings=test.findings + iter((more, other)))
-    assert test.why_doubtful("force") == (*FROZEN, Reason("drift", "the zero drifts"))
+    assert test.find_doubts("force") == (*FROZEN, Reason("drift", "the zero drifts"))
 
 
 BRANCHES = (
@@ -184,10 +195,10 @@ def test_branches_by_cycle() -> None:
     test = evidence_of(*BRANCHES)
     assert test.cycles == [list(BRANCHES[:2]), [BRANCHES[2]]]
     assert test.first_loading is BRANCHES[0]
-    assert loading_of(traced(test)) == slice(0, 2)
+    assert select_first_loading(make_trace(test)) == slice(0, 2)
     for sample, stop in ((0, 1), (1, 2), (2, 2)):
         failed = evidence_of(*BRANCHES, failure=FailurePoint(sample))
-        assert loading_of(traced(failed)) == slice(0, stop)
+        assert select_first_loading(make_trace(failed)) == slice(0, stop)
     assert evidence_of(BRANCHES[1]).first_loading is None
 
 
@@ -195,13 +206,13 @@ def test_without_a_curve() -> None:
     test = ReducedTest(Signals())
     assert test.cycles == []
     assert test.first_loading is None
-    assert test.while_loading() is None
+    assert test.find_loading_interval() is None
     with pytest.raises(ValueError, match="found none"):
-        _ = test.known_curve
+        _ = test.required_curve
 
 
 def test_when_the_first_loading_went_between_two_displacements() -> None:
     test = evidence_of(Branch(0, 3, 1, UP, 0.0, 2.5))
-    assert test.while_loading() == (0.0, 2.5)
-    assert test.while_loading(0.5, 1.5) == (1.0, 2.0)
-    assert test.while_loading(0.5, 9.0) == (1.0, 2.5)
+    assert test.find_loading_interval() == (0.0, 2.5)
+    assert test.find_loading_interval(0.5, 1.5) == (1.0, 2.0)
+    assert test.find_loading_interval(0.5, 9.0) == (1.0, 2.5)

@@ -9,16 +9,16 @@ import pytest
 from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
-from labpipe.results.beam import held_at_rest
+from labpipe.results.beam import compute_prop_force
 from labpipe.results.bent_frames import BendingTest, TipPull
 from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,
     LawFit,
-    bending_cloud,
-    law_knots,
-    law_points,
+    choose_knots,
+    evaluate_law,
     measure_bending,
+    measure_cloud,
     tabulate,
 )
 from labpipe.virtual_lab.specimens import WireModel
@@ -35,7 +35,7 @@ from tests.builders.bent_tests import (
 )
 from tests.builders.bilinear_laws import bilinear_law
 
-BASIS = law_knots(0.06, 5)
+BASIS = choose_knots(0.06, 5)
 
 
 LAW: Floats = np.array([180.0, 200.0, 240.0, 300.0, 340.0])
@@ -65,7 +65,7 @@ def table(*, scale_error: float = 0.0, noise: float = 0.05) -> MeasuredLaw:
 def test_points_lie_on_the_law() -> None:
     moment = np.array([0.001, 0.02, 0.05])
     curvature = BASIS.values(moment) @ LAW
-    at = law_points(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
+    at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert at.moment == pytest.approx(moment, rel=1e-4)
     assert at.secant == pytest.approx(moment / curvature, rel=1e-4)
     assert at.tangent == pytest.approx(1.0 / (BASIS.slopes(moment) @ LAW), rel=1e-3)
@@ -74,10 +74,12 @@ def test_points_lie_on_the_law() -> None:
 @pytest.mark.slow
 def test_errors_are_those_of_other_laws() -> None:
     curvature, rng = np.array([1.0, 4.0, 9.0]), np.random.default_rng(3)
-    at = law_points(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.01)
+    at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.01)
     drawn = rng.multivariate_normal(LAW, COVARIANCE, 3000)
     scales = 1.0 + 0.01 * rng.standard_normal(3000)
-    others = [law_points(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn]
+    others = [
+        evaluate_law(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn
+    ]
     for name in ("moment", "secant", "tangent"):
         values = scales[:, None] * np.array([getattr(other, name) for other in others])
         assert values.std(axis=0) == pytest.approx(getattr(at, f"{name}_error"), rel=0.08)
@@ -86,11 +88,11 @@ def test_errors_are_those_of_other_laws() -> None:
 def test_nothing_is_extrapolated_and_a_flat_law_has_no_stiffness() -> None:
     last = float(BASIS.values(BASIS.knots[-1:])[0] @ LAW)
     curvature = np.array([1e3, -1.0, 1.01 * last, last])
-    at = law_points(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
+    at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert np.isnan([at.moment[:3], at.secant[:3], at.tangent[:3]]).all()
     assert at.moment[3] == pytest.approx(BASIS.knots[-1])
     flat = np.array([0.0, 0.0, 0.0, 0.0, 340.0])
-    at = law_points(BASIS.knots, flat, COVARIANCE, np.array([0.0]), scale_error=0.0)
+    at = evaluate_law(BASIS.knots, flat, COVARIANCE, np.array([0.0]), scale_error=0.0)
     assert np.isinf(at.tangent).all()
     assert not np.isfinite(at.moment_error).any()
 
@@ -129,7 +131,7 @@ TEST = bending_test(SHAPES)
 
 
 def test_an_elastic_wire_has_one_stiffness_everywhere() -> None:
-    cloud = bending_cloud(TEST)
+    cloud = measure_cloud(TEST)
     assert cloud.frames_per_mean == 2
     assert cloud.curvature.shape == (N_CLOUD_ROWS, N_CLOUD_STATIONS)
     assert (set(cloud.branch.tolist()), set(cloud.cycle.tolist())) == ({0}, {1})
@@ -143,8 +145,8 @@ def test_an_elastic_wire_has_one_stiffness_everywhere() -> None:
 
 
 def test_noise_of_curvatures_is_as_stated() -> None:
-    exact = bending_cloud(TEST)
-    clouds = [bending_cloud(bending_test(SHAPES, noise=2e-5, seed=seed)) for seed in range(2)]
+    exact = measure_cloud(TEST)
+    clouds = [measure_cloud(bending_test(SHAPES, noise=2e-5, seed=seed)) for seed in range(2)]
     off = np.stack([(cloud.curvature - exact.curvature) for cloud in clouds])
     ratio = off[..., :-1] / np.stack([cloud.curvature_error for cloud in clouds])[..., :-1]
     assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.1)
@@ -152,7 +154,7 @@ def test_noise_of_curvatures_is_as_stated() -> None:
 
 def test_errors_of_moments_add_up() -> None:
     def cloud_with(**errors: float) -> BendingCloud:
-        return bending_cloud(replace(TEST, errors=replace(NO_ERRORS, **errors)))
+        return measure_cloud(replace(TEST, errors=replace(NO_ERRORS, **errors)))
 
     scaled = cloud_with(force_scale=0.01)
     assert scaled.moment_error == pytest.approx(np.abs(0.01 * scaled.moment), abs=1e-9)
@@ -196,7 +198,7 @@ def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: flo
     law = replace(WireModel(), stick_moment=2e-4).scaled(0.2).law()
     shapes = lifted(law, travel=0.05, frames=201)
     own = HEAVY if weighs else 0.0
-    pull = TipPull(STRING, WEIGHT, WEIGHT + held_at_rest(own, LENGTH), LENGTH, own)
+    pull = TipPull(STRING, WEIGHT, WEIGHT + compute_prop_force(own, LENGTH), LENGTH, own)
     measured = law_of(bending_test(shapes, pull=pull))
     above = (measured.curvature > 0.5) & (measured.curvature < 10.0)
     true = law_moment(law, measured.curvature, most=0.05)

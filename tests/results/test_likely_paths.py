@@ -27,7 +27,13 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import add_back, cuts_of, loading_of, replicate_curves, traced
+from labpipe.results.curve_replicates import (
+    add_back,
+    find_piece_starts,
+    make_trace,
+    replicate_curves,
+    select_first_loading,
+)
 from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
 from labpipe.results.sample_noise import SampleNoise
 from labpipe.signal.filters import Butterworth, Smoothing
@@ -86,12 +92,12 @@ def broken(at: int, count: int) -> ReducedTest:
 
 
 def test_the_first_loading_ends_at_the_failure() -> None:
-    trace = traced(straight())
-    assert loading_of(trace) == slice(0, 800)
-    assert loading_of(replace(trace, failed_at=30)) == slice(0, 31)
-    assert loading_of(replace(trace, branches=())) == slice(0, 0)
+    trace = make_trace(straight())
+    assert select_first_loading(trace) == slice(0, 800)
+    assert select_first_loading(replace(trace, failed_at=30)) == slice(0, 31)
+    assert select_first_loading(replace(trace, branches=())) == slice(0, 0)
     back, on = Branch(0, 9, 1, DOWN, 0.0, 1.0), Branch(9, 20, 2, UP, 1.0, 2.0)
-    assert loading_of(replace(trace, branches=(back, on), failed_at=25)) == slice(9, 20)
+    assert select_first_loading(replace(trace, branches=(back, on), failed_at=25)) == slice(9, 20)
 
 
 @pytest.mark.parametrize("window", [1, 21])
@@ -140,7 +146,7 @@ def test_a_fast_force_has_the_noise_that_the_curve_has(window: int, drawn: float
     time, fast = np.arange(300) / 50.0, np.arange(60_000) / 10_000.0
     force = 10.0 * fast + RNG(3).normal(size=60_000)
     test = recorded(time, 1e-3 * time, force, force_time=fast, filters=((Smoothing(window), 1),))
-    found = np.std(test.known_curve.force - 10.0 * time)
+    found = np.std(test.required_curve.force - 10.0 * time)
     assert found == pytest.approx(drawn, rel=0.35)
     assert noise(test, slice(10, -10)) == pytest.approx(drawn, rel=0.15)
 
@@ -151,7 +157,7 @@ def test_a_filtered_displacement_has_its_noise_back_and_the_level_of_the_curve()
     path = 1e-3 * time + 1e-5 * RNG(0).normal(size=3000)
     filters = ((Smoothing(25), 1),)
     test = recorded(time, path, 10.0 * time, filters_of_displacement=filters, compliance=5e-5)
-    curve = test.known_curve
+    curve = test.required_curve
     moved = replace(test, curve=replace(curve, displacement=curve.displacement - 5e-3))
     made = curves(moved)
     noise_of_path = (made.displacement - made.smooth.displacement)[:, 50:-50]
@@ -214,8 +220,8 @@ def slipped(decision: SlipDecision) -> ReducedTest:
     slips = tuple(Slip(1e-3, 20.0, drop, drop, decision, start, start + 2) for start in (200, 500))
     test = recorded(time, 1e-3 * time, force, slips=slips)
     if decision is SlipDecision.REPAIRED:
-        whole = add_back(test.known_curve.force, slips)
-        return replace(test, curve=replace(test.known_curve, force=whole))
+        whole = add_back(test.required_curve.force, slips)
+        return replace(test, curve=replace(test.required_curve, force=whole))
     return test
 
 
@@ -481,7 +487,7 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     test, sure = straight_of_drift(), Interval(0.0, 0.0)
     events, errors = np.array([0.0, 10.0]), np.full(2, 1e-3)
     fit = ClockFit(1.0, 0.0, sure, sure, 0.0, events, events + 1.0, errors, "by hand")
-    raw = replace(test.signals.raw["force"], clock="force", time=test.known_curve.time + 1.0)
+    raw = replace(test.signals.raw["force"], clock="force", time=test.required_curve.time + 1.0)
     signals = replace(test.signals.add_signal("force", raw), zero_stretches={"force": (2.5, 3.5)})
     test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
     trace = curves(test).smooth
@@ -600,4 +606,4 @@ def test_pieces_begin_behind_the_time_of_a_turn() -> None:
     same, at = Interval(1.0, 1.0), np.array([TURN])
     joined = ClockFit(1.0, 0.0, same, same, 0.0, at, at + 1.0, 0.01 * at, "by turns")
     signal = Signal(SINGLE * np.arange(float(2000)), np.zeros(2000), "N", "recorder")
-    assert cuts_of(Clocks("cameras", joined), [10.004, 12.0], signal) == [1101, 1301]
+    assert find_piece_starts(Clocks("cameras", joined), [10.004, 12.0], signal) == [1101, 1301]

@@ -6,13 +6,13 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure, return_failure
 from labpipe.results.cycles import (
-    Unloaded,
-    energy_of,
-    unloaded,
+    UnloadingEnd,
+    find_unloading_end,
+    integrate_energy,
 )
-from labpipe.results.least_squares import CommonPath, finite_samples
-from labpipe.results.reduced_test import sense_of_loading
-from labpipe.results.shapes import secant_stiffness
+from labpipe.results.least_squares import CommonPath, find_finite_samples
+from labpipe.results.reduced_test import compute_loading_sign
+from labpipe.results.shapes import fit_secant_stiffness
 from tests.builders.noise_rows import KINDS, noise_rows
 
 STIFFNESS = 20.0
@@ -24,7 +24,7 @@ SECONDS = np.arange(0.0, 4.0, 0.02)
 def secant(path: Floats, force: Floats, part: slice = slice(None)) -> Estimate | Failure:
     inside = np.zeros(len(SECONDS), dtype=bool)
     inside[part] = True
-    return return_failure(secant_stiffness)(SECONDS, path, force, inside)
+    return return_failure(fit_secant_stiffness)(SECONDS, path, force, inside)
 
 
 def test_stiffness_is_exact_on_a_line() -> None:
@@ -54,19 +54,21 @@ def test_stiffness_is_not_made_small_by_a_noisy_displacement() -> None:
 def test_sense_of_loading() -> None:
     nan = float("nan")
     for values in ([0.0, 50.0, 100.0, 0.0], [50.0, 75.0, 100.0, 0.0], [nan, -20.0, 15.0], [nan]):
-        assert sense_of_loading(np.array(values)) == 1.0
-    assert sense_of_loading(np.array([0.0, -50.0, -100.0])) == -1.0
+        assert compute_loading_sign(np.array(values)) == 1.0
+    assert compute_loading_sign(np.array([0.0, -50.0, -100.0])) == -1.0
 
 
 def test_energy_of_many_rows_is_the_trapezoid_of_each() -> None:
     rng = np.random.default_rng(3)
     d, f = rng.normal(size=(2, 3, 40))
     expected = [float(np.trapezoid(force, path)) for path, force in zip(d, f, strict=True)]
-    np.testing.assert_allclose(energy_of(d, f), expected, rtol=1e-12)
+    np.testing.assert_allclose(integrate_energy(d, f), expected, rtol=1e-12)
     exact = [float(np.trapezoid(force, d[0])) for force in f]
-    np.testing.assert_allclose(energy_of(d[0], f), exact, rtol=1e-12)
+    np.testing.assert_allclose(integrate_energy(d[0], f), exact, rtol=1e-12)
     # 1 N over 2 mm, then 3 N over 1 mm, halfway from one to the other in between
-    assert energy_of(np.array([0.0, 2e-3, 3e-3]), np.array([1.0, 1.0, 3.0])) == pytest.approx(4e-3)
+    assert integrate_energy(
+        np.array([0.0, 2e-3, 3e-3]), np.array([1.0, 1.0, 3.0])
+    ) == pytest.approx(4e-3)
 
 
 D = np.linspace(1e-3, 5e-3, 201)
@@ -96,8 +98,8 @@ def test_where_the_frame_stands_the_slope_is_that_of_the_stretch() -> None:
 def test_some_samples_in_another_order() -> None:
     force, d = 900.0 * D, D.copy()
     force[4] = d[9] = np.nan
-    assert finite_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
-    mixed = np.random.default_rng(0).permutation(finite_samples(d, force))
+    assert find_finite_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
+    mixed = np.random.default_rng(0).permutation(find_finite_samples(d, force))
     kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
     path, plain = CommonPath.of(d, kinked, mixed), CommonPath.of(D, kinked, ALL)
     assert plain.slope[[0, 90, 100, 110, 200]] == pytest.approx([900, 900, 600, 300, 300])
@@ -144,15 +146,15 @@ WAYS = {
 """The three ways to end, at 12 mm: through zero, with a string that gets slack, and followed."""
 
 
-def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unloaded:
-    found = return_failure(unloaded)(TIME, path, force, force_below=LIMIT, like=like)
+def decided(path: Floats, force: Floats, like: UnloadingEnd | None = None) -> UnloadingEnd:
+    found = return_failure(find_unloading_end)(TIME, path, force, force_below=LIMIT, like=like)
     assert not isinstance(found, Failure), found
     return found
 
 
-def each_row(ending: Unloaded, path: Floats, force: Floats) -> Floats:
-    assert ending.of_each is not None
-    return ending.of_each(path, force)
+def each_row(ending: UnloadingEnd, path: Floats, force: Floats) -> Floats:
+    assert ending.compute_rows is not None
+    return ending.compute_rows(path, force)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -161,19 +163,19 @@ def test_it_is_where_the_force_is_back_at_zero(way: str) -> None:
     path, force = WAYS[way]
     plain = decided(path, force)
     assert plain.how == way
-    assert plain.of(path, force) == pytest.approx(LEFT, abs=1e-12)
+    assert plain.compute(path, force) == pytest.approx(LEFT, abs=1e-12)
     rng = np.random.default_rng(1)
     paths, forces = (point + rng.normal(0, 1e-5, (3, len(TIME))) for point in (path, force))
-    alone = [plain.of(d, f) for d, f in zip(paths, forces, strict=True)]
-    np.testing.assert_allclose(plain.of(paths, forces), alone, rtol=1e-12)
+    alone = [plain.compute(d, f) for d, f in zip(paths, forces, strict=True)]
+    np.testing.assert_allclose(plain.compute(paths, forces), alone, rtol=1e-12)
     holes = force.copy()
     holes[::9] = np.nan
-    assert decided(path, holes).of(path, holes) == pytest.approx(LEFT, abs=1e-9)
+    assert decided(path, holes).compute(path, holes) == pytest.approx(LEFT, abs=1e-9)
     if way == "through zero":  # a tenth of 53 s on each side of 41 s, 50 a second
         assert plain.n == 529
     if way == "followed":  # from five limits to one, at 24 mN a second
         assert plain.limit == LIMIT
-        rising = plain.of(path, np.array([force, force[::-1]]))
+        rising = plain.compute(path, np.array([force, force[::-1]]))
         assert np.isnan(rising).tolist() == [False, True]
 
 
@@ -185,7 +187,9 @@ def test_a_force_that_is_too_high_by_so_much_is_zero_so_much_later(way: str, mov
     path, force = WAYS[way]
     plain = decided(path, force)
     higher = force + np.where((force > 0.0) | (way == "through zero"), 2.4e-3, 0.0)
-    assert plain.of(path, higher) - plain.of(path, force) == pytest.approx(-moved, abs=1e-9)
+    assert plain.compute(path, higher) - plain.compute(path, force) == pytest.approx(
+        -moved, abs=1e-9
+    )
 
 
 def test_through_zero_by_hand() -> None:
@@ -195,7 +199,7 @@ def test_through_zero_by_hand() -> None:
     path = 0.004 - 1e-3 * after + 1e-5 * after**2
     found = decided(path, force)
     assert found.how == "through zero"
-    assert found.of(path, force) == pytest.approx(0.004, abs=1e-12)
+    assert found.compute(path, force) == pytest.approx(0.004, abs=1e-12)
 
 
 def test_a_foot_of_few_samples_is_not_followed() -> None:
@@ -203,7 +207,7 @@ def test_a_foot_of_few_samples_is_not_followed() -> None:
     force = np.where(TIME < 40.0, 1.0, 0.0)
     found = decided(PATH, force)
     assert found.how == "followed"
-    rows = found.of(np.array([PATH, PATH + 0.001]), force)
+    rows = found.compute(np.array([PATH, PATH + 0.001]), force)
     np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
 
 
@@ -237,11 +241,11 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     for d, f, each in zip(
         path[10:], force[10:], each_row(found, path[10:], force[10:]), strict=True
     ):
-        alone = return_failure(unloaded)(TIME, d, f, force_below=LIMIT, like=found)
+        alone = return_failure(find_unloading_end)(TIME, d, f, force_below=LIMIT, like=found)
         if isinstance(alone, Failure):
             assert np.isnan(each)
         else:
-            assert each == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+            assert each == pytest.approx(float(alone.compute(d, f)), rel=1e-9)
     assert np.isfinite(each_row(found, path[:10], force[:10])).all()
 
 
@@ -250,7 +254,7 @@ def test_a_weak_force_is_not_followed_from_far_off() -> None:
     beyond = PATH - LEFT
     force = 0.27 * beyond + 5.5 * beyond**2
     found = decided(PATH, force)
-    assert found.of(PATH, force) == pytest.approx(LEFT, abs=1e-4)
+    assert found.compute(PATH, force) == pytest.approx(LEFT, abs=1e-4)
 
 
 def test_a_force_that_does_not_come_back_to_zero() -> None:
@@ -262,7 +266,9 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
         (slice(1500), FORCE[:1500], "above the limit of 0.005 N"),
         (kept, weak, "the force ends at 0.004"),
     ):
-        failure = return_failure(unloaded)(TIME[part], PATH[part], force, force_below=LIMIT)
+        failure = return_failure(find_unloading_end)(
+            TIME[part], PATH[part], force, force_below=LIMIT
+        )
         assert isinstance(failure, Failure)
         assert failure.code == "force_not_zero"
         assert message in failure.message
@@ -270,14 +276,14 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
 
 def test_too_few() -> None:
     few = np.linspace(0.0, 1.0, 10)
-    found = return_failure(unloaded)(few, few, 1.0 - few, force_below=LIMIT)
+    found = return_failure(find_unloading_end)(few, few, 1.0 - few, force_below=LIMIT)
     assert found == Failure("too_few_samples", "10 samples, 16 are needed")
     many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
-    found = return_failure(unloaded)(many, many, noise, force_below=LIMIT)
+    found = return_failure(find_unloading_end)(many, many, noise, force_below=LIMIT)
     assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
     sparse = np.arange(0.0, 60.0, 1.0)
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
-    found = return_failure(unloaded)(sparse, path, fallen, force_below=LIMIT)
+    found = return_failure(find_unloading_end)(sparse, path, fallen, force_below=LIMIT)
     assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
 
 
@@ -286,7 +292,7 @@ def test_a_rest_is_seen_once_the_line_were_three_limits_lower(lasts: float, way:
     """15 mN at 24 mN a second are 0.625 s."""
     path, force = WAYS["at rest"]
     part = lasts + 41.0 >= TIME
-    assert unloaded(TIME[part], path[part], force[part], force_below=LIMIT).how == way
+    assert find_unloading_end(TIME[part], path[part], force[part], force_below=LIMIT).how == way
 
 
 @pytest.mark.parametrize(("pulls", "creeps"), [(0.0, 0.0), (-0.0125, 0.0), (0.0, 2e-6)])
@@ -315,4 +321,4 @@ def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
     assert alone.limit == LIMIT
     paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
     each = each_row(found, paths, force)[3]
-    assert each == pytest.approx(float(alone.of(paths[3], force[3])), rel=1e-9)
+    assert each == pytest.approx(float(alone.compute(paths[3], force[3])), rel=1e-9)

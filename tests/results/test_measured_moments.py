@@ -22,12 +22,12 @@ from labpipe.records.curve import (
 from labpipe.records.result import Result, Status
 from labpipe.results.moment_curvature import (
     MIN_SLACK_TRAVEL,
-    AtRest,
+    RestEvidence,
     _while_slack,
-    at_rest,
-    held,
-    notes_of,
-    stated,
+    collect_rest_evidence,
+    decide_string_state,
+    list_rest_notes,
+    make_stated_state,
 )
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import MomentCurvature, _no_weight
@@ -246,18 +246,20 @@ def shape(sag: float) -> Shape:
     )
 
 
-def seen(*, ahead: float | None = None, sag: float | None = None) -> AtRest:
+def seen(*, ahead: float | None = None, sag: float | None = None) -> RestEvidence:
     one = curve()
     aligned = None
     if ahead is not None:
         aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
-    return at_rest(aligned, None if sag is None else shape(sag), one, one.branches[0], WEIGHT)
+    return collect_rest_evidence(
+        aligned, None if sag is None else shape(sag), one, one.branches[0], WEIGHT
+    )
 
 
 def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
     """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
     one, lines = curve(), list[str]()
-    weak = at_rest(None, shape(30e-3), one, one.branches[0], weight=1.0)
+    weak = collect_rest_evidence(None, shape(30e-3), one, one.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
     for rest in (
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
@@ -266,11 +268,13 @@ def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> N
         numbers = (1e3 * number for number in (rest.ahead, rest.sag, rest.reach))
         lines.append(" ".join(f"{number:.4g}" for number in numbers) + f" mm: {rest.state}")
         lines.append(f"  known: {rest.is_known}; {rest.why_not_straight or 'straight'}")
-        lines += [f"  {note.code} of {note.where}: {note.message}" for note in notes_of("T1", rest)]
+        lines += [
+            f"  {note.code} of {note.where}: {note.message}" for note in list_rest_notes("T1", rest)
+        ]
     approved(lines)
 
 
-def moved(*, tension: float, slack_for: float = 0.0) -> AtRest:
+def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
     """A cycle whose string goes slack for some m at its end; the zero hides a tension at rest."""
     rng = np.random.default_rng(6)
     travel = np.concatenate(
@@ -297,7 +301,9 @@ def moved(*, tension: float, slack_for: float = 0.0) -> AtRest:
         branches=branches,
     )
     noisy = travel + rng.normal(0.0, 1e-5, len(time))
-    return at_rest(Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT)
+    return collect_rest_evidence(
+        Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT
+    )
 
 
 @pytest.mark.parametrize("tension", [0.0, 0.012, WEIGHT])
@@ -321,7 +327,7 @@ def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
     assert found.was_pulled
 
 
-EVIDENCE = AtRest(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, error=5e-5)
+EVIDENCE = RestEvidence(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, error=5e-5)
 
 
 NAN = float("nan")
@@ -357,7 +363,7 @@ def test_what_the_evidence_says(state: str) -> None:
         assert np.isnan(stiff.share)
 
 
-TAUT_REST = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
+TAUT_REST = RestEvidence(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -366,7 +372,7 @@ TAUT_REST = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.008
 def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
     ahead: float, tension: float
 ) -> None:
-    found = held(replace(EVIDENCE, ahead=ahead, sag=2e-3))
+    found = decide_string_state(replace(EVIDENCE, ahead=ahead, sag=2e-3))
     assert (found.state, found.tension, found.other) == ("unknown", tension, WEIGHT - tension)
 
 
@@ -375,11 +381,25 @@ def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
     slack = replace(TAUT_REST, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5)
     unknown = replace(TAUT_REST, ahead=0.0, sag=1.6e-3, lowest=0.0)
     strings = (
-        *(held(TAUT_REST), held(slack), held(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0))),
-        *(held(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013)), held(unknown)),
-        held(replace(unknown, ahead=1e-3)),
-        *(held(replace(rest, weight=0.0309, own_weight=0.0044)) for rest in (TAUT_REST, slack)),
-        *(stated("taut", 0.0265), stated("slack", 0.0265), stated("taut", 0.0265, 0.0044)),
+        *(
+            decide_string_state(TAUT_REST),
+            decide_string_state(slack),
+            decide_string_state(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0)),
+        ),
+        *(
+            decide_string_state(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013)),
+            decide_string_state(unknown),
+        ),
+        decide_string_state(replace(unknown, ahead=1e-3)),
+        *(
+            decide_string_state(replace(rest, weight=0.0309, own_weight=0.0044))
+            for rest in (TAUT_REST, slack)
+        ),
+        *(
+            make_stated_state("taut", 0.0265),
+            make_stated_state("slack", 0.0265),
+            make_stated_state("taut", 0.0265, 0.0044),
+        ),
     )
     for string in strings:
         assert (string.note.code, string.note.where) == ("string_at_rest", "rig.string")

@@ -7,13 +7,13 @@ import pytest
 
 from labpipe.mechanics.law.plays import LinearLaw
 from labpipe.records.curve import PointFlag
-from labpipe.results.beam import held_at_rest
+from labpipe.results.beam import compute_prop_force
 from labpipe.results.bent_frames import (
     TipPull,
-    curvature_gain,
-    curves_at,
-    marker_layout,
-    mean_frames,
+    average_frames,
+    compute_curvature_gain,
+    evaluate_curves,
+    find_marker_layout,
 )
 from tests.builders.bent_tests import (
     HEAVY,
@@ -80,15 +80,15 @@ def test_the_pull_of_a_string_by_hand(
 
 def test_moments_of_a_wire_with_weight_are_those_of_the_mechanics() -> None:
     shapes = lifted(LinearLaw(5e-3), travel=0.05, frames=24)
-    held = held_at_rest(HEAVY, LENGTH)
+    held = compute_prop_force(HEAVY, LENGTH)
     assert shapes[0].tension == pytest.approx(WEIGHT + held, rel=1e-5)
     pull = TipPull(STRING, WEIGHT, WEIGHT + held, LENGTH, HEAVY)
     test, last = bending_test(shapes, pull=pull), shapes[-1]
     frame = len(test.shape.time) - 1
     coefficients = test.shape.coefficients[frame][None]
-    found = test.moments(coefficients, test.force[-1:], last.arc_length)[0]
+    found = test.compute_moments(coefficients, test.force[-1:], last.arc_length)[0]
     assert found == pytest.approx(last.moment, abs=2e-4 * last.moment[0])
-    rest = test.moments(test.specimen_at_rest.coefficients, np.zeros(1), np.zeros(1))[0, 0]
+    rest = test.compute_moments(test.specimen_at_rest.coefficients, np.zeros(1), np.zeros(1))[0, 0]
     assert rest == pytest.approx(-HEAVY * LENGTH**2 / 8.0, rel=1e-3)
 
 
@@ -97,7 +97,7 @@ def test_curvatures_of_an_exact_shape() -> None:
     last = SHAPES[-1]
     missing = np.full_like(TEST_MOMENTS.shape.coefficients[-1], np.nan)
     coefficients = np.stack([TEST_MOMENTS.shape.coefficients[-1], missing])
-    at = curves_at(coefficients, LENGTH, last.arc_length)
+    at = evaluate_curves(coefficients, LENGTH, last.arc_length)
     assert at.curvature[0] == pytest.approx(last.curvature, abs=0.02 * last.curvature.max())
     assert at.angle[0] == pytest.approx(last.angle, abs=2e-3)
     assert np.isnan(at.curvature[1]).all()
@@ -105,19 +105,21 @@ def test_curvatures_of_an_exact_shape() -> None:
 
 def test_noise_of_curvature_is_as_stated() -> None:
     """Of all markers, and without the fourth; without all but two it is not known."""
-    layout = marker_layout(TEST_MOMENTS.shape, centre_offset=HEIGHT, free_tip=True)
+    layout = find_marker_layout(TEST_MOMENTS.shape, centre_offset=HEIGHT, free_tip=True)
     markers, places = TEST_MOMENTS.shape.positions[-1, 1:-1], np.linspace(0.0, LENGTH, 18)
-    still = curves_at(layout.fit(markers[None]).coefficients, LENGTH, places)
+    still = evaluate_curves(layout.fit(markers[None]).coefficients, LENGTH, places)
     noise, rng = 3e-6, np.random.default_rng(5)
     shaken = markers + noise * rng.standard_normal((2000, *markers.shape))
     for lost in ([], [3]):
         shaken[:, lost] = np.nan
-        gain = curvature_gain(layout, shaken[:1], still, places)[0]
-        spread = curves_at(layout.fit(shaken).coefficients, LENGTH, places).curvature.std(axis=0)
+        gain = compute_curvature_gain(layout, shaken[:1], still, places)[0]
+        spread = evaluate_curves(layout.fit(shaken).coefficients, LENGTH, places).curvature.std(
+            axis=0
+        )
         assert spread[:-1] == pytest.approx(noise * gain[:-1], rel=0.06)
         assert gain[-1] == pytest.approx(0.0, abs=1e-3 * gain.max())  # no moment at the free tip
     shaken[:, 2:] = np.nan
-    assert np.isnan(curvature_gain(layout, shaken[:1], still, places)).all()
+    assert np.isnan(compute_curvature_gain(layout, shaken[:1], still, places)).all()
 
 
 def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> None:
@@ -126,7 +128,7 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> Non
     flags[RESTING + 1, 3] = PointFlag.FILLED
     branch = np.where(np.arange(frames) < RESTING, -1, 0)
     branch[RESTING + 9 :] = 1
-    means = mean_frames(replace(shape, flags=flags), TEST_MOMENTS.force, branch, per_mean=4)
+    means = average_frames(replace(shape, flags=flags), TEST_MOMENTS.force, branch, per_mean=4)
     assert means.branch.tolist() == [0, 0, 1, 1, 1]
     first = slice(RESTING, RESTING + 4)
     assert means.time[0] == pytest.approx(shape.time[first].mean())
@@ -134,5 +136,5 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> Non
     assert np.isnan(means.markers[0, 2]).all()
     assert means.markers[0, 0] == pytest.approx(shape.positions[first, 1].mean(axis=0))
     assert np.isfinite(means.markers[1:]).all()
-    assert len(mean_frames(shape, TEST_MOMENTS.force, np.full(frames, -1), per_mean=4).time) == 0
+    assert len(average_frames(shape, TEST_MOMENTS.force, np.full(frames, -1), per_mean=4).time) == 0
     assert means.part(means.branch == 1).time.tolist() == means.time[2:].tolist()

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from labpipe.process.story import ReductionOfTest
+from labpipe.process.story import Reduction
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
 from tests.approved import Approve
@@ -105,7 +105,7 @@ FLAT_FROM = ONSET - 0.001 + 0.002 * (SECOND - 0.2 * FIRST) / (SECOND - FLAT)
 LEVER = np.linspace(0.0, 0.005, 251) - 0.0025
 FIRST_CYCLE = float(LEVER @ first_loading(LEVER + 0.0025) / (LEVER @ LEVER))
 
-Case = tuple[Mapping[str, float], partial[ReductionOfTest]]
+Case = tuple[Mapping[str, float], partial[Reduction]]
 
 
 def of_pulls(truth: Mapping[str, float], *record: Floats, **options: object) -> Case:
@@ -358,7 +358,7 @@ CASES: dict[str, Case] = {
 }
 
 
-def page(done: ReductionOfTest) -> Iterator[str]:
+def page(done: Reduction) -> Iterator[str]:
     """Notes, results with their budgets, and lines, to five digits."""
     for note in done.reduced_test.findings.notes:
         yield f"{note.severity.value} {note.code} of {note.where}: {note.message}"

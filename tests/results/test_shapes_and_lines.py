@@ -18,7 +18,7 @@ from labpipe.records.signals import Signals
 from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
-from labpipe.results.slack_and_slips import counted_from_taut, slack_of
+from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from tests.builders.noise_rows import flicker
@@ -103,7 +103,7 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     assert min(made.error for made in alone) < 0.5 * scatter
 
 
-slack = partial(slack_of, start_share=0.1, stop_share=0.3)
+slack = partial(choose_slack_samples, start_share=0.1, stop_share=0.3)
 
 
 PATH = np.linspace(0.0, 0.02, 401)
@@ -203,7 +203,7 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     assert test.replicates is not None
     assert isinstance(test.slack, Measured)
     doubts = (("force", Reason("slow_noise", "it remembers")),)
-    made = counted_from_taut(test.replicates, slack, replace(test.slack, doubts=doubts))
+    made = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
     reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
     numbers = measure_numbers(made, lambda _: reading)
     assert isinstance(numbers, tuple)

@@ -5,9 +5,9 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.least_squares import zero_of_line
-from labpipe.results.slack_and_slips import toe_line
-from labpipe.results.stiffness import TakeUp, take_up
+from labpipe.results.least_squares import compute_zero_crossing
+from labpipe.results.slack_and_slips import find_linear_region
+from labpipe.results.stiffness import ForceOnset, find_force_onset
 from labpipe.uncertainty.autocorrelation import scale_limit_by_noise
 from tests.builders.noise_rows import KINDS, noise_rows
 
@@ -31,23 +31,23 @@ def test_where_the_force_takes_up_without_noise() -> None:
         (D[103:], F[103:], 0.002, 1e-6),
         (path, passing, 0.001, 1e-5),
     ):
-        taut = take_up(d, f)
-        assert taut.of(d, f) == pytest.approx(place, abs=off)
+        taut = find_force_onset(d, f)
+        assert taut.compute(d, f) == pytest.approx(place, abs=off)
         assert f[taut.sample] > 0.0
-    assert isinstance(first := return_failure(take_up)(D[103:], F[103:]), TakeUp)
+    assert isinstance(first := return_failure(find_force_onset)(D[103:], F[103:]), ForceOnset)
     assert first.sample == 0
 
 
 def test_says_why_not() -> None:
-    assert return_failure(take_up)(D[:10], F[:10]) == Failure(
+    assert return_failure(find_force_onset)(D[:10], F[:10]) == Failure(
         "too_few_samples", "10 samples, 16 are needed"
     )
     noise = np.random.default_rng(0).normal(0.0, 0.004, len(D))
-    flat = return_failure(take_up)(D, noise)
+    flat = return_failure(find_force_onset)(D, noise)
     assert isinstance(flat, Failure)
     assert flat.code == "no_force"
     assert flat.message.startswith("the force reaches 0.01")
-    loaded = return_failure(take_up)(D, F + 3.0 + noise)
+    loaded = return_failure(find_force_onset)(D, F + 3.0 + noise)
     assert isinstance(loaded, Failure)
     assert loaded.code == "not_unloaded"
     assert loaded.message.startswith("the branch begins at 3.")
@@ -55,25 +55,25 @@ def test_says_why_not() -> None:
 
 def test_take_up_of_many_rows() -> None:
     """0.5 N less over 500 N/m: 1 mm later. A row that falls has no place."""
-    found = take_up(D, F)
-    rows = found.of(D, np.array([F, F - 0.5, -F]))
+    found = find_force_onset(D, F)
+    rows = found.compute(D, np.array([F, F - 0.5, -F]))
     np.testing.assert_allclose(rows, [0.002, 0.003, np.nan], atol=1e-12)
-    moved = found.of(D + np.array([[0.0], [0.004]]), F)
+    moved = found.compute(D + np.array([[0.0], [0.004]]), F)
     np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
 
 
 def test_take_up_without_a_line_is_at_the_first_sample() -> None:
     path = np.full(40, 0.001)
-    found = take_up(path, np.where(np.arange(40) < 30, 0.0, 5.0))
+    found = find_force_onset(path, np.where(np.arange(40) < 30, 0.0, 5.0))
     assert not found.is_line
-    assert found.of(path + np.array([[0.0], [1.0]]), path).tolist() == [0.001, 1.001]
+    assert found.compute(path + np.array([[0.0], [1.0]]), path).tolist() == [0.001, 1.001]
 
 
 def test_take_up_of_a_curve_without_noise() -> None:
     """What passes for zero on the curve that was measured passes for it here too."""
-    measured = take_up(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
+    measured = find_force_onset(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
     assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
-    again = take_up(D, F, limit=measured.limit)
+    again = find_force_onset(D, F, limit=measured.limit)
     assert F[again.sample - 1] <= measured.limit < F[again.sample]
     last = np.arange(len(D))[again.foot][-1]
     assert last - again.sample == 7 or F[last] <= 5.0 * measured.limit < F[last + 1]
@@ -92,21 +92,24 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
     force[:, 250:260] = np.nan
     path[:, gaps] = np.nan
-    found = take_up(path[0], force[0], limit=limit)
-    places, samples = found.of_each(path, force)
+    found = find_force_onset(path[0], force[0], limit=limit)
+    places, samples = found.compute_rows(path, force)
     limits = scale_limit_by_noise(limit, force[:, found.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
-        alone = return_failure(take_up)(d, f, limit=float(own))
-        if isinstance(alone, TakeUp):
+        alone = return_failure(find_force_onset)(d, f, limit=float(own))
+        if isinstance(alone, ForceOnset):
             assert sample == alone.sample
-            assert place == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+            assert place == pytest.approx(float(alone.compute(d, f)), rel=1e-9)
     assert np.isfinite(places).all()
 
 
 def test_how_far_a_line_is_followed_back() -> None:
     """0.1 mm before the first sample, or 1 mm, of a branch of 10 mm."""
-    near, far = take_up(D[100:], F[100:] + 0.05), return_failure(take_up)(D[100:], F[100:] + 0.5)
-    assert near.of(D[100:], F[100:] + 0.05) == pytest.approx(0.0019)
+    near, far = (
+        find_force_onset(D[100:], F[100:] + 0.05),
+        return_failure(find_force_onset)(D[100:], F[100:] + 0.5),
+    )
+    assert near.compute(D[100:], F[100:] + 0.05) == pytest.approx(0.0019)
     assert isinstance(far, Failure)
     assert far.code == "not_unloaded"
 
@@ -118,30 +121,39 @@ F_TOE = 5000.0 * np.maximum(D_TOE - 0.002, 0.0)
 
 
 def test_says_why_not_of_toe() -> None:
-    few = return_failure(toe_line)(D_TOE[:5], F_TOE[:5], start_share=0.1, stop_share=0.3)
+    few = return_failure(find_linear_region)(D_TOE[:5], F_TOE[:5], start_share=0.1, stop_share=0.3)
     assert few == Failure("too_few_samples", "5 samples, 8 are needed")
-    late = return_failure(toe_line)(D_TOE[150:], F_TOE[150:], start_share=0.1, stop_share=0.3)
+    late = return_failure(find_linear_region)(
+        D_TOE[150:], F_TOE[150:], start_share=0.1, stop_share=0.3
+    )
     assert late == Failure("not_reached", "the branch begins at 27.5 N, above 10% of 90 N")
-    coarse = return_failure(toe_line)(D_TOE[::40], F_TOE[::40], start_share=0.1, stop_share=0.3)
+    coarse = return_failure(find_linear_region)(
+        D_TOE[::40], F_TOE[::40], start_share=0.1, stop_share=0.3
+    )
     assert coarse == Failure("too_few_samples", "2 samples in the linear region, 8 are needed")
     newtons = np.arange(41.0)  # from 4 N to less than 12 N
-    assert return_failure(toe_line)(newtons, newtons, start_share=0.1, stop_share=0.3) == slice(
-        4, 12
+    assert return_failure(find_linear_region)(
+        newtons, newtons, start_share=0.1, stop_share=0.3
+    ) == slice(4, 12)
+    eight = return_failure(find_linear_region)(
+        newtons[:8], newtons[:8], start_share=0.1, stop_share=0.3
     )
-    eight = return_failure(toe_line)(newtons[:8], newtons[:8], start_share=0.1, stop_share=0.3)
     assert eight == coarse
 
 
 def test_the_line_goes_through_the_samples_between_the_shares() -> None:
     """90 N at the most, 0.25 N a sample from 40 on: 9.09 N lie behind 76, 27.09 N behind 148."""
     whole = slice(77, 149)
-    assert return_failure(toe_line)(D_TOE, F_TOE, start_share=0.101, stop_share=0.301) == whole
-    assert zero_of_line(D_TOE[whole], F_TOE[whole]) == pytest.approx(0.002, rel=1e-9)
+    assert (
+        return_failure(find_linear_region)(D_TOE, F_TOE, start_share=0.101, stop_share=0.301)
+        == whole
+    )
+    assert compute_zero_crossing(D_TOE[whole], F_TOE[whole]) == pytest.approx(0.002, rel=1e-9)
     holes = F_TOE.copy()
     holes[100] = np.nan
-    region = return_failure(toe_line)(D_TOE, holes, start_share=0.101, stop_share=0.301)
+    region = return_failure(find_linear_region)(D_TOE, holes, start_share=0.101, stop_share=0.301)
     assert isinstance(region, np.ndarray)
     assert region.tolist() == [index for index in range(77, 149) if index != 100]
     flat = np.repeat([0.0, 1.0, 2.0], [10, 20, 10])
-    steps = return_failure(toe_line)(np.zeros(40), flat, start_share=0.1, stop_share=0.9)
+    steps = return_failure(find_linear_region)(np.zeros(40), flat, start_share=0.1, stop_share=0.9)
     assert steps == Failure("not_rising", "the force does not rise in the linear region")

@@ -8,18 +8,27 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.beam import Rollers, beam_factor, path_of_load, stiffness_ratio
-from labpipe.results.least_squares import polynomial_weights, slope_of_line, zero_of_line
+from labpipe.results.beam import (
+    Rollers,
+    compute_beam_factor,
+    compute_roller_load,
+    compute_stiffness_ratio,
+)
+from labpipe.results.least_squares import (
+    compute_polynomial_weights,
+    compute_slope,
+    compute_zero_crossing,
+)
 from labpipe.results.stiffness import (
     LineStiffness,
     LoadingSlope,
     WindowSlope,
-    compliance_window,
-    loading_slope,
-    take_up,
-    turn_at,
-    unloading_slope,
-    window_slope,
+    choose_loading_window,
+    choose_turn_samples,
+    choose_unloading_window,
+    choose_window,
+    find_compliance_window,
+    find_force_onset,
 )
 from labpipe.uncertainty.extractors import Trace
 from tests.builders.noise_rows import noise_rows
@@ -34,13 +43,13 @@ UP = 1e-3 * TIME
 
 
 def windowed(path: Floats, force: Floats, low: float, high: float) -> WindowSlope:
-    return window_slope(TIME, path, force, path, low=low, high=high)
+    return choose_window(TIME, path, force, path, low=low, high=high)
 
 
 def test_slope_is_exact_on_a_line() -> None:
     force = 20.0 * UP + 1.0
     found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
-    assert found.of(UP, force) == pytest.approx(20.0, rel=1e-12)
+    assert found.compute(UP, force) == pytest.approx(20.0, rel=1e-12)
     assert found.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
 
 
@@ -48,10 +57,10 @@ def test_slope_is_that_of_the_definition() -> None:
     """On a parabola, k between a and b is 2 c times their middle: here 2 x 300 x 6.5 mm."""
     force = 300.0 * UP**2
     found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
-    assert found.of(UP, force) == pytest.approx(3.9, rel=1e-9)
+    assert found.compute(UP, force) == pytest.approx(3.9, rel=1e-9)
     # and one that lies 10 mm later, 2 x 300 x 10 mm more
-    assert found.of(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
-    rows = found.of(UP, force, np.array([0.0, 0.01, 0.02]))
+    assert found.compute(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
+    rows = found.compute(UP, force, np.array([0.0, 0.01, 0.02]))
     np.testing.assert_allclose(rows, [3.9, 9.9, 15.9], rtol=1e-9)
 
 
@@ -61,15 +70,17 @@ def test_rows_are_as_each_alone() -> None:
     force = 20.0 * UP + rng.normal(0, 1e-2, (3, len(UP)))
     path[:, 200:203] = np.nan
     found, later = windowed(path[0], force[0], 0.008, 0.02), np.array([0.0, 1e-3, -2e-3])
-    alone = [found.of(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
-    np.testing.assert_allclose(found.of(path, force, later), alone, rtol=1e-12)
+    alone = [found.compute(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
+    np.testing.assert_allclose(found.compute(path, force, later), alone, rtol=1e-12)
     assert np.isfinite(alone).all()
 
 
 def test_a_noisy_displacement_does_not_make_the_slope_small() -> None:
     """3 mm of noise over 10 mm would take half of the slope by least squares."""
     noisy = UP + np.random.default_rng(2).normal(0.0, 3e-3, (400, len(UP)))
-    slopes = windowed(UP, 20.0 * UP, 0.01, 0.02).of(noisy, np.broadcast_to(20.0 * UP, noisy.shape))
+    slopes = windowed(UP, 20.0 * UP, 0.01, 0.02).compute(
+        noisy, np.broadcast_to(20.0 * UP, noisy.shape)
+    )
     assert np.median(slopes) == pytest.approx(20.0, rel=0.03)
 
 
@@ -78,25 +89,25 @@ def test_the_window_ends_where_it_is_first_left() -> None:
     path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
     time = np.arange(0.0, 0.05 * len(path), 0.05)
     force = np.concatenate([20.0 * UP[:200], np.zeros(200), 50.0 * UP[:400]])
-    found = window_slope(time, path, force, path, low=0.002, high=0.008)
-    assert found.of(path, force) == pytest.approx(20.0, rel=1e-9)
+    found = choose_window(time, path, force, path, low=0.002, high=0.008)
+    assert found.compute(path, force) == pytest.approx(20.0, rel=1e-9)
 
 
 def test_too_few_samples_for_a_row_are_no_number() -> None:
     found = windowed(UP, UP, 0.005, 0.02)
-    assert np.isnan(found.of(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
-    assert np.isfinite(found.of(UP, UP, 0.03))
+    assert np.isnan(found.compute(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
+    assert np.isfinite(found.compute(UP, UP, 0.03))
 
 
 def test_slope_says_why_not() -> None:
-    wanted = return_failure(window_slope)(TIME, UP, UP, UP, low=0.005, high=0.05)
+    wanted = return_failure(choose_window)(TIME, UP, UP, UP, low=0.005, high=0.05)
     message = "the branch reaches 0.03995 m, 0.05 m is needed"
     assert wanted == Failure("not_reached", message)
-    few = return_failure(window_slope)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
+    few = return_failure(choose_window)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
     assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
-    still = return_failure(window_slope)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
+    still = return_failure(choose_window)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
     assert still == Failure("no_travel", "the displacement does not change over the stretch")
-    blank = return_failure(window_slope)(
+    blank = return_failure(choose_window)(
         TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), low=0, high=1
     )
     assert isinstance(blank, Failure)
@@ -107,11 +118,11 @@ def test_value_at_a_turn_is_that_of_the_parabola() -> None:
     """Of 800 samples the first 50; time counts from the turn, in mid-step."""
     values = 3.0 + 0.5 * (TIME - 0.03) - 2.0 * (TIME - 0.03) ** 2
     part = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.03, float(TIME[-1]))
-    turn = turn_at(Trace(TIME, values, values), part)
+    turn = choose_turn_samples(Trace(TIME, values, values), part)
     assert turn(values) == pytest.approx(3.0, abs=1e-12)
     np.testing.assert_allclose(turn(np.array([values, 2.0 * values])), [3.0, 6.0])
     values[5] = np.nan
-    assert turn_at(Trace(TIME, values, values), part)(values) == pytest.approx(3.0)
+    assert choose_turn_samples(Trace(TIME, values, values), part)(values) == pytest.approx(3.0)
 
 
 BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
@@ -120,7 +131,7 @@ BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
 def unloading(sense: float) -> tuple[Callable[[Floats, Floats], Floats], Floats, Floats]:
     """Back from 50 mm, under 300 (d - 10 mm)^2; read from 1 to 10 mm off the turn."""
     path, force = sense * (0.05 - UP), sense * 300.0 * (0.05 - UP - 0.01) ** 2
-    slope, _ = unloading_slope(Trace(TIME, path, force), BRANCH, length=0.01, sense=sense)
+    slope, _ = choose_unloading_window(Trace(TIME, path, force), BRANCH, length=0.01, sense=sense)
     return slope, path, force
 
 
@@ -135,10 +146,10 @@ def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None
     found, path, force = unloading(1.0)
     rows = path + np.array([[0.0], [0.003], [-0.02]])
     np.testing.assert_allclose(found(rows, force), found(path, force), rtol=1e-9)
-    begun = loading_slope(TIME, UP, taking_up(UP), length=0.005)
+    begun = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
     rows = UP + np.array([[0.0], [0.003], [-0.02]])
-    one = begun.of(UP, taking_up(UP))
-    np.testing.assert_allclose(begun.of(rows, taking_up(UP)), one, rtol=1e-9)
+    one = begun.compute(UP, taking_up(UP))
+    np.testing.assert_allclose(begun.compute(rows, taking_up(UP)), one, rtol=1e-9)
 
 
 def taking_up(path: Floats) -> Floats:
@@ -152,17 +163,17 @@ def test_loading_is_read_behind_the_take_up() -> None:
 
     80 mN less move the zero of 20 N/m by 4 mm, to where there are 800 x 4 mm more N/m.
     """
-    slope = loading_slope(TIME, UP, taking_up(UP), length=0.005)
-    assert slope.take_up.of(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
-    plain, lower = slope.of(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
+    slope = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
+    assert slope.take_up.compute(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
+    plain, lower = slope.compute(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
-    assert isinstance(return_failure(loading_slope)(TIME, UP, -UP, length=0.005), Failure)
+    assert isinstance(return_failure(choose_loading_window)(TIME, UP, -UP, length=0.005), Failure)
     # Samples are those of the branch, of which the first ones may be unknown.
     late = taking_up(UP) + noise_rows("white", 1e-3, (1, len(UP)), seed=1)
     late[:, :30] = np.nan
-    taut = take_up(UP, late[0])
-    assert taut.of_each(UP[np.newaxis], late)[1] == [taut.sample]
+    taut = find_force_onset(UP, late[0])
+    assert taut.compute_rows(UP[np.newaxis], late)[1] == [taut.sample]
 
 
 def test_loading_of_replicates_is_off_as_tests_are() -> None:
@@ -172,13 +183,15 @@ def test_loading_of_replicates_is_off_as_tests_are() -> None:
     force = 40.0 * np.minimum(np.maximum(up - 0.005, 0.0), 0.002) + taking_up(up)
     path = up + noise_rows(kind, 2e-5, shape, seed=1)
     forces = force + noise_rows(kind, 2e-3, shape, seed=2)
-    alone = [loading_slope(time, d, f, length=over) for d, f in zip(path, forces, strict=True)]
-    tests = [float(fit.of(d, f)) for fit, d, f in zip(alone, path, forces, strict=True)]
+    alone = [
+        choose_loading_window(time, d, f, length=over) for d, f in zip(path, forces, strict=True)
+    ]
+    tests = [float(fit.compute(d, f)) for fit, d, f in zip(alone, path, forces, strict=True)]
     measured = alone[-1]
-    smooth = loading_slope(time, up, force, length=over, like=measured)
-    off = smooth.of_each(
+    smooth = choose_loading_window(time, up, force, length=over, like=measured)
+    off = smooth.compute_rows(
         up + noise_rows(kind, 2e-5, shape, seed=3), force + noise_rows(kind, 2e-3, shape, seed=4)
-    ) - float(smooth.of(up, force))
+    ) - float(smooth.compute(up, force))
     x = np.linspace(0.0, over, 5001)
     lever = x - x.mean()
     true = lever @ (40.0 * np.minimum(x, 0.002) + 20.0 * x + 400.0 * x**2) / (lever @ x)
@@ -194,8 +207,8 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
     time = np.arange(0.0, float(len(path)))
     for first, share in ((0, 0.51), (100, 0.02)):
         part = slice(first, None)
-        slope = window_slope(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
-        taut = take_up(UP, taking_up(UP))
+        slope = choose_window(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
+        taut = find_force_onset(UP, taking_up(UP))
         found = LoadingSlope(taut, first, slope, 0.0)
         assert found.share_at_rest == pytest.approx(share, abs=0.03)
 
@@ -210,25 +223,25 @@ def test_between_samples_the_window_begins_with_the_motion() -> None:
     force = 60.0 * way - 1.5e3 * way**2
     force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
     time = 0.05 * np.arange(400.0)
-    found = loading_slope(time, way, force, length=0.005)
+    found = choose_loading_window(time, way, force, length=0.005)
     assert found.first == 1
-    assert float(found.of(way, force)) > 52.8
+    assert float(found.compute(way, force)) > 52.8
     at = np.arange(16 * 399 + 1) / 16.0
     fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
-    between = loading_slope(*fine, length=0.005, like=found, steps=16)
+    between = choose_loading_window(*fine, length=0.005, like=found, steps=16)
     assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
-    assert float(between.of(*fine[1:])) == pytest.approx(52.66, abs=0.06)
+    assert float(between.compute(*fine[1:])) == pytest.approx(52.66, abs=0.06)
 
 
 def test_textbook() -> None:
     """A beam of known EI: K = 3 EI / L^3 of a cantilever, 48 EI / L^3 in three-point bending."""
     for support, divisor in (("cantilever", 3.0), ("three-point", 48.0)):
         stiffness = divisor * 0.12 / 0.1143**3
-        assert stiffness * beam_factor(0.1143, support) == pytest.approx(0.12, rel=1e-12)
+        assert stiffness * compute_beam_factor(0.1143, support) == pytest.approx(0.12, rel=1e-12)
     with pytest.raises(ValueError, match="a support out of cantilever, three-point, found 'wall'"):
-        beam_factor(0.1, "wall")
+        compute_beam_factor(0.1, "wall")
     with pytest.raises(ValueError, match=r"expected a length above 0, found length=0.0"):
-        beam_factor(0.0, "cantilever")
+        compute_beam_factor(0.0, "cantilever")
 
 
 @pytest.mark.parametrize(
@@ -244,14 +257,14 @@ def test_textbook() -> None:
 def test_stiffness_beside_that_of_a_straight_beam(
     rollers: Rollers, low: float, high: float, ratio: float
 ) -> None:
-    assert return_failure(stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
+    assert return_failure(compute_stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
         ratio, abs=1e-6
     )
 
 
 def test_the_load_on_knife_edges_has_a_largest_value() -> None:
     """Beyond it the beam slips through between the supports under a dead load."""
-    deflection, load = path_of_load(Rollers(1.0))
+    deflection, load = compute_roller_load(Rollers(1.0))
     top = int(np.argmax(load))
     assert deflection[top] == pytest.approx(0.238, abs=2e-3)
     assert load[top] == pytest.approx(6.672, abs=2e-3)
@@ -264,7 +277,7 @@ def test_what_is_beyond_an_elastic_beam() -> None:
         (0.0, 0.2, ["slips through at 61.76 mm, the stiffness goes up to 200 mm"]),
         (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
-        failure = return_failure(stiffness_ratio)(Rollers(0.1), low=low, high=high)
+        failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), low=low, high=high)
         assert isinstance(failure, Failure)
         assert failure.code == "beyond_elastica"
         assert all(message in failure.message for message in messages)
@@ -282,11 +295,11 @@ def test_says_why_not() -> None:
         (D[:0], F[:0], 900.0, "not_reached", "the force reaches 0 N, the window ends at 900 N"),
         (D[::50], F[::50], 900.0, "too_few_samples", "3 samples in the stretch, 5 are needed"),
     ):
-        assert return_failure(compliance_window)(d, f, start=300.0, stop=stop) == Failure(
+        assert return_failure(find_compliance_window)(d, f, start=300.0, stop=stop) == Failure(
             code, message
         )
     for force in (np.full(201, 900.0), np.repeat([0.0, 950.0], [100, 101])):
-        still = return_failure(compliance_window)(D, force, start=300.0, stop=900.0)
+        still = return_failure(find_compliance_window)(D, force, start=300.0, stop=900.0)
         assert isinstance(still, Failure)
         assert still.code == "too_few_samples"
 
@@ -301,14 +314,14 @@ def test_a_window_reaches_at_most_two_percent_before_the_first_sample() -> None:
 
 def test_compliance_of_many_rows() -> None:
     """Steps of 5 N: 300 N are in sample 60, 900 N in 180; missing samples are left out."""
-    window = return_failure(compliance_window)(D, F, start=300.0, stop=900.0)
+    window = return_failure(find_compliance_window)(D, F, start=300.0, stop=900.0)
     assert window == slice(60, 181)
     straight = 2e-7 * F
-    rows = slope_of_line(F[window], np.array([straight, 3.0 * straight + 1e-4])[:, window])
+    rows = compute_slope(F[window], np.array([straight, 3.0 * straight + 1e-4])[:, window])
     np.testing.assert_allclose(rows, [2e-7, 6e-7])
     holes = D.copy()
     holes[100] = np.nan
-    window = return_failure(compliance_window)(holes, F, start=300.0, stop=900.0)
+    window = return_failure(find_compliance_window)(holes, F, start=300.0, stop=900.0)
     assert isinstance(window, np.ndarray)
     assert window.tolist() == [index for index in range(60, 181) if index != 100]
 
@@ -317,14 +330,14 @@ def test_every_row_has_its_own_line() -> None:
     """No travel and no rise are no number."""
     x = np.array([[0.0, 1.0, 2.0], [0.0, 2.0, 4.0]])
     y = np.array([[1.0, 2.0, 6.0], [1.0, 2.0, 6.0]])
-    np.testing.assert_allclose(slope_of_line(x, y), [2.5, 1.25])
-    np.testing.assert_allclose(slope_of_line(x, y[0]), [2.5, 1.25])
-    np.testing.assert_allclose(slope_of_line(x[0], y[np.newaxis]), [[2.5, 2.5]])
+    np.testing.assert_allclose(compute_slope(x, y), [2.5, 1.25])
+    np.testing.assert_allclose(compute_slope(x, y[0]), [2.5, 1.25])
+    np.testing.assert_allclose(compute_slope(x[0], y[np.newaxis]), [[2.5, 2.5]])
     # means 1 and 3 of x and y: 1 - 3 / 2.5, and 2 - 3 / 1.25
-    np.testing.assert_allclose(zero_of_line(x, y), [-0.2, -0.4])
+    np.testing.assert_allclose(compute_zero_crossing(x, y), [-0.2, -0.4])
     still, falls = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([3.0, 2.0, 1.0])
-    np.testing.assert_array_equal(slope_of_line(still, falls), [np.nan, -1.0])
-    assert np.isnan(zero_of_line(still, falls)).all()
+    np.testing.assert_array_equal(compute_slope(still, falls), [np.nan, -1.0])
+    assert np.isnan(compute_zero_crossing(still, falls)).all()
 
 
 def test_weights_give_the_polynomial_of_numpy() -> None:
@@ -332,5 +345,5 @@ def test_weights_give_the_polynomial_of_numpy() -> None:
     x, rows = np.sort(rng.uniform(-0.3, 1.1, 40)), rng.normal(size=(3, 40))
     for degree in range(4):
         expected = np.polynomial.polynomial.polyfit(x, rows.T, degree)
-        weights = polynomial_weights(x, degree=degree)
+        weights = compute_polynomial_weights(x, degree=degree)
         np.testing.assert_allclose(weights @ rows.T, expected, rtol=1e-9)

@@ -75,7 +75,7 @@ def steel(seed: int = 0) -> Pulled:
     )
 
 
-def measured(pulled: Pulled, line: str = "straight: 99.98 %") -> dict[str, Result]:
+def measure_replicates(pulled: Pulled, line: str = "straight: 99.98 %") -> dict[str, Result]:
     """Reduce a pull by the protocol above."""
     units = {"force": ("A", "N"), "displacement": ("B", "m"), "extension": ("C", "m")}
     values = {
@@ -96,7 +96,7 @@ def test_numbers_are_those_of_the_curve_and_intervals_hold_them() -> None:
     truth = {"elastic_modulus": MODULUS, "proof": PROOF}
     is_inside = dict.fromkeys(truth, 0)
     for seed in range(20):
-        results = measured(steel(seed))
+        results = measure_replicates(steel(seed))
         for name, value in truth.items():
             result = results[name]
             assert result.value == pytest.approx(value, rel=0.02)
@@ -107,7 +107,7 @@ def test_numbers_are_those_of_the_curve_and_intervals_hold_them() -> None:
 
 def test_strength_and_elongations_are_those_of_samples() -> None:
     pulled = steel()
-    results = measured(pulled)
+    results = measure_replicates(pulled)
     last, peak = len(pulled.force) - 1, int(np.argmax(pulled.force))
     strain = pulled.extension / GAUGE
     assert results["tensile_strength"].value == pytest.approx(pulled.force.max() / AREA)
@@ -124,7 +124,7 @@ def test_strength_and_elongations_are_those_of_samples() -> None:
     "line", ["from: 0.05 %, to: 0.12 %", "{from: 5 %, to: 40 %, of: strength}", "straight: 99.99 %"]
 )
 def test_a_stated_window_gives_the_modulus_too(line: str) -> None:
-    results = measured(steel(), line.strip("{}"))
+    results = measure_replicates(steel(), line.strip("{}"))
     assert results["elastic_modulus"].value == pytest.approx(MODULUS, rel=0.01)
 
 
@@ -166,7 +166,7 @@ def cut(count: int) -> Callable[[Pulled], Pulled]:
     ids=["jump", "slip", "off-elastic", "off-plastic", "fallen", "cut", "cut-elastic"],
 )
 def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) -> None:
-    results = measured(change(steel()))
+    results = measure_replicates(change(steel()))
     for name, code in codes.items():
         result = results[name]
         if code:

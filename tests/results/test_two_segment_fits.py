@@ -7,7 +7,13 @@ from numpy.typing import ArrayLike
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.two_lines import Hinges, Segments, doubts_of_break, require_bend, require_kink
+from labpipe.results.two_lines import (
+    Hinges,
+    Segments,
+    find_break_doubts,
+    require_bend,
+    require_kink,
+)
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
@@ -256,8 +262,8 @@ def test_kinks() -> None:
 
 def test_a_break_within_a_quarter_of_the_stretch() -> None:
     hinges = hinges_of(D, F)
-    assert doubts_of_break(Interval(0.008, 0.0124), hinges) == ()
-    (found,) = doubts_of_break(Interval(0.008, 0.0126), hinges)
+    assert find_break_doubts(Interval(0.008, 0.0124), hinges) == ()
+    (found,) = find_break_doubts(Interval(0.008, 0.0126), hinges)
     assert found == Failure(
         "wide_break",
         "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",

@@ -117,13 +117,11 @@ def test_exact_on_a_loop_that_repeats(guess: float, hysteresis: bool) -> None:
 
 def test_nothing_to_compare() -> None:
     empty = np.empty(0)
-    for time, guess, message in (
-        (TIME, 300.0, "0 bins in common, 50 are needed"),
-        (empty, LAG, "0 bins in the cycle, 50 are needed"),
-    ):
+    for time, guess in ((TIME, 300.0), (empty, LAG)):
         ends = {"start": START, "turn": TURN, "stop": STOP, "guess": guess}
         none = fit_lag(time, cycle(time), **ends, hysteresis=True)
-        assert none == Failure("too_few_samples", message)
+        assert isinstance(none, Failure)
+        assert none.code == "too_few_samples"
 
 
 def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
@@ -132,7 +130,7 @@ def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
     sure = Repeat(100.0, 100.02, 1e-4)
     still, moved = (
         fit_clocks(*events, method="by hand", repeat=each)
-        for each in (sure, replace(sure, wander=0.05))
+        for each in (sure, replace(sure, zero_drift_error=0.05))
     )
     assert (moved.drift, moved.offset) == (still.drift, still.offset)
     more = [

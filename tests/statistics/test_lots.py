@@ -55,11 +55,10 @@ def test_a_bound_holds_with_its_confidence(n: int, coverage: float, confidence: 
 
 def share(value: float | None, half: float = 0.01, *, is_doubtful: bool = False) -> Result:
     if value is None:
-        reasons = (Reason("no_conductor", "none"),)
-        return Result(PEAK_OVER_LIMIT, None, "1", status=Status.FAILED, reasons=reasons)
-    reasons, status = (), Status.OK
-    if is_doubtful:
-        reasons, status = (Reason("question_open", "none"),), Status.DOUBTFUL
+        why = (Reason("no_conductor", "none"),)
+        return Result(PEAK_OVER_LIMIT, None, "1", status=Status.FAILED, reasons=why)
+    reasons = (Reason("question_open", "none"),) if is_doubtful else ()
+    status = Status.DOUBTFUL if is_doubtful else Status.OK
     ends = Interval(value - half, value + half)
     return Result(PEAK_OVER_LIMIT, value, "1", ends, status, reasons)
 

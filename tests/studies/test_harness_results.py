@@ -28,6 +28,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     radius_of,
     reasons_of,
     results_of,
+    share_doubts,
     sharpest,
     unloading_doubt,
 )
@@ -41,6 +42,7 @@ from labpipe.mechanics.studies.harness_study import (
     shape_vtk,
 )
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from labpipe.records.result import Status
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
@@ -153,22 +155,42 @@ def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     assert doubtful_of(path, prepared, jump_doubt(path, prepared)) == MEMORY | shape
 
 
-def test_how_a_wire_unloads_is_an_assumption() -> None:
+def test_masings_rule_is_an_assumption() -> None:
     """The last shape of a released line depends on it; the bench carries the weight in any case.
 
     So do forces of one that is held and was unbent: in the example of slack the wire is bent
     elsewhere and more sharply on the way.
     """
-    _, _, prepared, path = followed(pushed())
+    _, _, prepared, path = followed(pushed(), isotropic_share=0.0)
     doubt = unloading_doubt(path, prepared)
     assert doubt is not None
     assert doubt.reason.code == "unloading_assumed"
     assert doubtful_of(path, prepared, doubt) == MEMORY | SHAPE | {"springback.gripper"}
-    _, _, prepared, path = followed(SLACK)
+    _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
     held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
     assert doubtful_of(path, prepared, unloading_doubt(path, prepared)) == MEMORY | held
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
     assert doubtful_of(path, prepared, unloading_doubt(first, prepared)) == MEMORY, "not unbent yet"
+
+
+def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
+    """With more isotropic hardening the line springs back less; the energy balance holds."""
+    radii = []
+    for share in (0.0, 0.35, 1.0):
+        _, _, prepared, path = followed(pushed(), isotropic_share=share)
+        radii.append(by_name(path, prepared)["smallest_bend_radius"].value)
+        assert (unloading_doubt(path, prepared) is None) == (share > 0.0)
+        before = slice(0, path.snapped[0] if path.snapped else None)
+        left = (path.work - path.stored - path.lost)[before]
+        assert np.abs(left).max() <= 0.02 * path.work.max()
+    assert radii == sorted(radii, reverse=True)
+
+
+@pytest.mark.parametrize(("upper", "wide"), [(1.9, False), (2.1, True)])
+def test_a_wide_interval_over_the_share_is_doubtful(upper: float, *, wide: bool) -> None:
+    intervals = {"kept_curvature": Interval(1.0, upper), "lowest_point": Interval(-1.0, 1.0)}
+    doubts = list(share_doubts(intervals, ("kept_curvature", "lowest_point")))
+    assert [doubt.names for doubt in doubts] == [("kept_curvature",)] * wide
 
 
 def test_what_a_gripper_leaves() -> None:
@@ -334,11 +356,11 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     assert list(marks) == ["bench", "gripper", "thread", "weight"]
     node = result.prepared.nodes["gripper"]
     assert marks["gripper"].position == pytest.approx(result.path.last.positions[node])
-    assert (marks["gripper"].holds, marks["bench"].holds) == (False, True)
-    assert marks["gripper"].way[-1] == pytest.approx([0.06, 0.0, 0.045])
-    assert not marks["bench"].way.size
+    assert (marks["gripper"].is_holding, marks["bench"].is_holding) == (False, True)
+    assert marks["gripper"].path[-1] == pytest.approx([0.06, 0.0, 0.045])
+    assert not marks["bench"].path.size
     assert marks["bench"].direction == pytest.approx([1.0, 0.0, 0.0])
-    assert marks["thread"].way[0] == pytest.approx(result.path.last.positions[-1])
+    assert marks["thread"].path[0] == pytest.approx(result.path.last.positions[-1])
     ((point, normal),) = drawn.planes
     assert (point[2], normal.tolist()) == (-0.06, [0.0, 0.0, 1.0])
     assert [shape.step for shape in drawn.shapes] == [8, 10]

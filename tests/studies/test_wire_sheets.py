@@ -143,6 +143,7 @@ EVERYTHING: Row = {
     "insulation_strain": 0.05,
     "copper_k_mpa": 300,
     "copper_n": 0.2,
+    "isotropic_share": 0.5,
     "friction_strand": 0.3,
     "friction_insulation": 0,
     "radial_force_n": 0.2,

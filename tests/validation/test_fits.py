@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
-from labpipe.results.beam import Rollers, path_of_load
+from labpipe.results.beam import Rollers, compute_roller_load
 from labpipe.results.two_lines import Hinges, Segments
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.pulls import pulled
@@ -157,7 +157,7 @@ def load_by_shooting(rollers: Rollers, deflection: float) -> float:
 @pytest.mark.parametrize("deflection", [0.02, 0.2])
 @pytest.mark.parametrize("rollers", [Rollers(1.0), Rollers(1.0, 0.05), Rollers(1.0, 0.07, 0.3)])
 def test_load_at_a_deflection(rollers: Rollers, deflection: float) -> None:
-    known, loads = path_of_load(rollers)
+    known, loads = compute_roller_load(rollers)
     found = float(np.interp(deflection, known, loads))
     # 600 slopes joined by straight lines: at most 1e-5 of the load.
     assert found == pytest.approx(load_by_shooting(rollers, deflection), rel=1e-5)

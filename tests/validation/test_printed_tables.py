@@ -18,7 +18,7 @@ from labpipe.mechanics.wire.bending_law import moment_curvature, slip_stiffness,
 from labpipe.mechanics.wire.cross_section import concentric
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
-from labpipe.results.least_squares import slope_of_line, zero_of_line
+from labpipe.results.least_squares import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
 from labpipe.statistics.outliers import find_suspects
 from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
@@ -38,9 +38,11 @@ NORRIS = """
 
 def test_norris() -> None:
     y, x = np.array(NORRIS.split(), dtype=np.float64).reshape(-1, 2).T
-    assert slope_of_line(x, y) == pytest.approx(1.00211681802045, rel=1e-13)
-    assert zero_of_line(x, y) == pytest.approx(0.262323073774029 / 1.00211681802045, rel=1e-10)
-    slopes = slope_of_line(np.array([x, x[::-1]]), np.array([y, 3.0 * y[::-1]]))
+    assert compute_slope(x, y) == pytest.approx(1.00211681802045, rel=1e-13)
+    assert compute_zero_crossing(x, y) == pytest.approx(
+        0.262323073774029 / 1.00211681802045, rel=1e-10
+    )
+    slopes = compute_slope(np.array([x, x[::-1]]), np.array([y, 3.0 * y[::-1]]))
     assert slopes == pytest.approx(np.array([1.0, 3.0]) * 1.00211681802045, rel=1e-13)
     fit = fit_linear(np.column_stack([np.ones_like(x), x]), y)
     assert fit.n == 36

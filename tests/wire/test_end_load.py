@@ -40,7 +40,7 @@ def test_the_elastica(tip_angle: float) -> None:
     assert numbers == pytest.approx((rise, shortening, tip_angle), abs=1e-9)
     path = end_load_path(law, LENGTH, np.array([rise * LENGTH]))
     clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * law.stiffness / LENGTH
-    assert (path.load[0], path.clamp_moment[0]) == pytest.approx((force[1], clamp), rel=1e-7)
+    assert (path.load[0], path.clamp_moment[0]) == pytest.approx((force[1], clamp), rel=1e-8)
 
 
 # At 64 stations a single corner costs 7e-5 (2e-6 at 128), the many small ones of a wire 4e-6.
@@ -61,7 +61,7 @@ def test_the_first_integral(law: MomentLaw, load: float, within: float) -> None:
     assert numbers == pytest.approx((deflection, tip, clamp), rel=within)
     path = end_load_path(law, LENGTH, np.array([deflection]))
     found = path.load[0], path.clamp_moment[0]
-    assert found == pytest.approx((load, clamp), rel=max(2.0 * within, 1e-8))
+    assert found == pytest.approx((load, clamp), rel=1e-7)
 
 
 def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
@@ -82,10 +82,10 @@ def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
         shapes.append(bend_to_deflection(law, state, LENGTH, deflection))
         state = shapes[-1].state
     loads, moments = zip(*((shape.force[1], shape.moment[0]) for shape in shapes), strict=True)
-    for step, close in ((40, 3e-3), (4, 1e-3), (1, 1e-4)):  # a long step skips where the tip turns
+    for step in (40, 4, 1):
         path = end_load_path(law, LENGTH, deflections[step - 1 :: step])
-        assert path.load == pytest.approx(loads[step - 1 :: step], rel=close)
-        assert path.clamp_moment == pytest.approx(moments[step - 1 :: step], rel=close)
+        assert path.load == pytest.approx(loads[step - 1 :: step], rel=1e-4)
+        assert path.clamp_moment == pytest.approx(moments[step - 1 :: step], rel=1e-4)
 
 
 def test_a_path_ends_where_the_law_does() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from labpipe.mechanics.law.plays import MomentLaw, corners_of
 from labpipe.records.arrays import Floats
@@ -14,7 +16,7 @@ CurvatureAndSlope: TypeAlias = tuple[Floats, Floats]
 """Curvature, 1/m, and its slope by the moment, 1/(N m^2)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LoadingTable:
     """Curvature against moment, cubic between knots (Hermite), straight beyond the last.
 
@@ -46,19 +48,35 @@ class LoadingTable:
         none = np.zeros((0, len(slopes)))
         return cls(moment, curvature, slopes, slopes, none, none)
 
+    @cached_property
+    def curve(self) -> PPoly:
+        """Return the curvature, and its derivatives by the parameters, over the moment's size."""
+        width = np.diff(self.moment)
+        chord = np.diff(self.curvature) / width
+        cubic = (self.first + self.last - 2.0 * chord) / width**2
+        square = (3.0 * chord - 2.0 * self.first - self.last) / width
+        panels = np.zeros((4, len(width) + 1, 1 + len(self.first_change)))
+        panels[:, :-1, 0] = cubic, square, self.first, self.curvature[:-1]
+        panels[2:, -1, 0] = self.last[-1], self.curvature[-1]  # beyond the last knot
+        panels[2, :-1, 1:] = ((self.last_change - self.first_change) / width).T
+        panels[3, :-1, 1:] = self.first_change.T
+        panels[3, -1, 1:] = self.last_change[:, -1]
+        return PPoly(panels, np.append(self.moment, 2.0 * self.moment[-1]))
+
+    @cached_property
+    def energy(self) -> PPoly:
+        """Return the integral of `curve`: the complementary energy per length, N."""
+        return self.curve.antiderivative()
+
     def bend(self, moment: Floats) -> CurvatureAndSlope:
         """Bend a wire that was never bent to moments of any shape and sign, N m."""
         size = np.abs(moment)
-        place = self._panel(size)
-        width = (self.moment[1:] - self.moment[:-1])[place]
-        u = (size - self.moment[place]) / width
-        inside = np.minimum(u, 1.0)
-        first, last = self.first[place], self.last[place]
-        chord = (self.curvature[1:] - self.curvature[:-1])[place] / width
-        quadratic, lean = first + last - 2.0 * chord, 3.0 * chord - 2.0 * first - last
-        rise = ((quadratic * inside + lean) * inside + first) * inside + last * (u - inside)
-        slope = (3.0 * quadratic * inside + 2.0 * lean) * inside + first
-        return np.sign(moment) * (self.curvature[place] + width * rise), slope
+        return np.sign(moment) * self.curve(size)[..., 0], self.curve(size, 1)[..., 0]
+
+    def changes(self, moment: Floats) -> Floats:
+        """Return the derivatives of the curvature, shape (parameters, *moment's)."""
+        changes = np.moveaxis(self.curve(np.abs(moment))[..., 1:], -1, 0)
+        return np.asarray(np.sign(moment) * changes, dtype=np.float64)
 
     def bend_on(self, rest: Floats, moment: Floats) -> CurvatureAndSlope:
         """Bend from a rest that was reached by first loading.
@@ -82,14 +100,6 @@ class LoadingTable:
             curvature[reverses], slope[reverses] = before + 2.0 * bent, rise
         return curvature, slope
 
-    def changes(self, moment: Floats) -> Floats:
-        """Return the derivatives of the curvature, shape (parameters, *moment's)."""
-        size = np.minimum(np.abs(moment), self.moment[-1])
-        place = self._panel(size)
-        u = (size - self.moment[place]) / (self.moment[1:] - self.moment[:-1])[place]
-        changes = (1.0 - u) * self.first_change[:, place] + u * self.last_change[:, place]
-        return np.asarray(np.sign(moment) * changes, dtype=np.float64)
-
     def changes_on(self, rest: Floats, moment: Floats, rest_change: Floats) -> Floats:
         """Return the derivatives of the curvature of `bend_on`, shape (parameters, n, stations).
 
@@ -107,9 +117,6 @@ class LoadingTable:
             back = back + slack * rest_change[:, None, :]
             changes = np.where(reverses, back, changes)
         return changes
-
-    def _panel(self, size: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-        return np.minimum(np.searchsorted(self.moment[1:], size, side="right"), len(self.first) - 1)
 
     @staticmethod
     def _reverses(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -60,9 +60,36 @@ class MomentLaw(Protocol):
     def largest_moment(self) -> float:
         """Return the end of the law, N m, either sign; may be infinite."""
 
+    def unbent(self, n_stations: int) -> Floats:
+        """Return the history of a wire that was never bent, shape (n_stations, n)."""
+
+    def respond(self, moment: Floats, history: Floats) -> Response:
+        """Compute curvatures under new moments, from the history: see `respond`."""
+
+
+class _Plays:
+    """Responses of a spring in series with plays."""
+
+    __slots__ = ()
+
+    def unbent(self: MomentLaw, n_stations: int) -> Floats:
+        """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
+        return np.zeros((n_stations, len(self.half_widths)))
+
+    def respond(self: MomentLaw, moment: Floats, history: Floats) -> Response:
+        """Compute curvatures under new moments, from the history: see `respond`."""
+        column = moment[:, None]
+        moved = np.minimum(
+            np.maximum(history, column - self.half_widths), column + self.half_widths
+        )
+        flowing = moved != history
+        curvature = moment / self.stiffness + moved @ self.compliances
+        compliance = 1.0 / self.stiffness + flowing @ self.compliances
+        return Response(curvature, compliance, moved)
+
 
 @dataclass(frozen=True, slots=True)
-class LinearLaw:
+class LinearLaw(_Plays):
     """Constant bending stiffness: kappa = M / EI, no memory.
 
     Parameters
@@ -92,7 +119,7 @@ class LinearLaw:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlayLaw(ArrayRecord):
+class PlayLaw(ArrayRecord, _Plays):
     """Many plays: any concave first-loading law, with Masing loops and residual curvature.
 
     Parameters
@@ -125,7 +152,7 @@ class PlayLaw(ArrayRecord):
 
 def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
     """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
-    return np.zeros((n_stations, len(law.half_widths)))
+    return law.unbent(n_stations)
 
 
 def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
@@ -145,12 +172,7 @@ def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
     -----
     The compliance at a corner of the polygon is that of the play at rest.
     """
-    column = moment[:, None]
-    moved = np.minimum(np.maximum(plays, column - law.half_widths), column + law.half_widths)
-    flowing = moved != plays
-    curvature = moment / law.stiffness + moved @ law.compliances
-    compliance = 1.0 / law.stiffness + flowing @ law.compliances
-    return Response(curvature, compliance, moved)
+    return law.respond(moment, plays)
 
 
 def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:

@@ -35,6 +35,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import nnls
 
+from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.plays import (
     PlayLaw,
     polygon_law,
@@ -62,6 +63,7 @@ class SliderLaw(ArrayRecord):
     first, last : 1/m, between which the law was fitted; beyond the last it is linear
     error : largest distance of the first loading from the law it was fitted to, between `first`
         and `last`, as a share of the moment there; 0 where nothing was fitted
+    growing : sliders beside these whose limits grow (isotropic hardening)
 
     Raises
     ------
@@ -75,6 +77,7 @@ class SliderLaw(ArrayRecord):
     first: float
     last: float
     error: float = 0.0
+    growing: tuple[GrowingSlider, ...] = ()
 
     def __post_init__(self) -> None:
         ArrayRecord.__post_init__(self)
@@ -85,9 +88,31 @@ class SliderLaw(ArrayRecord):
         _require_range(self.first, self.last)
 
     @property
+    def history_size(self) -> int:
+        """Return the number of rests of a station, see `SliderResponse`."""
+        return len(self.stiffnesses) + 2 * len(self.growing)
+
+    @property
     def first_stiffness(self) -> float:
         """Return the bending stiffness before sliding, and after every reversal, N m^2."""
-        return self.stiffness + float(np.sum(self.stiffnesses))
+        growing = sum(slider.stiffness for slider in self.growing)
+        return self.stiffness + float(np.sum(self.stiffnesses)) + growing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PresentSliders:
+    """All sliders of a law as they are now; the limits of growing ones stay as they are.
+
+    Parameters
+    ----------
+    stiffnesses : shape (sliders,), N m^2, the growing ones last
+    slip_curvatures : shape (..., sliders), 1/m
+    rests : shape (..., sliders, 2), 1/m
+    """
+
+    stiffnesses: Floats
+    slip_curvatures: Floats
+    rests: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +124,32 @@ class SliderResponse:
     moment : N m, shape (stations,), or (stations, 2) of vectors
     stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
         with the step just made
-    rests : 1/m, shape (stations, sliders), or (stations, sliders, 2): the history after the step
+    rests : 1/m, shape (stations, n), or (stations, n, 2): the history after the step. Of each
+        slider its rest curvature; then of each growing slider its rest curvature, and the curvature
+        that has slid (of a vector the first component)
     """
 
     moment: Floats
     stiffness: Floats
     rests: Floats
+
+
+def present_sliders(law: SliderLaw, rests: Floats) -> PresentSliders:
+    """Return the sliders of a law with their present limits.
+
+    Parameters
+    ----------
+    law : the law
+    rests : shape (..., n, 2), 1/m: the history, see `SliderResponse`
+    """
+    count = len(law.stiffnesses)
+    slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
+    places = [*range(count), *range(count, rests.shape[-2], 2)]
+    for number, slider in enumerate(law.growing):
+        limit = slider.limit_after(rests[..., count + 2 * number + 1, 0])
+        slips.append((limit / slider.stiffness)[..., None])
+    stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
+    return PresentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., places, :])
 
 
 def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
@@ -116,12 +161,15 @@ def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     curvature : any shape, 1/m, of either sign
     """
     held = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
-    return np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
+    moment = np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
+    for slider in law.growing:
+        moment = moment + np.sign(curvature) * slider.first_loading(np.abs(curvature))
+    return moment
 
 
 def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
     """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
-    return np.zeros((n_stations, len(law.stiffnesses), *((2,) if is_vector else ())))
+    return np.zeros((n_stations, law.history_size, *((2,) if is_vector else ())))
 
 
 def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
@@ -131,17 +179,26 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     ----------
     law : the law of every station
     curvature : shape (stations,), 1/m; each is reached monotonically
-    rests : shape (stations, sliders), 1/m, before the step
+    rests : shape (stations, n), 1/m, before the step; see `SliderResponse`
 
     Notes
     -----
     NaN in gives NaN out. The stiffness where a slider just begins to slide is that of one at rest.
     """
-    bent = curvature[:, None] - rests
+    count = len(law.stiffnesses)
+    bent = curvature[:, None] - rests[:, :count]
     held = np.clip(bent, -law.slip_curvatures, law.slip_curvatures)
     moment = law.stiffness * curvature + held @ law.stiffnesses
     stiffness = law.stiffness + (held == bent) @ law.stiffnesses
-    return SliderResponse(moment, stiffness, curvature[:, None] - held)
+    if not law.growing:
+        return SliderResponse(moment, stiffness, curvature[:, None] - held)
+    after = [curvature[:, None] - held]
+    for number, slider in enumerate(law.growing, start=1):
+        rest, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
+        step = slider.slide(curvature, rest, slid)
+        moment, stiffness = moment + step.moment, stiffness + step.stiffness
+        after.append(np.column_stack([step.rest, step.slid]))
+    return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
@@ -151,7 +208,7 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     ----------
     law : the law of every station
     curvature : shape (stations, 2), 1/m, across the wire; each is reached along a straight line
-    rests : shape (stations, sliders, 2), 1/m, before the step
+    rests : shape (stations, n, 2), 1/m, before the step; see `SliderResponse`
 
     Notes
     -----
@@ -159,7 +216,8 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that does not slide has
     K_j 1. Exact for straight paths; a curved path needs small steps.
     """
-    bent = curvature[:, None, :] - rests
+    count = len(law.stiffnesses)
+    bent = curvature[:, None, :] - rests[:, :count]
     size = np.sqrt(np.vecdot(bent, bent))
     is_sliding = size > law.slip_curvatures
     size = np.where(is_sliding, size, 1.0)
@@ -170,7 +228,14 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     weights = law.stiffnesses * shrunk
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
-    return SliderResponse(moment, stiffness, curvature[:, None, :] - held)
+    after = [curvature[:, None, :] - held]
+    for number, slider in enumerate(law.growing, start=1):
+        rest, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
+        step = slider.slide_vector(curvature, rest, slid[:, 0])
+        moment, stiffness = moment + step.moment, stiffness + step.stiffness
+        grown = np.column_stack([step.slid, np.zeros_like(step.slid)])
+        after.append(np.stack([step.rest, grown], axis=1))
+    return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
 
 
 def as_plays(law: SliderLaw) -> PlayLaw:

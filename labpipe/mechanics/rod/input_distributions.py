@@ -94,6 +94,24 @@ def stated_distribution(
     return InputDistribution((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
 
 
+def uniform_distribution(
+    name: str, low: float, high: float, *, cause: str, draws: int = DRAWS, seed: int = 0
+) -> InputDistribution:
+    """Return the distribution of one input that lies anywhere in a range.
+
+    Parameters
+    ----------
+    name : of the input
+    low, high : ends of the range, in the unit of the input
+    cause : its name in a budget
+    draws, seed : as for `stated_distribution`
+    """
+    chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
+    amounts = 2.0 * (chance.permutation(draws) + 0.5) / draws - 1.0
+    centre, steps = np.array([0.5 * (low + high)]), np.array([[0.5 * (high - low)]])
+    return InputDistribution((name,), (cause,), centre, steps, amounts[:, None])
+
+
 def calibrated_distributions(
     solutions: Sequence[Solution],
     widening: float = 1.0,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Load
 from labpipe.mechanics.rod.path import RodState
@@ -121,8 +122,9 @@ def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
     """Return the elastic energy of bending, twist and stretch, J."""
     section, cells = assembly.line.section, balance.cells
     law = section.law
-    slider_strain = cells.curvatures[:, None, :2] - balance.memory.rests
-    of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), law.stiffnesses)
+    sliders = present_sliders(law, balance.memory.rests)
+    slider_strain = cells.curvatures[:, None, :2] - sliders.rests
+    of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), sliders.stiffnesses)
     of_spring = law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
     of_twist = section.torsional_stiffness * cells.curvatures[:, 2] ** 2
     energy = 0.5 * float(assembly.supports.lengths @ (of_sliders + of_spring + of_twist))
@@ -135,11 +137,14 @@ def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
 def lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
     """Return the energy lost in the sliders in a step, J, from the rests of cells around it.
 
-    A sliding slider carries K_j kappa_j over the path of its rest.
+    A sliding slider carries K_j kappa_j over the path of its rest, a growing one the mean of its
+    limits.
     """
     law = assembly.line.section.law
-    ways = np.linalg.norm(behind - before, axis=2)
-    return float(assembly.supports.lengths @ ways @ (law.stiffnesses * law.slip_curvatures))
+    first, last = (present_sliders(law, rests) for rests in (before, behind))
+    ways = np.linalg.norm(last.rests - first.rests, axis=2)
+    slips = 0.5 * (first.slip_curvatures + last.slip_curvatures)
+    return float(assembly.supports.lengths @ (ways * slips) @ first.stiffnesses)
 
 
 def work_done(

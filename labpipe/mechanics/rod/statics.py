@@ -447,7 +447,7 @@ def _start_places(schedule: Schedule, start: RodState | None) -> Floats:
 def _start_state(
     line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
 ) -> tuple[Shape, Floats, Floats]:
-    n, sliders = len(line.lengths), len(line.section.law.stiffnesses)
+    n, sliders = len(line.lengths), line.section.law.history_size
     n_planes = sum(isinstance(boundary, Plane) for boundary in boundaries)
     if start is None:
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))

@@ -29,7 +29,7 @@ from labpipe.mechanics.wire.bundle_packing import (
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.protocol.load import load_test_sheet, parse_protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
+from labpipe.protocol.sheet_grammar import SHEET_NAME, parse_bundle
 from labpipe.records.arrays import Ints
 from labpipe.records.curve import Curve, Interval
 from labpipe.records.group import BundlePlace, Group, Sample
@@ -304,7 +304,7 @@ def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) ->
         sheet = load_test_sheet(path)
         name, bundle = sheet.test, sheet.specimen.record.bundle
     else:
-        bundle = bundle_in_words(what, arrangement=arrangement or PACKED)
+        bundle = parse_bundle(what, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")
         return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
     if bundle is None:

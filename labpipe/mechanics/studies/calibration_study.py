@@ -36,7 +36,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, ca
 from labpipe.mechanics.wire.calibration.prediction import tested_curvature
 from labpipe.mechanics.wire.law_family import with_values
 from labpipe.mechanics.wire.wire_table import wire_table
-from labpipe.process.output_paths import find_results, refuse_repeated, shared_folder
+from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.wire import WireSpec
@@ -133,7 +133,7 @@ def calibrate_tests(
     )
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
-    refuse_repeated([(loading.curve.test, loading.file) for loading in loadings], "name")
+    refuse_duplicates([(loading.curve.test, loading.file) for loading in loadings], "name")
     loadings, copies = drop_copies(loadings)
     name = wire_to_calibrate(loadings, settings, plan)
     require_wires(loadings, specs, wires)

@@ -14,7 +14,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, compare_curves
 from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.protocol.plans import COPY_IT, CalibrationPlan, Comparison
+from labpipe.protocol.plans import COPY_REMEDY, CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireSpec
@@ -72,7 +72,7 @@ def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         expected, actual = "a file inside the folder of the plan", "a link out of it"
-        raise ReadError(format_error(path, "", expected=expected, found=actual, remedy=COPY_IT))
+        raise ReadError(format_error(path, "", expected=expected, found=actual, remedy=COPY_REMEDY))
     across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,

@@ -28,8 +28,8 @@ from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.wire import WireSpec
-from labpipe.results.beam import held_at_rest
-from labpipe.results.moment_curvature import at_rest, notes_of
+from labpipe.results.beam import compute_prop_force
+from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.units import GRAVITY
@@ -322,14 +322,16 @@ def _rest_notes(
     if string is None or string.at_rest == "taut":
         return ()
     weight, length = GRAVITY * string.counterweight, protocol.specimen.length
-    sag_weight = held_at_rest(_self_weight(protocol), length or 0.0)
+    sag_weight = compute_prop_force(_self_weight(protocol), length or 0.0)
     if weight + sag_weight == 0.0:
         return ()
-    rest = at_rest(result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight)
+    rest = collect_rest_evidence(
+        result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
+    )
     if rest.why_not_straight:
         message = f"{rest.why_not_straight}. {_STRING_REMEDY}"
         raise NotUsableError(message)
-    return tuple(notes_of(result.test, rest))
+    return tuple(list_rest_notes(result.test, rest))
 
 
 def _self_weight(protocol: Protocol) -> float:

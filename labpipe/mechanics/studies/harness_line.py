@@ -27,11 +27,11 @@ from labpipe.mechanics.rod.rotations import (
     unit,
 )
 from labpipe.protocol.harness_file import (
-    HELD,
+    HOLDERS,
     Clip,
     Grip,
     HarnessFile,
-    Held,
+    Holder,
     Load,
     Pin,
     Plane,
@@ -40,8 +40,8 @@ from labpipe.protocol.harness_file import (
     String,
     Vector3,
     Waypoint,
-    path_of,
-    start_of,
+    compute_path,
+    find_line_start,
 )
 from labpipe.records.arrays import Floats
 
@@ -124,7 +124,7 @@ def _stations(harness: HarnessFile) -> Floats:
 
 
 def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
-    begin, direction = (np.array(vector) for vector in start_of(harness))
+    begin, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
@@ -170,7 +170,7 @@ def _boundaries(
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
-                first = path_of(boundary, line.positions[node], steps)[0]
+                first = compute_path(boundary, line.positions[node], steps)[0]
                 path = _straight_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
@@ -208,7 +208,7 @@ def _gravity_path(harness: HarnessFile) -> Floats:
     Weight cannot give an inextensible taut line its tension at once.
     """
     full = np.array(harness.gravity)
-    if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
+    if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
         return full
     share = _ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * full)
@@ -219,8 +219,8 @@ def _ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
-    position = path_of(boundary, line.positions[node], steps)
+def _held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
+    position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
         frame = _frames(boundary, line.frame_at(node), steps)

@@ -3,7 +3,7 @@
 They are computed from fields: vectors that respond smoothly to inputs. A norm, a minimum or a
 maximum is not smooth at zero or where its place changes. Therefore the response is linear in the
 fields, and each number is computed from them in every draw as from a solved line. Residual
-curvature of a released line is that by Masing's rule, and at most.
+curvature of a released line is that of its law.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import reduce
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.law.sliders import SliderLaw, present_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
@@ -171,23 +171,26 @@ def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
     The curvature at zero moment, where sliders slide in the other direction: EI_0 kappa + sum of
     w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), solved for kappa with the
     w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It starts
-    at the curvature reached if no slider slides. Without sliders it is 0.
+    at the curvature reached if no slider slides. Without sliders it is 0. The limit of a growing
+    slider stays: released, it does not slide.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
-    if not len(law.stiffnesses):
+    sliders = present_sliders(law, rests)
+    stiffnesses, slips = sliders.stiffnesses, sliders.slip_curvatures
+    if not len(stiffnesses):
         return curvature
-    weights = np.broadcast_to(law.stiffnesses, rests.shape[:-1])
+    weights = np.broadcast_to(stiffnesses, slips.shape)
     for _ in range(max_iterations):
         total = law.stiffness + weights.sum(axis=-1)
         previous, curvature = (
             curvature,
-            np.einsum("...j,...jx->...x", weights, rests) / total[..., None],
+            np.einsum("...j,...jx->...x", weights, sliders.rests) / total[..., None],
         )
         if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
-        bent = np.linalg.norm(curvature[..., None, :] - rests, axis=-1)
-        weights = law.stiffnesses * law.slip_curvatures / np.maximum(bent, law.slip_curvatures)
+        bent = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
+        weights = stiffnesses * slips / np.maximum(bent, slips)
     return curvature
 
 
@@ -219,12 +222,13 @@ def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     -----
     From the largest bend of each node: sum of K_j a_j over the first stiffness.
     """
-    if not len(law.stiffnesses):
+    if not law.history_size:
         return np.zeros(len(path.last.positions))
-    sizes = [
-        np.linalg.norm(np.einsum("j,nsjx->nsx", law.stiffnesses, state.rests), axis=2).max(axis=1)
-        for state in path.states
-    ]
+    sizes = []
+    for state in path.states:
+        sliders = present_sliders(law, state.rests)
+        kept = np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests)
+        sizes.append(np.linalg.norm(kept, axis=2).max(axis=1))
     return np.asarray(np.max(sizes, axis=0) / law.first_stiffness)
 
 
@@ -254,6 +258,8 @@ def unloading_reason(path: RodPath, line: Line) -> Reason | None:
     copper springs back two to four times as far as standards of annealed wire allow.
     """
     law = line.section.law
+    if law.growing:
+        return None
     largest = max_residual_curvature(path, law)
     node = int(np.argmax(largest))
     residual = float(residual_curvature(path.last, law)[node])
@@ -498,13 +504,33 @@ def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
     more than one support, so that they depend on its law. See `unloading_reason`.
     """
     reason = unloading_reason(path, prepared.line)
-    if reason is None:
-        return None
+    return None if reason is None else Doubt(reason, unloading_names(path, prepared))
+
+
+def unloading_names(path: RodPath, prepared: PreparedLine) -> tuple[str, ...]:
+    """Return the names of numbers that depend on unloading: see `unloading_doubt`."""
     names = [ENERGY_LOST, RESIDUAL, *_names_after_release(prepared)]
     holding = [e for e in prepared.boundaries if isinstance(e, HOLDS) and not _is_released(e)]
     if len(holding) > 1 and largest_unbending(path) > 0.1:  # of the sharpest bend
         names += [FORCE, MOMENT]
-    return Doubt(reason, tuple(names))
+    return tuple(names)
+
+
+def share_doubts(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iterator[Doubt]:
+    """Yield doubts about numbers with wide intervals, as the hardening of the copper is not known.
+
+    Parameters
+    ----------
+    intervals : of numbers, by name
+    names : of numbers that depend on unloading, or their beginnings
+    """
+    max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
+    sized = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
+    for name, interval in intervals.items():
+        if name.startswith(sized) and interval.upper > max_ratio * interval.lower:
+            facts = interval.lower, interval.upper
+            reason = Reason.of("mechanics.studies.share_unknown", low=facts[0], high=facts[1])
+            yield Doubt(reason, (name,))
 
 
 def _names_after_release(prepared: PreparedLine) -> tuple[str, ...]:
@@ -593,9 +619,11 @@ def _numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
         if isinstance(boundary, rod.Held) and boundary.release is not None:
             remark = f"against step {boundary.release - 1}, the last one before its release"
             yield number(f"{SPRINGBACK}{boundary.name}", "m", remark)
-    residual = residual_curvature(path.last, line.section.law)
+    law = line.section.law
+    residual = residual_curvature(path.last, law)
     node = int(np.argmax(residual))
-    remark = f"{place(node)}; if released, by Masing's rule" if residual[node] else ""
+    rule = "" if law.growing else ", by Masing's rule"
+    remark = f"{place(node)}; if released{rule}" if residual[node] else ""
     yield number(RESIDUAL, "1/m", remark)
     yield number(ENERGY_LOST, "J", "in bending, since the start")
 

@@ -20,21 +20,24 @@ from labpipe.mechanics.rod.input_distributions import (
     calibrated_distributions,
     join_distributions,
     stated_distribution,
+    uniform_distribution,
 )
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.mechanics.studies.harness_line import FREE_CURVATURES
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
 from labpipe.mechanics.wire.law_family import (
+    ISOTROPIC_SHARE,
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
+    UNKNOWN_SHARE,
     LawFamily,
     family_of,
     with_values,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
-from labpipe.protocol.harness_file import HarnessFile, SectionBlock, file_beside
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
@@ -43,6 +46,10 @@ FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 """Inputs: logarithms of factors on moments, torsional stiffness and mass."""
 DEFAULT_SHEET = "wires.xlsx"
 _INSULATION_LIMIT = "the straight line of its insulation"
+
+
+SectionAt = Callable[[Mapping[str, float]], Section]
+"""Section as a function of named inputs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +63,7 @@ class Material:
         each solution of a calibration, the best first
     limit : 1/m, largest curvature for which the law is supported
     limit_source : of this limit
+    has_unknown_share : whether the isotropic share of its strands is taken from a range
     stretch_limit : largest strain along the line for which its axial stiffness is supported
     files : that it was read from
     notes : quality notes of the law
@@ -64,13 +72,14 @@ class Material:
     """
 
     name: str
-    sections: tuple[Callable[[Mapping[str, float]], Section], ...]
+    sections: tuple[SectionAt, ...]
     limit: float
     limit_source: str
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
     distributions: tuple[InputDistribution, ...] = ()
     stretch_limit: float = np.inf
+    has_unknown_share: bool = False
 
     @property
     def diameter(self) -> float:
@@ -78,9 +87,31 @@ class Material:
         return self.sections[0](self.best).diameter
 
     @property
+    def knows_only_share(self) -> bool:
+        """Return whether no input but the isotropic share has a distribution."""
+        names = {name for distribution in self.distributions for name in distribution.names}
+        return names == {ISOTROPIC_SHARE}
+
+    @property
     def best(self) -> Mapping[str, float]:
         """Return the best inputs."""
         return self.distributions[0].inputs() if self.distributions else {}
+
+
+def fix_inputs(material: Material) -> Material:
+    """Return a material at its best inputs, without distributions.
+
+    Parameters
+    ----------
+    material : of a line
+    """
+    best = material.best
+
+    def fix(section: SectionAt) -> SectionAt:
+        return lambda _: section(best)
+
+    sections = tuple(map(fix, material.sections))
+    return replace(material, sections=sections, distributions=())
 
 
 def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
@@ -101,7 +132,7 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
     if block.wire is not None:
         material = _wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _deck_material(block, file_beside(block.sliders, file))
+        material = _deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _stiffness_material(block)
     return replace(material, distributions=_add_stated(material.distributions, harness))
@@ -164,12 +195,12 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
 
 
 def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [input_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:
-        path = file_beside(block.calibration, file)
+        path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(input_file("calibration", path))
     specs = _solution_specs(spec, calibrated)
@@ -191,13 +222,25 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
         *(limits[source], source),
         files=tuple(files),
         notes=table.notes,
-        distributions=()
-        if calibrated is None
-        else calibrated_distributions(
-            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
-        ),
+        distributions=_distributions(spec, calibrated),
+        has_unknown_share=spec.isotropic_share is None,
         stretch_limit=1e-3,  # copper yields beyond it
     )
+
+
+def _distributions(
+    spec: WireSpec, calibrated: CalibratedFile | None
+) -> tuple[InputDistribution, ...]:
+    """Return the distributions of a calibration, and that of an unknown isotropic share."""
+    found: tuple[InputDistribution, ...] = ()
+    if calibrated is not None:
+        found = calibrated_distributions(
+            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
+        )
+    if spec.isotropic_share is not None:
+        return found
+    share = uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause="hardening of the copper")
+    return tuple(join_distributions([other, share]) for other in found) or (share,)
 
 
 def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:

@@ -35,10 +35,12 @@ from labpipe.mechanics.studies.harness_numbers import (
     reasons_of,
     reference_size,
     results_of,
+    share_doubts,
     sharpest,
     unloading_doubt,
+    unloading_names,
 )
-from labpipe.mechanics.studies.harness_section import Material
+from labpipe.mechanics.studies.harness_section import Material, fix_inputs
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
@@ -160,7 +162,14 @@ def solve_harness(
         line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
         coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
         half = prepare_line(coarse, section(material.best), material.best)
+        names = unloading_names(path, prepared)
         doubts = _doubts(path, prepared, half, intervals)
+        if material.has_unknown_share:
+            doubts += share_doubts(intervals, names)
+        if material.knows_only_share:
+            intervals = {
+                name: interval for name, interval in intervals.items() if name.startswith(names)
+            }
         results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
     limit = bend_limit(harness, material)
     return FollowedHarness(
@@ -215,7 +224,10 @@ def solve_sweep_length(
     if length != stated.harness.line.length:
         line = stated.harness.line.model_copy(update={"length": length})
         harness = stated.harness.model_copy(update={"line": line, "show": ()})
-        other = solve_harness(harness, stated.file, stated.material, stated.folder, on_step)
+        material = stated.material
+        if material.knows_only_share:  # shapes of a sweep hardly depend on it
+            material = fix_inputs(material)
+        other = solve_harness(harness, stated.file, material, stated.folder, on_step)
     if other.status is Status.FAILED:
         return other
     listed = [

@@ -531,7 +531,7 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
         note=_caption(solution),
         length=np.array([run.harness.line.length for run in sweep]),
         radius=np.array([run.bend.radius for run in sweep]),
-        way=np.array([run.sharpest.radius for run in sweep]),
+        radius_over_steps=np.array([run.sharpest.radius for run in sweep]),
         radius_band=_radius_band(sweep),
         shapes=tuple(
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions

@@ -26,11 +26,11 @@ from labpipe.protocol.wire_rows import (
     Curve,
     StressPoint,
     WireRow,
-    column_name,
-    curve_fault,
-    curve_of,
-    heading_faults,
-    wire_spec,
+    build_wire_spec,
+    convert_points,
+    find_curve_fault,
+    find_heading_faults,
+    normalise_heading,
 )
 from labpipe.readers.workbooks import (
     Cell,
@@ -68,7 +68,9 @@ class Conditions(Block):
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
 
 
-_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, ProofStress, Conditions))
+_POINT, _PROOF, _CONDITIONS = (
+    list(kind.list_keys()) for kind in (StressPoint, ProofStress, Conditions)
+)
 _NAME_COLUMNS = (
     f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
 )
@@ -181,7 +183,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         If there is no such table or it has faults: all of them, each with its cell.
     """
     table, file = _table(column, name, path)
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     raise_faults(file, _heading_faults(table.heading, names))
     conditions = _conditions(rows, file)
@@ -189,12 +191,12 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _numbers(rows, column, file)
         return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
     points = _blocks(StressPoint, rows, file)
-    if curve_error := curve_fault(points, column):
+    if curve_error := find_curve_fault(points, column):
         number, fault = curve_error
         before = points[number - 1].strain if number else 0.0
         wrong = "strain" if points[number].strain <= before else "stress_mpa"
         raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
-    return StatedCurve(name.text, curve_of(points), None, conditions)
+    return StatedCurve(name.text, convert_points(points), None, conditions)
 
 
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
@@ -394,9 +396,9 @@ def read_wires(path: Path) -> WireSheet:
     cells, where = _cells(path)
     raise_faults(path, _first_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
-    wrong = heading_faults([cell.text for cell in table.heading])
+    wrong = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
-    names = [column_name(cell.text) for cell in table.heading]
+    names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = fault_messages(path, _repeated_name_faults([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
@@ -429,7 +431,9 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
 def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     """Find a title or a comment above the heading, and a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
-    counts = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
+    counts = [
+        sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
+    ]
     heading = next((number for number, count in enumerate(counts) if count > 1), None)
     if heading is None:
         return
@@ -488,7 +492,7 @@ def _read_spec(
     tables = [
         named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
     ]
-    return wire_spec(read, blank, place, *tables)
+    return build_wire_spec(read, blank, place, *tables)
 
 
 def _stress_tables(

@@ -166,7 +166,7 @@ def moment_curvature(
         message = f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: must be finite"
         raise ValueError(message)
     stick, slip, axial_slope = _axial_parts(section, contacts, curvatures, tension, orientation)
-    elastic_stiffness, strand_moment_sum, bending_slope = _own_moments(section, curvatures)
+    elastic_stiffness, strand_moment_sum, bending_slope = sum_strand_moments(section, curvatures)
     zeros = np.zeros_like(curvatures)
     tube = tube_moment(section.insulation, curvatures) if section.insulation else None
     return MomentCurve(
@@ -209,8 +209,18 @@ def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, F
     return stick, total - stick, slope
 
 
-def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
-    """Return elastic stiffness, moment and slope of the strands about their own axes."""
+def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
+    """Sum the moments of the strands about their own axes.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    curvature : shape (n,), 1/m
+
+    Returns
+    -------
+    Elastic stiffness, N m^2; moments, N m, and their slopes, N m^2, shape (n,).
+    """
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     moment, slope = np.zeros((2, len(curvature)))
     strand_types = {(layer.material, layer.diameter) for layer in section.layers}

@@ -90,26 +90,34 @@ def end_load_path(
     The points are solved at once as long as the deflections grow and no part of the wire unloads,
     up to about 0.7 of the length; from there on station by station.
     """
+    search_points = 32  # from the last deflection of first loading to where parts unload
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
     goes_on = np.diff(deflections, prepend=0.0) > 0.0
     goes_on &= deflections <= FIRST_LOADING * length
     growing = deflections[: len(goes_on) if goes_on.all() else int(np.argmin(goes_on))]
-    at = loading_states(
-        *(LoadingTable.of_plays(law), length, None, self_weight, growing),
-        n_stations=n_stations,
-        with_changes=False,
-    )
-    rest = _state(law, straight(law, n_stations, self_weight=self_weight), at, None)
+    by_stations = n_stations if self_weight > 0.0 else None
+    cantilever = LoadingTable.of_plays(law), length, None, self_weight
+    at = loading_states(*cantilever, growing, n_stations=by_stations)
+    rest = straight(law, n_stations, self_weight=self_weight)
+    if self_weight > 0.0:
+        rest = _state(law, rest, at, None)
     shape = _shape_at_rest(law, rest, length) if self_weight > 0.0 else None
     done = at.count_loading()
     outside = [n for n in range(done) if not is_within(law, float(at.moment[n, 0]))]
+    further: list[WireState] = []
     if outside:
-        done, further = outside[0], []
-    else:
-        loaded = [_state(law, rest, at, row) for row in range(max(done - 2, 0), done)]
-        states = [rest, rest, *loaded][-2:]
+        done = outside[0]
+    elif done < len(deflections):
+        way = growing[:done][-2:]
+        start, end = np.append(0.0, way)[-1], min(deflections[done], FIRST_LOADING * length)
+        if end > start:
+            search = np.linspace(start, end, search_points + 1)[1:]
+            loaded = loading_states(*cantilever, search, n_stations=by_stations).count_loading()
+            way = np.append(way, search[:loaded])[-2:]
+        last = loading_states(*cantilever, way, n_stations=n_stations)
+        states = [rest, rest, *(_state(law, rest, last, row) for row in range(len(way)))][-2:]
         further = list(_continue_path(law, states, length, deflections[done:]))
     load = np.append(at.tension[:done], [state.force[1] for state in further])
     clamp = np.append(at.moment[:done, 0], [state.moment[0] for state in further])

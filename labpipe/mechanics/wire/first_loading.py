@@ -1,10 +1,11 @@
 """First loading of a clamped wire, with or without weight, all points at once (PHYSICS 5, 8).
 
 At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
-Newton's method solves for the moments at Chebyshev-Lobatto stations of all wanted deflections
-together. The law is one of first loading; where the weight bent the wire the other way, it returns
-by Masing's rule. `wire.cantilever` follows the same path step by step with a history at each
-station, and also unloading, cycles and a slack string.
+Without weight `wire.first_integral` gives every deflection; with weight Newton's method solves for
+the moments at Chebyshev-Lobatto stations of all wanted deflections together. The law is one of
+first loading; where the weight bent the wire the other way, it returns by Masing's rule.
+`wire.cantilever` follows the same path step by step with a history at each station, and also
+unloading, cycles and a slack string.
 """
 
 from __future__ import annotations
@@ -18,13 +19,12 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
+from labpipe.mechanics.wire.first_integral import solve_weightless
 from labpipe.mechanics.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity, solve
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 N_STATIONS = 24
 """Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-N_LOADING_POINTS = 32
-"""Of a loading curve."""
 TOLERANCE = 1e-5
 """Last change of the moments, as a share of the largest; the next would be 1e-9."""
 FIRST_LOADING = 0.7
@@ -80,7 +80,7 @@ class LoadingStates:
     x, tip_angle : shape (n,), m, rad
     curvature : shape (n,), 1/m, at the clamp
     tension_change : shape (1 + parameters, n), derivative of tension less that at rest by the
-        deflection, N/m, and by each of the law's parameters, N; shape (0, n) if not computed
+        deflection, N/m, and by each of the law's parameters, N
     """
 
     rest: Floats
@@ -132,7 +132,7 @@ def load_cantilever(
 
     Returns
     -------
-    The curve: rest, then `N_LOADING_POINTS` points up to the deflection, or until a part of the
+    The curve: rest, then points up to the deflection, or until a part of the
     wire unloads. Its derivatives by parameters are those of the force above that at rest.
 
     Raises
@@ -140,9 +140,10 @@ def load_cantilever(
     ValueError
         If no equilibrium is found.
     """
+    n_points = 32 if self_weight > 0.0 else 44
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
     farthest = min(deflection, FIRST_LOADING * length)
-    wanted = farthest * (np.arange(1, N_LOADING_POINTS + 1) / N_LOADING_POINTS) ** crowding
+    wanted = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
     states = loading_states(table, length, rig, self_weight, wanted, near=near)
     stop = states.count_loading()
     rise = states.tension[0] - states.rest_tension
@@ -173,29 +174,32 @@ def loading_states(
     self_weight: float,
     deflections: Floats,
     *,
-    n_stations: int = N_STATIONS,
-    with_changes: bool = True,
+    n_stations: int | None = None,
     near: LoadingStates | None = None,
 ) -> LoadingStates:
     """Find the equilibria of a wire at rest and at given deflections.
 
     Parameters
     ----------
-    table, length, rig, self_weight : as for `load_cantilever`
+    table, length, rig, self_weight, near : as for `load_cantilever`
     deflections : shape (n,), m, from rest, in the direction of the pull, increasing
-    n_stations : along the wire
-    with_changes : whether to compute `tension_change`
-    near : as for `load_cantilever`
+    n_stations : along the wire. None for 24 with weight and for the first integral without, where
+        the only moments are those at the clamp
 
     Raises
     ------
     ValueError
         If no equilibrium is found.
     """
-    stations = chebyshev_stations(n_stations, length)
+    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
+    if n_stations is None and self_weight == 0.0 and len(deflections):
+        states = _weightless_states(table, length, at, near)
+        if states is not None:
+            return states
+        near = None
+    stations = chebyshev_stations(n_stations or N_STATIONS, length)
     from_tip = length - stations.position
     tip_force = 0.375 * self_weight * length
-    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
     level = Wire(table.bend, stations, self_weight, at_rest)
     begin = tip_force + (0.0 if rig is None else rig.weight)
     start = (tip_force - 0.5 * level.beyond) * from_tip
@@ -204,17 +208,15 @@ def loading_states(
     loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
     solution = None if near is None else _solve_near(loaded, near)
     if solution is None:
-        clamp = _clamp_moments(table, length, deflections)
+        clamp = _guess_clamp(table, length, deflections)[0]
         guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
         solution = _solve_all(loaded, at, np.append(rest, tension), guess)
     moment, tensions = solution
     bent = bend_wire(loaded, moment, tensions)
-    tension_change = np.zeros((0, len(deflections)))
-    if with_changes:
-        rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
-        changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
-        tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
-        tension_change[1:] -= rest_change[1:, :, -1]
+    rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
+    changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+    tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
+    tension_change[1:] -= rest_change[1:, :, -1]
     cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
     return LoadingStates(
         *(rest, tension, deflections, moment, tensions),
@@ -222,6 +224,38 @@ def loading_states(
         x=bent.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),
         curvature=bent.curvature[:, 0],
+        tension_change=tension_change,
+    )
+
+
+def _weightless_states(
+    table: LoadingTable, length: float, at: AtDeflection, near: LoadingStates | None
+) -> LoadingStates | None:
+    """Find the equilibria of a wire without weight, with the moments at its clamp alone.
+
+    None where there is no convergence, such as where parts near the tip unload.
+    """
+    min_excess = 0.1  # of the force over the least that can hold the moment
+    weight, solution = 0.0 if at.rig is None else at.rig.weight, None
+    if near is not None:
+        clamp = _moments_at(table, near.curvature)
+        load = weight + (near.tension - weight) * clamp / near.moment[:, 0]
+        solution = solve_weightless(table, length, at, np.array([clamp, near.x, load]))
+    if solution is None:
+        clamp, x = _guess_clamp(table, length, at.deflection)
+        load = np.maximum(clamp / x, (1.0 + min_excess) * table.energy(clamp)[:, 0])
+        solution = solve_weightless(table, length, at, np.array([clamp, x, weight + load]))
+    if solution is None:
+        return None
+    (clamp, x, tension), tension_change = solution
+    force = at.demand(np.column_stack([x, at.deflection]), tension, np.arange(len(x))).force
+    size, along = np.linalg.norm(force, axis=1), table.energy(clamp)[:, 0] + force[:, 0]
+    return LoadingStates(
+        *(np.zeros(1), weight, at.deflection, clamp[:, None], tension),
+        across=np.sqrt(size**2 - along**2),
+        x=x,
+        tip_angle=np.arctan2(force[:, 1], force[:, 0]) - np.arccos(along / size),
+        curvature=table.curve(clamp)[:, 0],
         tension_change=tension_change,
     )
 
@@ -237,11 +271,17 @@ def _solve_near(wire: Wire, near: LoadingStates) -> tuple[Floats, Floats] | None
     return solution if is_near.all() else None
 
 
-def _clamp_moments(table: LoadingTable, length: float, deflections: Floats) -> Floats:
-    """Estimate the clamp moments at deflections, N m, for a curvature that falls linearly."""
-    share = np.minimum(deflections / length, 0.9)
-    bent = 3.0 * share / (1.0 - share**2) / length
-    return np.interp(bent, table.curvature, table.moment)
+def _guess_clamp(table: LoadingTable, length: float, deflections: Floats) -> tuple[Floats, Floats]:
+    """Guess moments at the clamp, N m, and x of the tip, m, from those of a linear wire."""
+    share = deflections / length
+    turn = 3.0 * share / (1.0 - 0.5 * share**2)  # curvature at the clamp times length
+    return _moments_at(table, turn / length), length / (1.0 + turn**2 / 15.0)
+
+
+def _moments_at(table: LoadingTable, curvature: Floats) -> Floats:
+    """Return the moments at curvatures, N m, on straight lines between and beyond the knots."""
+    beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
+    return np.asarray(np.interp(curvature, table.curvature, table.moment) + beyond)
 
 
 def _solve_all(
@@ -287,7 +327,7 @@ def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    Force, shape (n,), N, to about 3e-5 of itself, and its derivative by each of the law's
+    Force, shape (n,), N, to about 3e-5 of the largest, and its derivative by each of the law's
     parameters, shape (parameters, n). NaN where the deflection is NaN.
 
     Raises

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
 from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import moment_curvature
 from labpipe.mechanics.wire.cross_section import StretchTorsion, stretch_torsion
+from labpipe.mechanics.wire.cyclic_law import continue_strands
 from labpipe.mechanics.wire.wire_table import build, mass_per_length, wire_table
 from labpipe.records.arrays import Floats, Vector
 from labpipe.records.wire import WireSpec
@@ -28,6 +30,11 @@ from labpipe.records.wire_calibration import (
     RADIAL_FRICTION,
 )
 
+ISOTROPIC_SHARE = "isotropic_share"
+"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
+UNKNOWN_SHARE = (0.35, 1.0)
+"""Range of the share of annealed copper of which it is not known: with less than 0.35 it would
+spring back farther than standards of winding wire allow."""
 LAW_FACTOR = "law_factor"
 """Logarithm of the factor on all moments: scatter of specimens and spools."""
 TORSION_FACTOR = "torsion_factor"
@@ -111,7 +118,8 @@ class LawFamily:
         Parameters
         ----------
         inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
-            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0. Other names are ignored
+            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0; and `ISOTROPIC_SHARE`, by
+            default that of the sheet, or 0. Other names are ignored
 
         Raises
         ------
@@ -131,10 +139,19 @@ class LawFamily:
         )
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
         slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
+        least = min_slider_share * slopes[0]
+        share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
+        growing: tuple[GrowingSlider, ...] = ()
+        if share > 0.0:
+            bent, strands = continue_strands(built.section, corners[1:])
+            growing = (grow_from(bent, factor * self.scale * strands, share),)
+            own = growing[0].first_loading(corners)
+            slopes = slopes - np.diff(own) / np.diff(corners)
         law = replace(
             self.base,
             stiffness=float(slopes[-1]),
-            stiffnesses=np.maximum(-np.diff(slopes), min_slider_share * slopes[0]),
+            stiffnesses=np.maximum(-np.diff(slopes), least),
+            growing=growing,
         )
         pair: StretchTorsion = stretch_torsion(built.section)
         return WireLaw(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-from labpipe.protocol.yaml_text import FaultsError, not_among, parse_yaml
+from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, parse_yaml
 
 
 def read_limit_card(name: object) -> object:
@@ -24,6 +24,6 @@ def read_limit_card(name: object) -> object:
     folder = files(__name__)
     cards = [path.name.removesuffix(".yaml") for path in folder.iterdir() if ".yaml" in path.name]
     if name not in cards:
-        raise FaultsError(not_among((), name, cards, "a card or one of"))
+        raise FaultsError(build_choice_fault((), name, cards, "a card or one of"))
     text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
     return parse_yaml(text, name).data

@@ -58,7 +58,7 @@ from labpipe.readers.recording_checks import clock_notes
 from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
-from labpipe.units import si_factor, whole_number
+from labpipe.units import find_si_factor, parse_count
 
 __all__ = ["assemble", "choose_card", "read", "recognise", "recognise_card"]
 
@@ -215,7 +215,7 @@ def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Ta
 def _count_notes(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
     rows, columns = (
-        whole_number(str(export.about.get(key, ""))) if key else None
+        parse_count(str(export.about.get(key, ""))) if key else None
         for key in (card.stated_rows, card.stated_columns)
     )
     notes, held = rows_note(rows, table.rows), len(table.names)
@@ -262,7 +262,7 @@ def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
 def _seconds(unit: str, name: str, path: object) -> float:
     for spelling in (unit, unit.casefold()):
         try:
-            return si_factor(spelling or "none", "s")
+            return find_si_factor(spelling or "none", "s")
         except ValueError:
             continue
     raise ReadError.about(

@@ -266,7 +266,7 @@ def test_units_that_a_protocol_and_a_card_say(
                 "displacement": {"channel": "Position", "unit": "in"},
             },
         }
-    ).in_role("frame")
+    ).with_role("frame")
     recording = read_role(file, source)
     np.testing.assert_allclose(time(recording), TIME)
     force, travel = recording.channels

@@ -56,6 +56,8 @@ def test_the_law_at_other_parameters_is_that_of_another_wire(
     other = wire_of(name, phi, modulus, scale)
     whole = moment_curvature(other.section, other.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
+    steps = 0.5 * (law.curvature[1:] + law.curvature[:-1]) * np.diff(law.moment)
+    assert law.energy(law.moment[-1])[0] == pytest.approx(steps.sum(), rel=2e-3)
 
 
 @pytest.mark.parametrize(("name", "weight"), [("A2", 0.0), ("C4", 0.0), ("A2", 0.05)])
@@ -72,7 +74,8 @@ def test_derivatives_by_the_logarithms(name: str, weight: float, *, has_string: 
     for number in range(3):
         step = np.exp(1e-3 * np.eye(3)[number])
         expected = (force(TRUTH * step)[0] - force(TRUTH / step)[0]) / 2e-3
-        assert change[number] == pytest.approx(expected, abs=7e-3 * np.abs(expected).max())
+        close = 5e-3 if weight else 3e-3
+        assert change[number] == pytest.approx(expected, abs=close * np.abs(expected).max())
 
 
 SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
@@ -84,12 +87,12 @@ def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     law = loading_table(parts, values, LARGEST)
     wanted = moment_curvature(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
-    step, at = 1e-4, law.moment[20:-1] + 0.3 * np.diff(law.moment[20:])
+    step, at = 1e-4, law.moment[20:]
     ahead, behind = (
         loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(at)[0]
         for change in (step, -step)
     )
-    assert law.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=3e-3)
+    assert law.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=2e-3)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4])

@@ -1,0 +1,80 @@
+"""Moment-curvature law of a wire for paths that unload, with the hardening of its copper.
+
+Friction and insulation follow Masing's rule. Of the moment of the strands about their own axes, the
+isotropic share has a limit that grows as they yield (PHYSICS 13), so that the wire springs back
+less. First loading is that of `wire.bending_law` for every share.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.mechanics.law.mixed_law import MixedLaw, mix_hardening
+from labpipe.mechanics.law.plays import PlayLaw, first_curvature
+from labpipe.mechanics.wire.bending_law import play_law, sum_strand_moments
+from labpipe.mechanics.wire.cross_section import CrossSection
+from labpipe.mechanics.wire.friction import Contacts
+from labpipe.records.arrays import Floats
+
+LOOP_RANGE = 8.0
+"""Curvature that strands slide in loops, as a multiple of the range of the law."""
+
+
+def cyclic_law(
+    section: CrossSection,
+    contacts: Contacts,
+    *,
+    isotropic_share: float,
+    largest_curvature: float,
+    tension: float = 0.0,
+    orientation: float = 0.0,
+) -> PlayLaw | MixedLaw:
+    """Compute the law of a wire for paths that unload.
+
+    Parameters
+    ----------
+    section, contacts, tension, orientation : as for `wire.bending_law.moment_curvature`
+    isotropic_share : m, from 0 (Masing's rule, the plays of `play_law`) to 1
+    largest_curvature : 1/m, end of the range of the law
+
+    Raises
+    ------
+    ValueError
+        If the share is not between 0 and 1; also as `play_law`.
+
+    Notes
+    -----
+    Loops slide farther than the range: the strands' curve is continued to eight times the range, or
+    as far as their material is known, and straight from there.
+    """
+    plays = play_law(
+        section,
+        contacts,
+        largest_curvature=largest_curvature,
+        tension=tension,
+        orientation=orientation,
+    )
+    if isotropic_share == 0.0:
+        return plays
+    curvature = first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
+    return mix_hardening(plays, *continue_strands(section, curvature), isotropic_share)
+
+
+def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
+    """Compute the moments of the strands about their own axes, for loops beyond a range, too.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    curvature : shape (n,), 1/m, positive, increasing: of the range
+
+    Returns
+    -------
+    Curvatures, of which the first are those given and the others reach eight times the range, or as
+    far as the materials are known; and moments, N m.
+    """
+    known = min(2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers)
+    last = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known)
+    if last > curvature[-1]:
+        curvature = np.append(curvature, np.geomspace(curvature[-1], last, 41)[1:])
+    return curvature, sum_strand_moments(section, curvature)[1]

@@ -1,0 +1,90 @@
+"""Wire A2 of 85 mm, pulled by 50 mm and back to zero force, twice: numbers of PHYSICS 13."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
+from labpipe.mechanics.wire.bending_law import moment_curvature
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, straight
+from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from tests.builders.stranded_wires import contacts_of, wire
+
+LENGTH, PULL = 0.085, 0.05
+
+
+class Loop(NamedTuple):
+    """Residual deflection, mm; energies of both cycles, mJ; largest forces of both, N."""
+
+    residual: float
+    energies: tuple[float, float]
+    forces: tuple[float, float]
+
+
+def law_of_a2(share: float) -> MomentLaw:
+    section = wire("A2")
+    return cyclic_law(section, contacts_of(section), isotropic_share=share, largest_curvature=120.0)
+
+
+def pulled_twice(law: MomentLaw) -> Loop:
+    state, start, residuals, energies, forces = straight(law), 0.0, [], [], []
+    for _ in range(2):
+        path, load = [start], [0.0]
+        for deflection in np.linspace(start, PULL, 25)[1:]:
+            shape = bend_to_deflection(law, state, LENGTH, deflection)
+            state = shape.state
+            path.append(deflection)
+            load.append(float(shape.force[1]))
+        forces.append(load[-1])
+        for share in np.linspace(1.0, 0.0, 25)[1:]:
+            force = share * forces[-1]
+            shape = bend_under_force(law, state, LENGTH, np.array([0.0, force]))
+            start = float(shape.y[-1])
+            state = replace(shape.state, travel=start)
+            path.append(start)
+            load.append(force)
+        residuals.append(1e3 * start)
+        energies.append(1e3 * float(np.trapezoid(load, path)))
+    return Loop(residuals[0], (energies[0], energies[1]), (forces[0], forces[1]))
+
+
+@pytest.mark.parametrize(
+    ("share", "residual", "energies", "ratio"),
+    [
+        (0.0, 5.05, (0.615, 0.418), 1.000),
+        (0.35, 8.46, (0.852, 0.638), 1.023),
+        (0.65, 11.50, (1.040, 0.757), 1.040),
+        (1.0, 15.18, (1.240, 0.818), 1.053),
+    ],
+)
+def test_residual_energy_and_second_peak(
+    share: float, residual: float, energies: tuple[float, float], ratio: float
+) -> None:
+    loop = pulled_twice(law_of_a2(share))
+    assert loop.forces[0] == pytest.approx(0.1312, abs=1e-4)
+    assert loop.residual == pytest.approx(residual, rel=0.01)
+    assert loop.energies[0] == pytest.approx(energies[0], rel=0.015)
+    assert loop.energies[1] == pytest.approx(energies[1], rel=0.03)  # one slider, not laminae
+    assert loop.forces[1] / loop.forces[0] == pytest.approx(ratio, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("share", "kept"),
+    [
+        (0.0, (0.142, 0.104, 0.079, 0.064)),
+        (0.35, (0.239, 0.176, 0.133, 0.107)),
+        (1.0, (0.420, 0.322, 0.239, 0.191)),
+    ],
+)
+def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> None:
+    """Released to zero moment in one step, without a path."""
+    law, bent = law_of_a2(share), np.array([5.0, 12.0, 23.5, 37.5])
+    section = wire("A2")
+    moment = moment_curvature(section, contacts_of(section), bent).moment
+    history = respond(law, moment, unbent_plays(law, len(bent))).plays
+    after = respond(law, np.zeros(len(bent)), history).curvature
+    assert after / bent == pytest.approx(kept, abs=0.011)
