@@ -164,39 +164,46 @@ def _answer(lot: Lot, shares: Mapping[str, Result], limits: Collection[float | N
     below = [test for test in failing if is_clear[test]]
     unknown = [test for test, share in shares.items() if share.value is None]
     unknown += [test for test in failing if not is_clear[test]]
-    name, answer = "lot_needs_more", Answer.CANNOT_TELL
     if below:
-        name, answer = "lot_sample_fails", Answer.FAIL
-    elif len(limits) > 1:
-        name = "lot_limits_differ"
-    elif unknown:
-        name = "lot_sample_unknown"
-    elif lot.n < MIN_SAMPLES:
-        name = "lot_of_one"
-    elif lot.bound >= 1.0:
-        name, answer = "lot_passes", Answer.PASS
-    elif lot.mean - _factor_above(lot) * lot.deviation < 1.0:
-        name, answer = "lot_fails", Answer.FAIL
-    elif lot.n_needed is None:
-        name = "lot_never_passes"
-    reason = Reason.of(
-        f"statistics.{name}",
-        tests=", ".join(below or unknown),
-        coverage=write_percent(lot.rule.coverage),
-        confidence=write_percent(lot.rule.confidence),
-        bound=lot.describe_share(lot.bound),
-        needed=lot.n_needed,
-    )
+        tests = ", ".join(below)
+        answer = Answer.FAIL
+        reason = Reason.of("statistics.lot_sample_fails", tests=tests)
+    elif unknown or len(limits) > 1 or lot.n < MIN_SAMPLES:
+        answer, tests = Answer.CANNOT_TELL, ", ".join(unknown)
+        reason = Reason.of("statistics.lot_of_one")
+        if len(limits) > 1:
+            reason = Reason.of("statistics.lot_limits_differ")
+        elif unknown:
+            reason = Reason.of("statistics.lot_sample_unknown", tests=tests)
+    else:
+        answer, reason = _judge_scatter(lot)
     doubtful = [test for test in shares if not is_clear[test] and test not in unknown]
     caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful))
     return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful else (reason,))
 
 
+def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
+    """Judge a lot, all of whose samples pass, by its tolerance bound."""
+    bound, needed = lot.describe_share(lot.bound), lot.n_needed
+    coverage, confidence = map(write_percent, (lot.rule.coverage, lot.rule.confidence))
+    if lot.bound >= 1.0:
+        return Answer.PASS, Reason.of(
+            "statistics.lot_passes", bound=bound, coverage=coverage, confidence=confidence
+        )
+    above = compute_tolerance_factor(lot.n, lot.rule.coverage, 1.0 - lot.rule.confidence)
+    if lot.mean - above * lot.deviation < 1.0:
+        return Answer.FAIL, Reason.of(
+            "statistics.lot_fails", coverage=coverage, confidence=confidence
+        )
+    if needed is None:
+        return Answer.CANNOT_TELL, Reason.of(
+            "statistics.lot_never_passes", bound=bound, coverage=coverage
+        )
+    return Answer.CANNOT_TELL, Reason.of(
+        "statistics.lot_needs_more", bound=bound, coverage=coverage, needed=needed
+    )
+
+
 def write_percent(share: float) -> str:
     """Write a share in percent, such as ``99.9 %``."""
     return f"{100.0 * share:.6g} %"
-
-
-def _factor_above(lot: Lot) -> float:
-    """Return the factor of the bound above the quantile of a lot with its confidence."""
-    return compute_tolerance_factor(lot.n, lot.rule.coverage, 1.0 - lot.rule.confidence)

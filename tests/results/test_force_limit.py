@@ -23,7 +23,7 @@ from labpipe.virtual_lab.tensile import crimp_pull
 
 PROTOCOL = (Path(__file__).parents[2] / "protocols/crimp-pull.yaml").read_text(encoding="utf-8")
 CARD_ENTRY = "{result: force-limit, card: crimp-pull, column: silver-tin}"
-MEASURED = {
+MEASURED: dict[int, tuple[float, list[float]]] = {
     12: (489.5, [568]),
     14: (311.5, [412.4]),
     16: (222.3, [240, 236.9]),
