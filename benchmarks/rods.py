@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from labpipe.mechanics.law.sliders import SliderLaw, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.boundaries import Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
@@ -81,7 +81,7 @@ def cost_of_a_loop() -> None:
 
 def elastica(elements: int) -> Floats:
     """Deflection and shortening of a cantilever under a load, of its length."""
-    section = Section(linear_moment_law(1.0, 1e6), 0.8)
+    section = Section(make_linear_law(1.0, 1e6), 0.8)
     line, clamp = held_line(elements + 1, section)
     path = follow(
         line, [clamp, Load(-1, np.linspace(0.0, 1.0, 4)[:, None] * [0.0, 0.0, -LOAD])], steps=3
@@ -162,14 +162,14 @@ def against_mujoco() -> None:
         print("MuJoCo is not installed")
         return
     from labpipe.mechanics.decks.mujoco_sliders import DEFAULT_NODES as HINGES
-    from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck
-    from labpipe.mechanics.law.loss_card import sliders_of
+    from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck
+    from labpipe.mechanics.law.loss_card import fit_wire_sliders
     from tests.builders.wire_tables import LENGTH, wire_table
     from tests.judges.rod_references import tips
 
     table = wire_table("A2")
     loads = np.array([0.2, 0.5, 0.9, 0.5, 0.0])
-    deck, section = mujoco_plane_deck(table), Section(sliders_of(table), 1.0)
+    deck, section = write_mujoco_plane_deck(table), Section(fit_wire_sliders(table), 1.0)
     force = np.interp(np.arange(0.0, 5.01, 0.2), np.arange(6), np.append(0.0, loads))
 
     def ours() -> Floats:

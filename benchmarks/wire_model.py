@@ -10,12 +10,18 @@ import numpy as np
 from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
-from labpipe.mechanics.wire.bending_law import moment_curvature, play_law
-from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
-from labpipe.mechanics.wire.end_load_path import end_load_path
-from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, fit_play_law
+from labpipe.mechanics.wire.cross_section import (
+    CrossSection,
+    Insulation,
+    Layer,
+    lay_up,
+    place_hexagon,
+)
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.packing import packed
+from labpipe.mechanics.wire.packing import pack_strands
 
 RUNS = 9
 WALL = 0.3e-3
@@ -63,18 +69,18 @@ def plain_wire(strands: int) -> plain_loop.PlainWire:
 
 
 def section_of(strands: int) -> CrossSection:
-    return hexagonal(layers_of(strands), tube_of(strands))
+    return place_hexagon(layers_of(strands), tube_of(strands))
 
 
 def contacts_of(strands: int) -> Contacts:
     rings = len(WIRES[strands][2])
-    return insulated(rings, strand=0.21, insulation=0.10, radial_force=0.15)
+    return make_contacts(rings, strand=0.21, insulation=0.10, radial_force=0.15)
 
 
 def moment_law(strands: int) -> None:
     """10 000 curvatures; the plain loop is timed on 40 of them, for each costs the same."""
     section, contacts = section_of(strands), contacts_of(strands)
-    ours = best(lambda: moment_curvature(section, contacts, CURVATURES))
+    ours = best(lambda: compute_moment_curve(section, contacts, CURVATURES))
     wire, few = plain_wire(strands), CURVATURES[::250].tolist()
     plain = best(lambda: plain_loop.moments(wire, few), runs=3) * len(CURVATURES) / len(few)
     show(f"10 000 curvatures of {strands} strands, ms", 1e3 * ours, f"at most {BOUNDS[strands]}")
@@ -85,25 +91,27 @@ def cantilever_curve(strands: int) -> None:
     """100 points up to 50 mm on 85 mm; the plain loop goes to every tenth of the loads found."""
     section, contacts = section_of(strands), contacts_of(strands)
     deflections = np.linspace(0.0, DEFLECTION, 101)[1:]
-    law = play_law(section, contacts, largest_curvature=LARGEST)
-    loads = end_load_path(law, LENGTH, deflections).load[9::10].tolist()
-    ours = best(lambda: end_load_path(law, LENGTH, deflections).load, runs=5)
+    law = fit_play_law(section, contacts, largest_curvature=LARGEST)
+    loads = compute_end_load_path(law, LENGTH, deflections).load[9::10].tolist()
+    ours = best(lambda: compute_end_load_path(law, LENGTH, deflections).load, runs=5)
     kappa = np.linspace(0.0, LARGEST, 1000)
-    moment = moment_curvature(section, contacts, kappa).moment
+    moment = compute_moment_curve(section, contacts, kappa).moment
     plain = 10.0 * best(
         lambda: [plain_loop.tip_deflection(load, LENGTH, kappa, moment) for load in loads], runs=3
     )
     show(f"cantilever, 100 points, {strands} strands, ms", 1e3 * ours, "at most 30")
     show("  plain loop / labpipe", plain / ours, "")
-    making = best(lambda: play_law(section, contacts, largest_curvature=LARGEST))
+    making = best(lambda: fit_play_law(section, contacts, largest_curvature=LARGEST))
     show("  making its law, ms", 1e3 * making, "")
 
 
 def far_cantilever_curve(strands: int) -> None:
     """100 points up to 0.8 of the length: the last dozen station by station."""
-    law = play_law(section_of(strands), contacts_of(strands), largest_curvature=FARTHEST_LARGEST)
+    law = fit_play_law(
+        section_of(strands), contacts_of(strands), largest_curvature=FARTHEST_LARGEST
+    )
     deflections = np.linspace(0.0, FARTHEST, 101)[1:]
-    ours = best(lambda: end_load_path(law, LENGTH, deflections).load)
+    ours = best(lambda: compute_end_load_path(law, LENGTH, deflections).load)
     show(f"  up to 0.8 of the length, {strands} strands, ms", 1e3 * ours, "at most 30")
 
 
@@ -123,7 +131,7 @@ def write_sheet(path: Path) -> Path:
 def packings() -> None:
     """37 strands, all starts; the plain search goes five steps from one, too slow for more."""
     layers, tube = layers_of(37), tube_of(37)
-    ours = best(lambda: packed(layers, tube), runs=3)
+    ours = best(lambda: pack_strands(layers, tube), runs=3)
     bore = 2.0 * tube.bore_radius / layers[0].diameter
     plain = best(lambda: plain_loop.packed_energy(37, bore, 0, 5), runs=3)
     show("packing 37 strands, s", ours, "at most 1")

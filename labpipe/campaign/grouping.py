@@ -14,7 +14,7 @@ from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote
 from labpipe.statistics.group_fields import (
-    NOT_SAID,
+    NOT_STATED,
     TYPE,
     divide_samples,
     find_differing_fields,
@@ -217,7 +217,7 @@ def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
 
     def make_sort_key(key: GroupKey) -> tuple[object, ...]:
         sort_values: list[object] = [
-            value if name == TYPE else make_field_sort_key(name, value or NOT_SAID)
+            value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in zip(by, key.field_values, strict=True)
         ]
         return (

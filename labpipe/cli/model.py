@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.cli.terminal import shorten_path, show_reading
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
-from labpipe.mechanics.wire.end_load_path import force_at
+from labpipe.mechanics.wire.end_load_path import interpolate_end_load
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 
@@ -78,7 +78,7 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
 
 def _format_force(table: WireTable) -> str:
     """Return the end load at the deflection of the heading; a dash beyond the curve."""
-    force = force_at(table, _TIP_DEFLECTION_SHARE * table.spec.length)
+    force = interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length)
     return "-" if np.isnan(force) else f"{force:.4g}"
 
 

@@ -22,8 +22,8 @@ class Chain:
     ----------
     tracklets : their numbers
     start, stop : frames, `stop` left out
-    frames : number of frames in which the point was seen
-    label : column of the marker by its labels, -1 if it never had a name
+    frames : number of frames with a position
+    label : column of the marker according to the labels; -1 if the chain has no label
     """
 
     tracklets: tuple[int, ...]
@@ -33,19 +33,19 @@ class Chain:
     label: int
 
     def overlaps(self, other: Chain) -> bool:
-        """Return whether both exist in some frame, so that they cannot be one marker."""
+        """Return whether both exist in some frame, so that they belong to two markers."""
         return max(self.start, other.start) < min(self.stop, other.stop)
 
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """Chains of each marker, and the remaining ones.
+    """Chains of each marker, and chains of no marker.
 
     Parameters
     ----------
     markers : by column of the marker, its chains in order of time
-    eliminated : chains assigned to the only free marker, by its column
-    doubtful : named chains that could belong to several markers, or to none
+    eliminated : chains assigned to the only missing marker, with its column
+    doubtful : labelled chains that could belong to several markers, or to none
     leftover : chains of no marker
     """
 
@@ -79,7 +79,7 @@ def name_chains(
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
     settled : s, shortest duration of a valid label; shorter stretches are glitches
-    min_distance : m, least distance between two markers; a closer track is a double
+    min_distance : m, smallest distance between two markers; a closer track is a double
 
     Returns
     -------
@@ -87,16 +87,18 @@ def name_chains(
 
     Notes
     -----
-    A chain is the marker whose label it had first for at least `settled` (labels are assigned at
-    the start of a take and become wrong later), else the one it had longest. Of two simultaneous
-    chains with one name the longer keeps it; the other is assigned to the marker that is missing
-    during that time, if there is exactly one. A track that begins at the position of another one is
-    a double, used only if its label has no other track. In a take without named tracks the long
-    chains (at least half the longest) are the markers.
+    A chain belongs to the marker of its first label that lasts at least `settled`, since labels are
+    assigned at the start of a take and become wrong later; without one, to that of its longest
+    label. Of two simultaneous chains with one label, the longer one keeps it; the other is assigned
+    to the marker that is missing during that time, if there is exactly one. A track that begins at
+    the position of another one is a double, which is used only if its label has no other track. In
+    a take without labels, the long chains (at least half the longest) are the markers.
     """
-    named = [not is_unlabelled(name) for name in names]
-    anonymous = not any(named)
-    chains = _collect(tracklets, links, time, [anonymous or flag for flag in named], settled)
+    is_labelled = [not is_unlabelled(name) for name in names]
+    has_no_labels = not any(is_labelled)
+    chains = _collect(
+        tracklets, links, time, [has_no_labels or flag for flag in is_labelled], settled
+    )
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
     markers, rejected = _assign_by_label(chains, doubles)
     single = [
@@ -107,7 +109,7 @@ def name_chains(
     short = [chain for chain in rejected if chain not in single]
     eliminated, doubtful = _eliminate(markers, single)
     leftover = short + [chain for chain in chains if chain.label < 0]
-    if anonymous:
+    if has_no_labels:
         leftover += _remove_short(markers)
     ordered = {
         label: tuple(sorted(markers[label], key=lambda chain: chain.start))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,12 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 
 _MAX_NOTES = 10
-"""Most stretches of one marker with a note each; more get a common note."""
+"""Stretches of one marker that have a note each; more have a common note."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackletTake:
-    """Data of a take for the notes: column names, frame numbers, times, tracklets."""
+    """Column names, frame numbers, times and tracklets of a take."""
 
     names: tuple[str, ...]
     frames: Floats
@@ -44,7 +45,7 @@ def make_repair_notes(
     flags: NDArray[np.uint8],
     measured: Floats,
 ) -> tuple[QualityNote, ...]:
-    """Return notes on all repairs and on unresolved faults.
+    """Make notes on all repairs and on remaining faults.
 
     Parameters
     ----------
@@ -61,12 +62,12 @@ def make_repair_notes(
     markers = [take.names[label] for label in naming.markers]
     return (
         *_missing_notes(take, naming, measured),
-        *_stretch_notes(take, stale, list(take.names), _frozen),
+        *_stretch_notes(take, stale, take.names, "stale"),
         *_relabel_notes(take, naming, measured),
         *_elimination_notes(take, naming),
         *_jump_notes(take, links, naming),
-        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, _filled),
-        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, _left),
+        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, "filled"),
+        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "open"),
         *_ambiguity_notes(take, links, naming),
         *_dropped_notes(take, naming, measured),
     )
@@ -88,31 +89,30 @@ def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iter
 
 
 def _stretch_notes(
-    take: TrackletTake, mask: Flags, names: list[str], note: Callable[..., QualityNote]
+    take: TrackletTake, mask: Flags, names: Sequence[str], kind: Literal["stale", "filled", "open"]
 ) -> Iterator[QualityNote]:
+    """Yield a note per flagged stretch of a marker; many stretches have a common note."""
     for name, flags in zip(names, mask.T, strict=True):
         stretches = find_runs(flags)
+        spans = [
+            (span := take.span(*ends), f"{ends[1] - ends[0]} frames, {span}") for ends in stretches
+        ]
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             count = f"{len(stretches)} times, {int(flags.sum())} frames"
-            where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
-            yield note(where, name=name, span=f"{count}, longest {take.span(*longest)}")
-            continue
-        for start, stop in stretches:
-            span = take.span(start, stop)
-            yield note(f"{name}, {span}", name=name, span=f"{stop - start} frames, {span}")
-
-
-def _frozen(where: str, *, name: str, span: str) -> QualityNote:
-    return QualityNote.of("markers.pose_frozen", where, name=name, span=span)
-
-
-def _filled(where: str, *, name: str, span: str) -> QualityNote:
-    return QualityNote.of("markers.gap_filled", where, name=name, span=span)
-
-
-def _left(where: str, *, name: str, span: str) -> QualityNote:
-    return QualityNote.of("markers.gap_left", where, name=name, span=span)
+            whole = take.span(stretches[0][0], stretches[-1][1])
+            spans = [(whole, f"{count}, longest {take.span(*longest)}")]
+        for span, text in spans:
+            yield QualityNote.of(
+                {
+                    "stale": "markers.pose_frozen",
+                    "filled": "markers.gap_filled",
+                    "open": "markers.gap_left",
+                }[kind],
+                f"{name}, {span}",
+                name=name,
+                span=text,
+            )
 
 
 def _relabel_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:

@@ -1,4 +1,4 @@
-"""Sections with several markers: the point on the axis from the markers around it."""
+"""Rings and sections with several markers: their centres on the axis of the specimen."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def compute_ring_centres(
 
     Returns
     -------
-    One track per ring: the mean of its markers. If some are missing the centre is constructed from
-    the others and flagged filled; if all are missing it is NaN. A ring has the flag of its least
-    certain marker.
+    One track per ring: the mean of its markers. If some are missing, the centre is computed from
+    the others and flagged as filled; if all are missing, it is NaN. A ring has the flag of its
+    least certain marker.
 
     Raises
     ------
@@ -65,10 +65,10 @@ def compute_ring_centres(
 
     Notes
     -----
-    The ring is rigid: with three or more markers in sight, the centre follows their best rigid fit
-    (Kabsch) to the ring in the nearest complete frame; with fewer, the vector from their mean to
-    the centre is interpolated between the nearest complete frames. A ring that is never complete
-    has the mean of the markers in sight.
+    The ring is rigid. With three or more markers, the centre follows from their best rigid fit
+    (Kabsch) to the ring in the nearest complete frame. With fewer, the vector from their mean to
+    the centre is interpolated between the nearest complete frames. For a ring that is never
+    complete, the centre is the mean of the measured markers.
     """
     known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
@@ -261,9 +261,9 @@ def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, fl
 
     Notes
     -----
-    Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of least
-    norm from the mean of the markers: markers in one row do not determine the position across the
-    row, which then follows from `towards`.
+    Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of
+    minimum norm. Markers in one row do not determine the position across the row, which then
+    follows from `towards`.
     """
     max_steps = 20
     points, out = sections.at_rest[:, 1:], np.asarray(towards)

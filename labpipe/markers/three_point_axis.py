@@ -1,4 +1,4 @@
-"""The axis of a specimen in three-point bending: shape and curvature from points along it."""
+"""Shape and curvature of a specimen in three-point bending, from sections of markers."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from labpipe.markers.rings import (
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 TERMS = 3
+"""Powers in the curvature of a shape."""
 _GRID_POINTS = 161
 _MAX_SLOPE_SINE = 0.97
 """Sine of the largest slope of a shape."""
@@ -24,19 +25,19 @@ _MAX_SLOPE_SINE = 0.97
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentAxis:
-    """Shapes of the axis between two supports.
+    """Shapes of the bent axis on two supports, in every frame.
 
-    sin(slope) = tilt - sum_k c_k W_k(x), with W_k the integral of u^k from mid-span,
-    u = 1 - 2 abs(x) / span between the supports and 0 beyond; y follows from the slope.
+    sin(slope) = tilt - sum_k c_k W_k(x), where W_k is the integral of u^k from mid-span to x, and
+    u = 1 - 2 abs(x) / span between the supports and 0 beyond them; y is the integral of the slope.
 
     Parameters
     ----------
-    curvature : shape (frames, terms), 1/m, the c_k, k from 1
+    curvature : shape (frames, terms), 1/m, coefficients c_k, k from 1
     tilt : shape (frames,), sine of the slope at mid-span
     height : shape (frames,), m, y at mid-span
-    residual : shape (frames,), m, root mean square distance of the points in y
-    freedom : shape (frames,), points in sight minus fitted parameters
-    span : m
+    residual : shape (frames,), m, root mean square distance of the points from the axis in y
+    freedom : shape (frames,), number of measured points minus that of fitted parameters
+    span : m, between the supports
     """
 
     curvature: Floats
@@ -53,20 +54,23 @@ class BentAxis:
 
     @property
     def noise(self) -> float:
-        """Return the standard deviation of a point in y, m, over all frames."""
+        """Return the standard deviation of y of a point, m, from the residuals of all frames."""
         valid = np.isfinite(self.residual) & (self.freedom > 0)
         freedom = self.freedom[valid]
         points = freedom + self.curvature.shape[1] + 2
         return float(np.sqrt(np.sum(self.residual[valid] ** 2 * points) / freedom.sum()))
 
     def sine(self, x: Floats) -> Floats:
-        """Return the sine of the slope at places of shape (frames, n), m from mid-span."""
-        along = _integrals(x, self.span, self.curvature.shape[1])
-        sine = self.tilt[:, None] - np.einsum("fnk,fk->fn", along, self.curvature)
+        """Return the sine of the slope at x of shape (frames, n), m from mid-span.
+
+        It is limited to the range of -+ `_MAX_SLOPE_SINE`.
+        """
+        integrals = _integrate_powers(x, self.span, self.curvature.shape[1])
+        sine = self.tilt[:, None] - np.einsum("fnk,fk->fn", integrals, self.curvature)
         return np.asarray(np.clip(sine, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE), dtype=np.float64)
 
     def y(self, x: Floats) -> Floats:
-        """Return the height at places of shape (n,), m from mid-span, for every frame."""
+        """Return y at x of shape (n,), m from mid-span: shape (frames, n), m."""
         reach = float(np.abs(x).max()) + 1e-6
         grid = np.linspace(-reach, reach, _GRID_POINTS)
         sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
@@ -78,13 +82,13 @@ class BentAxis:
 
     @property
     def deflection(self) -> Floats:
-        """Return the deflection of mid-span relative to the supports, along the load, m."""
+        """Return the deflection of mid-span relative to the supports, shape (frames,), m."""
         ends = self.y(np.array([-0.5 * self.span, 0.5 * self.span]))
         return np.asarray(self.height - ends.mean(axis=1), dtype=np.float64)
 
     @property
     def support_slope(self) -> Floats:
-        """Return the tangent of the slope at the supports, mean of both sides, shape (frames,)."""
+        """Return the mean tangent of the slope at both supports, shape (frames,)."""
         ends = np.broadcast_to([-0.5 * self.span, 0.5 * self.span], (len(self.tilt), 2))
         sine = self.sine(ends)
         tangent = sine / np.sqrt(1.0 - sine**2)
@@ -93,17 +97,17 @@ class BentAxis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanShape(ArrayRecord):
-    """Shapes of a specimen with sections of markers.
+    """Fitted shapes of a specimen with sections of markers.
 
     Parameters
     ----------
-    axis : the axis in every frame; x from mid-span
+    axis : of the specimen in every frame, x from mid-span
     mid_span : m, position of mid-span on the x axis of the sections
-    centres : shape (frames, sections, 3), m, points on the axis, x from mid-span
+    centres : shape (frames, sections, 3), m, points of the axis, x from mid-span
     twist : shape (frames, sections), rad; NaN where unknown
     lever : shape (sections,), m, from `compute_twist`
-    fewer_terms : shape (frames,), 1/m, curvature at mid-span with one term less
-    side_share : relative change of the curvature with the markers on the other side
+    fewer_terms : shape (frames,), 1/m, curvature at mid-span of a fit with one term fewer
+    side_share : relative change of the curvature if the markers are assumed on the other side
     """
 
     axis: BentAxis
@@ -116,7 +120,7 @@ class SpanShape(ArrayRecord):
 
 
 def fit_span(
-    sections: Sections, *, span: float, radius: float, facing: str, bent_most: Flags
+    sections: Sections, *, span: float, radius: float, facing: str, is_bent: Flags
 ) -> SpanShape:
     """Fit the bent axis of a specimen on two supports to its markers, in every frame.
 
@@ -125,24 +129,25 @@ def fit_span(
     sections : markers and their sections
     span : m, between the supports
     radius : m, from the axis to the centre of a marker
-    facing : side of the markers, one of `SIDES`
-    bent_most : shape (frames,), frames in which the specimen is bent, for finding mid-span
+    facing : side of the markers, a key of `SIDES`
+    is_bent : shape (frames,), frames with a bent specimen, for the search of mid-span
 
     Returns
     -------
-    The shapes. Frames with too few sections in sight are NaN.
+    The shapes; NaN in frames with fewer than six measured sections.
 
     Raises
     ------
     ValueError
-        If fewer than six sections have markers.
+        If there are fewer than six sections, fewer than five within one span, or none near the ends
+        of the span.
 
     Notes
     -----
-    Markers are glued by hand: deviations of sections from a straight line at rest are attributed to
-    the markers, not to a bend. The offset of a marker from the axis rotates with slope and twist of
-    its section, so shape and offsets are computed alternately. Mid-span is the place about which
-    the bent shape is symmetric, by least squares over chosen frames.
+    Deviations of the sections from a straight line at rest are attributed to the positions of the
+    markers, not to a curvature of the specimen. The offset of a marker from the axis rotates with
+    slope and twist of its section, so shape and offsets are computed alternately. Mid-span is the
+    position with the smallest residuals over at most 30 frames with a bent specimen.
     """
     max_frames = 30
     if sections.count < TERMS + 3:
@@ -152,24 +157,25 @@ def fit_span(
         )
         raise ValueError(message)
     _check_span(sections, span)
-    bent = np.flatnonzero(bent_most)
-    chosen = bent[np.linspace(0, len(bent) - 1, min(max_frames, len(bent))).astype(int)]
-    few = replace(sections, markers=sections.markers[chosen])
+    bent_frames = np.flatnonzero(is_bent)
+    numbers = np.linspace(0, len(bent_frames) - 1, min(max_frames, len(bent_frames))).astype(int)
+    some_frames = replace(sections, markers=sections.markers[bent_frames[numbers]])
     fits = []
     for towards in SIDES[facing]:
         axis = fit_rest_axis(sections, radius=radius, towards=towards)
-        middle, misfit = _find_middle(few, axis, span, radius)
-        curvature = float(np.nanmean(_fit(few, axis, middle, span, radius).axis.mid_span))
+        middle, misfit = _find_mid_span(some_frames, axis, span, radius)
+        shapes = _fit_shapes(some_frames, axis, middle, span, radius)
+        curvature = float(np.nanmean(shapes.axis.mid_span))
         fits.append((misfit, axis, middle, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, middle, curvature = fits[0]
     _check_reach(sections.x - middle, span)
-    other_side = fits[-1][3] / curvature - 1.0
-    return replace(_fit(sections, axis, middle, span, radius), side_share=abs(other_side))
+    side_share = abs(fits[-1][3] / curvature - 1.0)
+    return replace(_fit_shapes(sections, axis, middle, span, radius), side_share=side_share)
 
 
 def _check_span(sections: Sections, span: float) -> None:
-    """Require enough sections within one span, at the best position of the supports."""
+    """Raise a ValueError if too few sections lie within any span."""
     x = np.sort(sections.x)
     n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
     if n_inside < TERMS + 2:
@@ -182,59 +188,65 @@ def _check_span(sections: Sections, span: float) -> None:
 
 
 def _check_reach(x: Floats, span: float) -> None:
-    """Require markers on both sides, far enough from mid-span."""
-    # Share of half the span.
-    min_reach = 0.6
-    least = min_reach * 0.5 * span
-    if x.min() > -least or x.max() < least:
+    """Raise a ValueError if the sections on one side are all close to mid-span."""
+    min_reach_share = 0.6  # of half the span
+    min_reach = min_reach_share * 0.5 * span
+    if x.min() > -min_reach or x.max() < min_reach:
         message = (
             f"sections with markers from {1e3 * x.min():+.4g} mm to {1e3 * x.max():+.4g} mm of "
-            f"mid-span: expected some {1e3 * least:.4g} mm away on both sides, which is "
-            f"{1e2 * min_reach:g} % of half the span"
+            f"mid-span: expected some {1e3 * min_reach:.4g} mm away on both sides, which is "
+            f"{1e2 * min_reach_share:g} % of half the span"
         )
         raise ValueError(message)
 
 
-def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tuple[float, float]:
-    """Return the place of mid-span on the x axis, m, and the misfit there."""
-    # In m, of the parabolas through the misfit about each guess.
-    half_widths = (5e-3, 1e-3, 2e-4)
-    moved = few.markers[..., 1] - few.at_rest[:, 1]
-    weight = np.clip(np.nanmean(moved, axis=0), 0.0, None) ** 4
-    guess = float(np.average(few.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
+def _find_mid_span(
+    some_frames: Sections, axis: Floats, span: float, radius: float
+) -> tuple[float, float]:
+    """Return the position of mid-span on the x axis, m, and the mean square residual there.
+
+    The position is refined by parabolas through the mean square residual.
+    """
+    half_widths = (5e-3, 1e-3, 2e-4)  # of the parabolas, m
+    rise = some_frames.markers[..., 1] - some_frames.at_rest[:, 1]
+    weight = np.clip(np.nanmean(rise, axis=0), 0.0, None) ** 4
+    guess = float(np.average(some_frames.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
 
     def misfit(middle: float) -> float:
-        bent = _fit(few, axis, middle, span, radius).axis
-        return float(np.nanmean(bent.residual**2))
+        residual = _fit_shapes(some_frames, axis, middle, span, radius).axis.residual
+        return float(np.nanmean(residual**2))
 
     lowest = misfit(guess)
-    for reach in half_widths:
-        guesses = np.array([guess - reach, guess, guess + reach])
-        fits = np.array([misfit(guesses[0]), lowest, misfit(guesses[2])])
-        bend, slope, _ = np.polyfit(guesses - guess, fits, 2)
-        step = -0.5 * slope / bend if bend > 0.0 else reach * float(np.argmin(fits) - 1)
-        guess += float(np.clip(step, -2.0 * reach, 2.0 * reach))
+    for width in half_widths:
+        guesses = np.array([guess - width, guess, guess + width])
+        misfits = np.array([misfit(guesses[0]), lowest, misfit(guesses[2])])
+        square, slope, _ = np.polyfit(guesses - guess, misfits, 2)
+        step = -0.5 * slope / square if square > 0.0 else width * float(np.argmin(misfits) - 1)
+        guess += float(np.clip(step, -2.0 * width, 2.0 * width))
         lowest = misfit(guess)
     return guess, lowest
 
 
-def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: float) -> SpanShape:
-    parameters = np.array([middle, axis[0], axis[1]])
+def _fit_shapes(
+    sections: Sections, axis: Floats, middle: float, span: float, radius: float
+) -> SpanShape:
+    """Fit the shapes of all frames for a position of the axis at rest and of mid-span."""
+    origin = np.array([middle, axis[0], axis[1]])
     slope = np.zeros((len(sections.markers), sections.count))
     centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-    bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS)
+    shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS)
     for _ in range(2):
-        slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0] - middle)))
+        slope = np.arcsin(shapes.sine(np.nan_to_num(centres[..., 0] - middle)))
         centres, twist, lever = _locate_centres(sections, axis, slope, radius)
-        bent = fit_bent_axis(centres - parameters, span=span, terms=TERMS, start=bent)
-    fewer = fit_bent_axis(centres - parameters, span=span, terms=TERMS - 1)
-    return SpanShape(bent, middle, centres - parameters, twist, lever, fewer.mid_span, 0.0)
+        shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS, start=shapes)
+    fewer = fit_bent_axis(centres - origin, span=span, terms=TERMS - 1)
+    return SpanShape(shapes, middle, centres - origin, twist, lever, fewer.mid_span, 0.0)
 
 
 def _locate_centres(
     sections: Sections, axis: Floats, slope: Floats, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return points on the axis, twist and lever for the current slope."""
+    """Return points of the axis, twist and lever for a slope of each section."""
     twist, lever = compute_twist(sections, slope, radius=radius)
     return compute_section_centres(sections, axis, slope, twist), twist, lever
 
@@ -242,36 +254,38 @@ def _locate_centres(
 def fit_bent_axis(
     points: Floats, *, span: float, terms: int, start: BentAxis | None = None
 ) -> BentAxis:
-    """Fit a bent axis to points in every frame by least squares.
+    """Fit the axis to points in every frame by least squares.
 
     Parameters
     ----------
     points : shape (frames, n, 2 or 3), m, x from mid-span, y along the load; NaN where missing
     span : m
-    terms : number of powers of u = 1 - 2 abs(x) / span in the curvature, from the first on
-    start : shapes of nearly the same points, for a single step; None for straight lines
+    terms : number of powers of u = 1 - 2 abs(x) / span in the curvature, from the first one
+    start : shapes of similar points, from which one step is enough; None for straight lines
 
     Returns
     -------
-    The shapes; NaN where fewer than terms + 3 points are in sight.
+    The shapes; NaN in frames with fewer than terms + 3 measured points.
 
     Notes
     -----
-    d(sin slope)/dx is the curvature for any slope: the sine is linear in the coefficients, y is
-    not, hence Gauss-Newton (3 steps from a straight line; a fourth one changes nothing at the
-    slopes of such a test). On supports that only push upwards the moment is linear in x, so the
-    first power describes the elastic beam in its bent state, and higher powers the nonlinearity of
-    the specimen. No moment at the supports; overhangs are straight.
+    The curvature is d(sin slope)/dx for any slope, so the sine is linear in the coefficients. y is
+    not, so Gauss-Newton is used: 3 steps from a straight line, after which a fourth one changes
+    nothing at the slopes of such a test. The forces of the supports are vertical, so the moment is
+    linear in x: the first power describes an elastic beam, and higher powers the nonlinearity of
+    the specimen. There is no moment at the supports, and the overhangs are straight.
     """
-    size = 400
+    chunk_frames = 400
     first = np.zeros((len(points), terms + 2))
     if start is not None:
         first = np.column_stack([start.curvature, start.tilt, start.height])
     steps = 3 if start is None else 1
     first = np.nan_to_num(first)
     parts = [
-        _fit_chunk(points[begin : begin + size], span, first[begin : begin + size], steps)
-        for begin in range(0, len(points), size)
+        _fit_chunk(
+            points[begin : begin + chunk_frames], span, first[begin : begin + chunk_frames], steps
+        )
+        for begin in range(0, len(points), chunk_frames)
     ]
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)
@@ -280,16 +294,18 @@ def fit_bent_axis(
 
 
 def _fit_chunk(points: Floats, span: float, unknown: Floats, steps: int) -> tuple[Floats, ...]:
+    """Return curvature, tilt, height, residual and degrees of freedom of consecutive frames."""
     terms = unknown.shape[1] - 2
-    seen: Flags = np.asarray(np.isfinite(points[..., :2]).all(axis=2))
-    enough = seen.sum(axis=1) >= terms + 3
-    x: Floats = np.where(seen, points[..., 0], 0.0)
-    y: Floats = np.where(seen, points[..., 1], 0.0)
+    is_measured: Flags = np.asarray(np.isfinite(points[..., :2]).all(axis=2))
+    has_enough = is_measured.sum(axis=1) >= terms + 3
+    x: Floats = np.where(is_measured, points[..., 0], 0.0)
+    y: Floats = np.where(is_measured, points[..., 1], 0.0)
     reach = float(np.abs(x).max()) + 1e-3
     grid = np.linspace(-reach, reach, _GRID_POINTS)
-    along = _integrals(grid[None], span, terms)[0]
-    columns = np.concatenate([-along, np.ones((_GRID_POINTS, 1))], axis=1)  # curvatures, tilt
-    weight = seen.astype(np.float64)
+    integrals = _integrate_powers(grid[None], span, terms)[0]
+    # Derivatives of the sine by curvatures and tilt.
+    columns = np.concatenate([-integrals, np.ones((_GRID_POINTS, 1))], axis=1)
+    weight = is_measured.astype(np.float64)
     for _ in range(steps):
         design, model = _linearise(unknown, columns, grid, x)
         design = design * weight[:, :, None]
@@ -297,46 +313,46 @@ def _fit_chunk(points: Floats, span: float, unknown: Floats, steps: int) -> tupl
         right = np.einsum("fni,fn->fi", design, (y - model) * weight)
         scale = np.sqrt(np.einsum("fii->fi", normal))
         normal = normal / (scale[:, :, None] * scale[:, None, :])
-        normal[~enough] = np.eye(terms + 2)
+        normal[~has_enough] = np.eye(terms + 2)
         step: Floats = np.linalg.solve(normal, (right / scale)[..., None])
         unknown = unknown + step[..., 0] / scale
     _, model = _linearise(unknown, columns, grid, x)
     squares = np.sum(((y - model) * weight) ** 2, axis=1)
-    unknown[~enough] = np.nan
-    count = seen.sum(axis=1)
-    residual = np.where(enough, np.sqrt(squares / np.maximum(count, 1)), np.nan)
-    freedom = np.where(enough, count - terms - 2.0, 0.0)
+    unknown[~has_enough] = np.nan
+    count = is_measured.sum(axis=1)
+    residual = np.where(has_enough, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+    freedom = np.where(has_enough, count - terms - 2.0, 0.0)
     return unknown[:, :terms], unknown[:, terms], unknown[:, -1], residual, freedom
 
 
 def _linearise(unknown: Floats, columns: Floats, grid: Floats, x: Floats) -> tuple[Floats, Floats]:
-    """Return derivatives of y at places of shape (frames, n) by the unknowns, and y."""
+    """Return the derivatives of y at x of shape (frames, n) by the unknowns, and y."""
     sine = np.clip(unknown[:, :-1] @ columns.T, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE)
-    flat = np.sqrt(1.0 - sine**2)
-    rise = _integrate(sine / flat, grid)
-    steps = _integrate((columns.T[None] / flat[:, None] ** 3), grid)
-    place = (x - grid[0]) / (grid[1] - grid[0])
-    cell = np.clip(place.astype(int), 0, len(grid) - 2)
-    share = place - cell
+    cosine = np.sqrt(1.0 - sine**2)
+    rise = _integrate(sine / cosine, grid)
+    derivatives = _integrate((columns.T[None] / cosine[:, None] ** 3), grid)
+    position = (x - grid[0]) / (grid[1] - grid[0])
+    cell = np.clip(position.astype(int), 0, len(grid) - 2)
+    share = position - cell
     rows = np.arange(len(x))[:, None]
     y = (1.0 - share) * rise[rows, cell] + share * rise[rows, cell + 1]
     design = [
-        (1.0 - share) * steps[rows, k, cell] + share * steps[rows, k, cell + 1]
+        (1.0 - share) * derivatives[rows, k, cell] + share * derivatives[rows, k, cell + 1]
         for k in range(columns.shape[1])
     ]
     return np.stack([*design, np.ones_like(x)], axis=2), y + unknown[:, -1:]
 
 
 def _integrate(values: Floats, grid: Floats) -> Floats:
-    """Return integrals from the middle of an even grid along the last axis (trapezoids)."""
+    """Return integrals along the last axis from the middle of an even grid (trapezoidal rule)."""
     from scipy.integrate import cumulative_trapezoid  # slow import, not needed by tensile tests
 
     total = cumulative_trapezoid(values, dx=grid[1] - grid[0], initial=0)
     return np.asarray(total - total[..., [len(grid) // 2]], dtype=np.float64)
 
 
-def _integrals(x: Floats, span: float, terms: int) -> Floats:
-    """Return integrals of u^k from mid-span to x, k from 1, shape (*x.shape, terms)."""
+def _integrate_powers(x: Floats, span: float, terms: int) -> Floats:
+    """Return the integrals of u^k from mid-span to x, k from 1, shape (*x.shape, terms)."""
     remainder = np.clip(1.0 - 2.0 * np.abs(x) / span, 0.0, None)
     powers = np.arange(2, terms + 2)
     full = 0.5 * span * (1.0 - remainder[..., None] ** powers) / powers

@@ -1,4 +1,4 @@
-"""Marker tracks cut into tracklets of one marker each, and joined into chains."""
+"""Tracklets: unbroken stretches of marker tracks, and their links into chains of one marker."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
-_LABEL_PREFERENCE = 0.25
-"""Preference for the same label, as a distance in max_jump."""
+_LABEL_CHANGE_COST = 0.25
+"""Cost of a change of label, in `max_jump`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,7 +19,7 @@ class Tracklets:
 
     Parameters
     ----------
-    column : shape (n,), its track
+    column : shape (n,), track of each tracklet
     start, stop : shape (n,), frames, `stop` excluded
     """
 
@@ -32,20 +32,20 @@ class Tracklets:
 
 
 def is_in_sight(positions: Floats) -> Flags:
-    """Return which points have a position; shape (..., 3) of floats to shape (...) of flags."""
+    """Return whether each point of shape (..., 3) has a position, shape (...)."""
     x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
     return np.asarray(x & y & z, dtype=np.bool_)
 
 
 def compute_frame_period(time: Floats) -> float:
-    """Return the frame period, s: the median, so that holes in a cut take do not count."""
+    """Return the median frame period, s, which holes in a take do not change."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
 
 
 def find_frozen_samples(
     positions: Floats, time: Floats, *, frozen: float, reference: Floats | None = None
 ) -> Flags:
-    """Mark samples that repeat the last pose while other points move.
+    """Find samples that repeat the last position while other points move.
 
     Some exports repeat the last position of a lost point instead of leaving it blank.
 
@@ -53,8 +53,8 @@ def find_frozen_samples(
     ----------
     positions : shape (frames, points, 3), m, as exported
     time : shape (frames,), s
-    frozen : s, shortest run of identical positions that counts
-    reference : shape (frames, 3), m, a further moving point, such as the clamp
+    frozen : s, shortest run of equal positions that counts
+    reference : shape (frames, 3), m, further moving point, such as the clamp
 
     Returns
     -------
@@ -69,18 +69,18 @@ def find_frozen_samples(
     stale = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
         return stale
-    everything = (
+    all_points = (
         positions if reference is None else np.concatenate([positions, reference[:, None]], axis=1)
     )
-    steps = np.diff(everything, axis=0)
+    steps = np.diff(all_points, axis=0)
     same = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
-    movers = (np.abs(steps) > 0).any(axis=2).sum(axis=1)
+    n_moving = (np.abs(steps) > 0).any(axis=2).sum(axis=1)
     edges = np.diff(np.pad(same[:, : positions.shape[1]].T.astype(np.int8), ((0, 0), (1, 1))))
     points, first = np.nonzero(edges == 1)
     last = np.nonzero(edges == -1)[1]
-    busy = np.r_[0, np.cumsum(movers > 0)]
+    moving_steps = np.r_[0, np.cumsum(n_moving > 0)]
     counts = (time[last] - time[first] >= frozen * (1 - 1e-9)) & (
-        2 * (busy[last] - busy[first]) >= last - first
+        2 * (moving_steps[last] - moving_steps[first]) >= last - first
     )
     for point, begin, end in zip(points[counts], first[counts], last[counts], strict=True):
         stale[begin + 1 : end + 1, point] = True
@@ -90,7 +90,7 @@ def find_frozen_samples(
 def cut_tracklets(
     positions: Floats, relative: Floats, time: Floats, *, max_jump: float
 ) -> Tracklets:
-    """Cut every track at gaps, at jumps, and where two tracks exchange their points.
+    """Cut every track at gaps, at jumps, and where two tracks exchange their markers.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -
     steps = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     moved = np.minimum(_squared_steps(positions), _squared_steps(relative))
     jumps: Flags = np.asarray(moved > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
-    # Two neighbours closer than max_jump can exchange labels without a jump.
+    # Two markers closer than max_jump can exchange labels without a jump.
     suspects = np.flatnonzero((moved > (max_jump / 4) ** 2).sum(axis=1) > 1)
     jumps[suspects] |= _exchanges(relative[suspects], relative[suspects + 1])
     return jumps
@@ -134,7 +134,7 @@ def _squared_steps(positions: Floats) -> Floats:
 
 
 def _exchanges(earlier: Floats, later: Floats) -> Flags:
-    """Return tracks that exchange places with another one from `earlier` to `later`."""
+    """Return whether each track exchanges positions with another one between two frames."""
     distances = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
     steps = np.einsum("fii->fi", distances)
     nearer = distances < steps[:, :, None]
@@ -149,7 +149,7 @@ class Links:
     ----------
     chain : shape (tracklets,), number of the chain that each tracklet belongs to
     successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
-    ambiguous : pairs of tracklets that position would join differently, joined by label
+    ambiguous : pairs of tracklets that were joined by label although another link is as near
     """
 
     chain: Ints
@@ -159,7 +159,7 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Candidate links: end of tracklet `end`, start of tracklet `start`, distance, cost."""
+    """Candidate links from the end of tracklet `end` to the start of tracklet `start`."""
 
     end: Ints
     start: Ints
@@ -170,7 +170,7 @@ class _Pairs:
 def link_tracklets(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> Links:
-    """Join ends of tracklets to the starts of others at the expected position.
+    """Link ends of tracklets to the starts of others near the expected position.
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ def link_tracklets(
     relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
     max_gap : s, longest time without a sample that is bridged
-    max_jump : m, largest distance of the start from the expected position; for the same label
-        times the root of the frames of the gap, but then any nearer partner is preferred
+    max_jump : m, largest distance of the start from the expected position; for the same label it is
+        multiplied by the square root of the frames of the gap
 
     Returns
     -------
@@ -187,22 +187,25 @@ def link_tracklets(
 
     Notes
     -----
-    The expected position is the last one, or the one extrapolated with the mean of both velocities,
-    whichever is nearer. Within each group of competing ends and starts the assignment of least
-    total distance is used; a change of label costs a quarter of `max_jump` in addition. A change of
-    label is rejected if a rival (a simultaneous tracklet) is as near within that margin.
+    The expected position is the last one or its extrapolation with the mean of both velocities,
+    whichever is nearer. In each group of competing ends and starts, the assignment with the
+    smallest total cost is used: the distance, plus a quarter of `max_jump` for a change of label. A
+    change of label is rejected if a rival (a simultaneous tracklet) is as near within that margin.
     """
     pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _assign(pairs, unlinked=max_jump * (1 + _LABEL_PREFERENCE))
-    margin = _LABEL_PREFERENCE * max_jump
+    chosen = _assign(pairs, unlinked=max_jump * (1 + _LABEL_CHANGE_COST))
+    margin = _LABEL_CHANGE_COST * max_jump
     doubts = dict(_rivals(pairs, chosen, tracklets, margin))
-    crossing = tracklets.column[pairs.end] != tracklets.column[pairs.start]
+    changes_label = tracklets.column[pairs.end] != tracklets.column[pairs.start]
     for index in chosen:
-        if not (crossing[index] and index in doubts):
+        if not (changes_label[index] and index in doubts):
             successor[pairs.end[index]] = pairs.start[index]
     ambiguous = tuple(
-        (int(pairs.end[index]), int(pairs.start[index] if crossing[index] else pairs.start[rival]))
+        (
+            int(pairs.end[index]),
+            int(pairs.start[index] if changes_label[index] else pairs.start[rival]),
+        )
         for index, rival in doubts.items()
     )
     return Links(_chains(successor), successor, ambiguous)
@@ -215,15 +218,17 @@ def _candidates(
     starts, ends = time[tracklets.start], time[tracklets.stop - 1]
     first = np.searchsorted(starts, ends, side="right")
     last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")
-    many = np.maximum(last - first, 0)
-    end = np.repeat(np.arange(len(tracklets)), many)
-    start = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many) + first[end]
+    counts = np.maximum(last - first, 0)
+    end = np.repeat(np.arange(len(tracklets)), counts)
+    start = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[end]
     pause = starts[start] - ends[end]
     distance = _distances(tracklets, relative, time, end, start)
-    crossing = tracklets.column[end] != tracklets.column[start]
-    gate = np.where(crossing, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period)))
-    cost = np.minimum(distance, 0.999 * max_jump) + _LABEL_PREFERENCE * max_jump * crossing
-    keep = distance <= gate
+    changes_label = tracklets.column[end] != tracklets.column[start]
+    max_distance = np.where(
+        changes_label, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period))
+    )
+    cost = np.minimum(distance, 0.999 * max_jump) + _LABEL_CHANGE_COST * max_jump * changes_label
+    keep = distance <= max_distance
     return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
 
 
@@ -268,7 +273,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
 
 
 def _groups(pairs: _Pairs) -> list[Ints]:
-    """Return groups of pairs that compete with each other, directly or indirectly."""
+    """Return groups of pairs that share ends or starts, directly or indirectly."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -289,15 +294,15 @@ def _rivals(
     by_end, by_start = _index(pairs.end), _index(pairs.start)
     for index in chosen:
         end, start = int(pairs.end[index]), int(pairs.start[index])
-        crossing = column[end] != column[start]
-        allowed = pairs.distance[index] + (margin if crossing else 0.0)
+        changes_label = column[end] != column[start]
+        allowed = pairs.distance[index] + (margin if changes_label else 0.0)
         for other in by_end[end] + by_start[start]:
             rival_end, rival_start = int(pairs.end[other]), int(pairs.start[other])
             competes = _overlap(tracklets, start, rival_start) or _overlap(
                 tracklets, end, rival_end
             )
-            tempting = crossing or column[rival_end] != column[rival_start]
-            if other != index and competes and tempting and pairs.distance[other] < allowed:
+            is_relevant = changes_label or column[rival_end] != column[rival_start]
+            if other != index and competes and is_relevant and pairs.distance[other] < allowed:
                 yield index, other
                 break
 

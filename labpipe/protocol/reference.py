@@ -20,7 +20,7 @@ from typing import Any, get_args, get_type_hints
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from labpipe.messages import list_rooms, read_templates
+from labpipe.messages import find_code, list_rooms, read_templates
 from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plans import CampaignPlan
@@ -43,7 +43,7 @@ ORIGINS = {
     "statistics": "groups",
     "mechanics.wire": "wires",
     "mechanics.rod": "wires",
-    "mechanics.studies": "wires",
+    "mechanics.studies": "calibration",
 }
 """Origin of the notes of a room if their template states none; for others ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")
@@ -110,9 +110,13 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
         for origin, notes in tomllib.loads(text).items()
         for code, template in notes.items()
     ] + [
-        (template.get("origin", ORIGINS.get(room, "processing")), code, template)
+        (
+            template.get("origin", ORIGINS.get(room, "processing")),
+            find_code(f"{room}.{name}"),
+            template,
+        )
         for room in list_rooms()
-        for code, template in read_templates(room).items()
+        for name, template in read_templates(room).items()
         if "meaning" in template
     ]
     return tuple(

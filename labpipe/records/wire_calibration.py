@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.curve import Interval
-from labpipe.records.quality import QualityNote
+from labpipe.records.quality import QualityNote, Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +41,25 @@ class CurveAgreement(ArrayRecord):
     rmse_share: float
     lag_one_correlation: float
     runs_p: float
+
+
+@dataclass(frozen=True, slots=True)
+class IsotropicShare:
+    """The share of isotropic hardening, from what the cycles of tests leave.
+
+    Parameters
+    ----------
+    value, interval : of least squares, with its 95 % interval within 0 and 1
+    by_number : 95 % interval by the residual deflection alone and by the peaks alone
+    n_tests : with cycles
+    is_creep : whether these two disagree, so that the share is not calibrated
+    """
+
+    value: float
+    interval: Interval
+    by_number: Mapping[str, Interval]
+    n_tests: int
+    is_creep: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -419,6 +438,7 @@ class Calibration(ArrayRecord):
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
     method : description for the report
     notes : quality notes
+    share : isotropic share of the hardening; None where no test has cycles
     """
 
     wire: str
@@ -437,6 +457,7 @@ class Calibration(ArrayRecord):
     rmse_share: float
     method: str
     notes: tuple[QualityNote, ...] = field(default=())
+    share: IsotropicShare | None = None
 
     def parameter(self, name: str) -> CalibratedParameter:
         """Return the parameter of a name."""
@@ -444,14 +465,5 @@ class Calibration(ArrayRecord):
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationFailure:
-    """Reason why there is no calibration.
-
-    Parameters
-    ----------
-    code : stable, snake case
-    message : one sentence with the numbers
-    """
-
-    code: str
-    message: str
+class CalibrationFailure(Reason):
+    """Why there is no calibration."""

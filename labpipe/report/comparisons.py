@@ -23,7 +23,7 @@ from labpipe.report.wording import (
 )
 from labpipe.statistics.group_fields import (
     BORE,
-    OF_SECTION,
+    SECTION_SIZES,
     find_varying_fields,
     make_field_sort_key,
 )
@@ -195,7 +195,7 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     others = [
         f"{name.replace('_', ' ')} {word}"
         for name, word in alike.items()
-        if name not in _OF_BUNDLES and name not in OF_SECTION
+        if name not in _OF_BUNDLES and name not in SECTION_SIZES
     ]
     if "composition" not in _field_names(groups[0]):
         return ", ".join(filter(None, [alike.get("type", ""), *others]))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.mechanics.wire.end_load_path import force_at
+from labpipe.mechanics.wire.end_load_path import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
@@ -145,7 +145,7 @@ def make_summary_record(table: WireTable) -> Record:
         ),
         **{
             f"end load at {LENGTH.factor * at:g} {LENGTH.unit} ({FORCE.unit})": (
-                FORCE.factor * force_at(table, at)
+                FORCE.factor * interpolate_end_load(table, at)
             )
             for at in REPORTED_DEFLECTIONS
         },

@@ -1,4 +1,4 @@
-"""What the specimens of groups have alike, and groups divided by it."""
+"""Fields of specimens: shared and differing fields of groups, and division into groups."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from labpipe.records.result import Specimen
 
 TYPE, SPOOL = "type", "spool"
 BORE = "conduit_bore"
-OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
-"""Sizes of the cross-section; of a conduit they come with its name."""
-NOT_SAID = "not stated"
-"""Text for a field that the test sheets of a group do not state."""
+SECTION_SIZES = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
+"""Sizes of the cross-section; those of a conduit depend on its name."""
+NOT_STATED = "not stated"
+"""Value of a field that the test sheets do not state."""
 
 
 def list_fields(specimen: Specimen) -> dict[str, str]:
-    """Return all fields that a specimen can be grouped by, as text.
+    """List all grouping fields of a specimen, as text.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
 
     Parameters
     ----------
-    group : a varying composition is named instead of its wires and numbers
+    group : of samples; a varying composition replaces its wires and numbers
     """
     every = list_field_names(sample.specimen for sample in group.samples)
     varying = [name for name in every if name not in group.fields and name != SPOOL]
@@ -103,8 +103,8 @@ def find_differing_fields(
 
     Parameters
     ----------
-    first, second : groups; fields that vary within one of them do not count
-    by : fields of the grouping; the spool counts only as one of them
+    first, second : groups; fields that vary within one of them are ignored
+    by : fields of the grouping; the spool is ignored if it is not one of them
 
     Returns
     -------
@@ -118,7 +118,7 @@ def find_differing_fields(
         varying |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
     names = dict.fromkeys((*first.fields, *second.fields))
     values = {
-        name: (first.fields.get(name, NOT_SAID), second.fields.get(name, NOT_SAID))
+        name: (first.fields.get(name, NOT_STATED), second.fields.get(name, NOT_STATED))
         for name in names
         if name not in varying and (name != SPOOL or SPOOL in by)
     }
@@ -146,31 +146,31 @@ def _dependent(
     first: Group,
     second: Group,
 ) -> set[str]:
-    """Return the fields that depend on others, and are not a difference themselves."""
+    """Return the fields whose difference follows from another field."""
     dependent: set[str] = set()
     samples = (*first.samples, *second.samples)
     if first.samples and second.samples and all(sample.specimen.bundle for sample in samples):
         dependent.add(TYPE)
     elif TYPE in differences:
-        dependent |= set(OF_SECTION)
+        dependent |= set(SECTION_SIZES)
     if {"wire", "number"} & differences.keys():
         dependent.add("composition")
     if NONE in values.get("taping", ()):
         dependent.add("tape")
     if "conduit" in differences:
-        dependent |= {BORE, *OF_SECTION}
+        dependent |= {BORE, *SECTION_SIZES}
     if any(sample.specimen.bundle and len(sample.specimen.bundle.wires) == 1 for sample in samples):
         dependent.add("arrangement")
     return dependent
 
 
 def make_field_sort_key(name: str, word: str) -> tuple[object, ...]:
-    """Return a sort key for values of a field: ``none`` first, more tape later, 7 before 12.
+    """Make a sort key of a value of a field: ``none`` first, more tape later, 7 before 12.
 
     Parameters
     ----------
     name : of the field
-    word : of a group
+    word : its value in a group
 
     Examples
     --------
@@ -179,19 +179,19 @@ def make_field_sort_key(name: str, word: str) -> tuple[object, ...]:
     """
     if name == "taping" and word in TAPINGS:
         return 0, TAPINGS.index(word)
-    if word in {NONE, NOT_SAID}:
+    if word in {NONE, NOT_STATED}:
         return (0,)
     return 1, make_natural_sort_key(word)
 
 
 def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
-    """Return a sort key with 7 before 12."""
+    """Make a sort key of a text in which 7 is before 12."""
     parts = split(r"(\d+)", text)
     return tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
 
 
-_OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
-"""In order: a field that divides no further than those before it is not named."""
+_BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
+"""In order of precedence: a field that does not divide further is not named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,10 +217,10 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
     Returns
     -------
-    In their first order. A dimension divides between adjacent sizes that differ by more than
-    5 %, so that individually measured specimens stay together. A field divides unless
-    each test has its own value: such a label names specimens and is not a treatment. Spools do not
-    divide; means are nested in them. A field that only repeats the division of others is not named.
+    In order of their first sample. A dimension divides between adjacent sizes that differ by more
+    than 5 %, so individually measured specimens stay together. A field divides unless each test has
+    another value, which then names specimens and is not a treatment. Spools do not divide, since
+    means are nested in them. A field that does not divide further is not named.
 
     Examples
     --------
@@ -248,18 +248,17 @@ def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
     labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
-    of_bundles = _OF_BUNDLES if any(specimen.bundle for specimen in specimens) else ()
+    of_bundles = _BUNDLE_FIELDS if any(specimen.bundle for specimen in specimens) else ()
     candidates = {
-        name: [fields.get(name, NOT_SAID) for fields in all_fields] for name in of_bundles
+        name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in of_bundles
     }
     if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
-        candidates.pop("arrangement", None)  # of wires that are all of one kind
+        candidates.pop("arrangement", None)  # all wires are of one kind
     candidates |= {
         name: _size_texts([specimen.dimensions.get(name) for specimen in specimens])
         for name in sizes
     }
-    texts = {name: [fields.get(name, NOT_SAID) for fields in all_fields] for name in labels}
-    # Texts that name the tests, each another one, divide nothing.
+    texts = {name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in labels}
     divides = {name: max(Counter(word).values(), default=0) != 1 for name, word in texts.items()}
     return candidates | {name: word for name, word in texts.items() if divides[name]}
 
@@ -276,7 +275,7 @@ def _size_texts(sizes: Sequence[float | None]) -> list[str]:
             together[-1].append(size)
         else:
             together.append([size])
-    texts: dict[float | None, str] = {None: NOT_SAID}
+    texts: dict[float | None, str] = {None: NOT_STATED}
     for cluster in together:
         every = [size for size in sizes if size is not None and size in cluster]
         texts |= dict.fromkeys(cluster, format_size(sum(every) / len(every)))

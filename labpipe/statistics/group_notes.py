@@ -1,4 +1,4 @@
-"""Notes on the samples and numbers of a group, for readers of its means."""
+"""Quality notes on the samples, numbers and methods of a group."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.group import GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Status
@@ -18,7 +19,7 @@ PROTOCOLS_DIFFER = "protocols_differ"
 
 
 def name_samples(samples: Sequence[Sample]) -> list[str]:
-    """Return a unique name of each sample: its test, with the file if two tests share one.
+    """Return a unique name of each sample: its test, with the file if several tests share a name.
 
     Parameters
     ----------
@@ -26,7 +27,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
 
     Returns
     -------
-    As many names as samples, each once.
+    In the order of the samples.
     """
     times = Counter(sample.test for sample in samples)
     return [
@@ -36,7 +37,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
 
 
 def make_sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Return notes on missing, single, repeated and differing samples.
+    """Make notes on missing, single, repeated and differing samples.
 
     Parameters
     ----------
@@ -73,9 +74,9 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 
 
 def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Warn of differing bundles of a group; note differing labels."""
+    """Make warnings on differing bundles of a group, and notes on differing labels."""
     bundles = [sample.specimen.bundle for sample in samples if sample.specimen.bundle]
-    made_of = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
+    bundle_fields = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
     labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
     return [
         QualityNote.of(
@@ -83,13 +84,14 @@ def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
             "group",
             values=values,
         )
-        for name in made_of | labels
-        if (name in labels or name not in _IN_COMPOSITION) and (values := _unlike(samples, name))
+        for name in bundle_fields | labels
+        if (name in labels or name not in _IN_COMPOSITION)
+        and (values := _describe_differing(samples, name))
     ]
 
 
-def _unlike(samples: Sequence[Sample], name: str) -> str:
-    """Describe which samples have which value of a field, or return empty for one value."""
+def _describe_differing(samples: Sequence[Sample], name: str) -> str:
+    """Describe which samples have which value of a field; empty if all have the same."""
     tests_by_value: dict[str, list[str]] = {}
     for key, sample in zip(name_samples(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
@@ -97,7 +99,7 @@ def _unlike(samples: Sequence[Sample], name: str) -> str:
 
 
 def make_grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
-    """Return notes on the grouping of samples.
+    """Make notes on the grouping of samples.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def make_grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[
 
 
 def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
-    """Return notes on means with doubtful values, and on numbers not tested for outliers.
+    """Make notes on means with doubtful values, and on numbers not tested for outliers.
 
     Parameters
     ----------
@@ -131,18 +133,17 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
 
 
 def describe_missing_samples(spools: Sequence[str]) -> str:
-    """Return why no sample can be marked as an outlier, or empty.
+    """Describe why no sample can be marked as an outlier; empty if one can.
 
     Parameters
     ----------
-    spools : spool of each sample that has a value
+    spools : spool of each sample with a value
     """
     counted, needed = len(spools), len(set(spools)) + 2
     if counted >= needed:
         return ""
-    return (
-        f"too_few_samples: {counted} samples of {len(set(spools))} spools, "
-        f"outliers are found from {needed} on"
+    return format_sentence(
+        "statistics.outliers_need_samples", count=counted, spools=len(set(spools)), needed=needed
     )
 
 
@@ -154,16 +155,15 @@ def _too_few(number: GroupNumber) -> str:
 
 
 def group_by_method(number: GroupNumber) -> dict[str, list[str]]:
-    """Return the tests by the method of their number.
+    """Group the tests by the method of their number.
 
     Parameters
     ----------
-    number : of a group; what was left out does not count
+    number : of a group; excluded tests are ignored
 
     Returns
     -------
-    Tests by method, in the order in which they come; one entry where all were made alike. Remarks
-    do not count: they concern one test each.
+    Tests by method, in order of their first test. Remarks are ignored: they concern one test each.
     """
     tests_by_method: dict[str, list[str]] = {}
     for test, result in number.values.items():
@@ -172,7 +172,7 @@ def group_by_method(number: GroupNumber) -> dict[str, list[str]]:
 
 
 def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
-    """Find numbers with several methods, and those that depend on them.
+    """Find numbers that were computed by several methods, and those that depend on them.
 
     Parameters
     ----------
@@ -182,24 +182,27 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
     -------
     Tests by method, by result; for a number that depends on another one, the methods of that one.
     """
-    ways_by_name: dict[str, dict[str, list[str]]] = {}
+    methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
     for key, sample in zip(name_samples(samples), samples, strict=True):
         for result in sample.results:
             if result.value is not None:
-                ways_by_name.setdefault(result.name, {}).setdefault(result.method, []).append(key)
+                methods_by_name.setdefault(result.name, {}).setdefault(result.method, []).append(
+                    key
+                )
                 sources.setdefault(result.name, set()).add(result.made_of)
-    mixed_ways = {name: ways for name, ways in ways_by_name.items() if len(ways) > 1}
-    of_these = {
-        name: mixed_ways[source]
+    mixed_methods = {name: ways for name, ways in methods_by_name.items() if len(ways) > 1}
+    dependent = {
+        name: mixed_methods[source]
         for name, several in sources.items()
-        if name not in mixed_ways and (source := next((s for s in mixed_ways if s in several), ""))
+        if name not in mixed_methods
+        and (source := next((s for s in mixed_methods if s in several), ""))
     }
-    return mixed_ways | of_these
+    return mixed_methods | dependent
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
-    """List the tests whose number has another method, and is not averaged with the others.
+    """Find the tests whose number has another method, so that it is not averaged.
 
     Parameters
     ----------
@@ -207,9 +210,9 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
     Returns
     -------
-    By result and test, why (``made_otherwise``). A slope from 0 to 10 mm and one from 0 to 8 mm are
-    two quantities without a common mean. The most frequent method is averaged, or that of the first
-    test.
+    Reason (``made_otherwise``) by result and test. A slope from 0 to 10 mm and one from 0 to 8 mm,
+    for example, are two quantities without a common mean. The most frequent method is averaged; of
+    equally frequent ones, that of the first test.
     """
     left_out: dict[str, dict[str, Reason]] = {}
     for name, ways in find_mixed_methods(samples).items():
@@ -227,7 +230,7 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 def make_method_notes(
     made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
 ) -> list[QualityNote]:
-    """Warn of numbers with different methods.
+    """Make warnings on numbers with different methods.
 
     Parameters
     ----------
@@ -236,7 +239,7 @@ def make_method_notes(
 
     Returns
     -------
-    One note ``protocols_differ`` per number, at the name of the result, and one for slips.
+    Notes ``protocols_differ``: one per number, and one for slips.
     """
     notes = []
     for name, left_out in made_otherwise.items():
@@ -256,7 +259,7 @@ def make_method_notes(
 
 
 def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests outside the largest set of `describe_values`.
+    """List the tests without the most frequent value.
 
     Examples
     --------
@@ -285,8 +288,11 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
 
 
 def make_method_caveats(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
-    """Return a caveat if a number of two groups was computed by different methods."""
+    """Make a caveat if a number of two groups was computed by different methods."""
     first, second = list(group_by_method(one)), list(group_by_method(two))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()
-    return (f"not made alike: {' or '.join(first)} against {' or '.join(second)}",)
+    texts = {"first": " or ".join(first), "second": " or ".join(second)}
+    return (
+        format_sentence("statistics.methods_differ", first=texts["first"], second=texts["second"]),
+    )

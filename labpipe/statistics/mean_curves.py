@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, special
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
-from labpipe.records.group import Band, NestedMean, Sample
+from labpipe.records.group import Band, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.statistics.group_notes import name_samples
 from labpipe.statistics.means import (
@@ -21,8 +22,8 @@ from labpipe.statistics.means import (
 )
 
 _CURVE_POINTS = 500
-"""Points of a curve before averaging, each the mean of its samples: faster noise has no information
-on the sample and widens the band of the whole curve."""
+"""Minimum number of block means of a curve before averaging: faster noise contains no information
+on the sample and widens the simultaneous band."""
 N_DISPLACEMENTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
@@ -43,9 +44,9 @@ def average_loading(
 
     Returns
     -------
-    The band, reduced for few curves (`reduce_band`), and notes. Over spool means unless the mean
-    forces over the common range allow pooling: one decision for the whole curve, since the width of
-    a band with a decision at every displacement would jump.
+    The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
+    mean forces over the common range allow pooling. There is one decision for the whole curve,
+    since the width of a band with a decision at each displacement would jump.
     """
     drawn = [
         (key, sample)
@@ -64,7 +65,9 @@ def average_loading(
     if not len(shared.displacement):
         return compute_band(shared), notes
     spools = [sample.specimen.spool for _, sample in drawn]
-    decision = _curve_decision(shared, spools, limits)
+    level = shared.force.mean(axis=1)
+    levels = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
+    decision = compute_nested_mean(levels, limits)
     if len(set(spools)) > 1:
         why = decision.decision
         notes.append(QualityNote.of("statistics.curve_pooling", "group", decision=why))
@@ -75,7 +78,7 @@ def average_loading(
 
 
 def reduce_band(band: Band) -> Band:
-    """Remove the bands of a mean over few curves.
+    """Remove the bands of a mean of few curves.
 
     Parameters
     ----------
@@ -88,29 +91,21 @@ def reduce_band(band: Band) -> Band:
     elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
     Over two (``two_curves``) there is none, as t is 12.7.
     """
-    # Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60.
+    # With fewer curves, the quantile of the simultaneous band is 4 to 60.
     min_band_curves = 6
     if not 2 <= band.n < min_band_curves or not len(band.displacement):
         return band
-    nothing = np.full(len(band.displacement), np.nan)
-    lower, upper = nothing.copy(), nothing.copy()
+    empty = np.full(len(band.displacement), np.nan)
+    lower, upper = empty.copy(), empty.copy()
     reason = Reason.of("statistics.too_few_curves", members=band.members)
     if band.n > 2:
-        marks = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
+        marks = [round(share * (len(empty) - 1)) for share in (0.25, 0.5, 1.0)]
         lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
         reason = Reason.of(
             "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
         )
-    band = replace(band, lower=lower, upper=upper, lower_all=nothing, upper_all=nothing)
+    band = replace(band, lower=lower, upper=upper, lower_all=empty, upper_all=empty)
     return replace(band, reason=reason)
-
-
-def _curve_decision(
-    shared: CommonCurves, spools: Sequence[str], limits: PoolingLimits
-) -> NestedMean:
-    level = shared.force.mean(axis=1)
-    by_spool = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
-    return compute_nested_mean(by_spool, limits)
 
 
 def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
@@ -141,7 +136,10 @@ def average_scaled_loading(
     without = [key for key in peaks if key not in usable]
     scaled_notes = [
         QualityNote(
-            f"{note.code}_scaled", Severity.INFO, "group", f"Force / peak force: {note.message}"
+            f"{note.code}_scaled",
+            Severity.INFO,
+            "group",
+            format_sentence("statistics.scaled", message=note.message),
         )
         for note in notes
         if note.code != "no_curve"
@@ -189,7 +187,7 @@ def _gaps(displacement: Floats) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonCurves:
-    """Curves at the displacements they share.
+    """Curves at their common displacements.
 
     Parameters
     ----------
@@ -208,7 +206,7 @@ def interpolate_curves(
     names: Sequence[str] = (),
     points: int = N_DISPLACEMENTS,
 ) -> CommonCurves:
-    """Interpolate curves at displacements where all of them have data.
+    """Interpolate curves at common displacements.
 
     Parameters
     ----------
@@ -218,23 +216,22 @@ def interpolate_curves(
 
     Returns
     -------
-    Forces by linear interpolation, without extrapolation. A NaN makes a gap from the datum before
-    it to the one after; displacements in a gap of any curve are excluded. Curves are sorted by
-    displacement.
+    Forces by linear interpolation, without extrapolation. A NaN makes a gap between its neighbours;
+    displacements in a gap of any curve are excluded. Curves are sorted by displacement.
     """
-    nothing = np.zeros(0), np.zeros((len(curves), 0))
+    empty = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
-        return CommonCurves(*nothing, Reason.of("statistics.no_curves"))
-    called = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
+        return CommonCurves(*empty, Reason.of("statistics.no_curves"))
+    labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
     ordered = [_in_order(*curve) for curve in curves]
     spans = [_span(*curve) for curve in ordered]
-    blank = [name for name, span in zip(called, spans, strict=True) if np.isnan(span[0])]
+    blank = [name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])]
     if blank:
         reason = Reason.of("statistics.no_data", names=", ".join(blank))
-        return CommonCurves(*nothing, reason)
+        return CommonCurves(*empty, reason)
     start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
     if stop <= start:
-        return CommonCurves(*nothing, _no_overlap(called, spans))
+        return CommonCurves(*empty, _no_overlap(labels, spans))
     grid = np.linspace(start, stop, points)
     force = np.array([np.interp(grid, *curve) for curve in ordered])
     shared = ~np.isnan(force).any(axis=0)
@@ -282,8 +279,8 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     Returns
     -------
     The pointwise band covers the true mean at any given displacement in 95 % of groups; the
-    simultaneous band covers the whole true mean curve in at least 95 %. One curve: no
-    band, reason ``one_curve``. Two curves: no simultaneous band, reason ``two_curves``.
+    simultaneous band covers the whole true mean curve in at least 95 %. One curve has no band
+    (``one_curve``), two have no simultaneous band (``two_curves``).
 
     Notes
     -----
@@ -293,11 +290,11 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     n = len(curves.force)
     if curves.reason or not len(curves.displacement):
         reason = curves.reason or Reason.of("statistics.gaps_everywhere")
-        return _bare(np.zeros(0), np.zeros(0), n, members, reason)
+        return _make_curve_without_band(np.zeros(0), np.zeros(0), n, members, reason)
     mean = curves.force.mean(axis=0)
     if n == 1:
         reason = Reason.of("statistics.one_curve")
-        return _bare(curves.displacement, mean, n, members, reason)
+        return _make_curve_without_band(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half, half_all = (
         compute_t_quantile(n - 1) * error,
@@ -316,9 +313,11 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     )
 
 
-def _bare(displacement: Floats, mean: Floats, n: int, members: str, reason: Reason) -> Band:
-    nothing = np.full(len(displacement), np.nan)
-    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, members, reason)
+def _make_curve_without_band(
+    displacement: Floats, mean: Floats, n: int, members: str, reason: Reason
+) -> Band:
+    empty = np.full(len(displacement), np.nan)
+    return Band(displacement, mean, empty, empty, empty, empty, n, members, reason)
 
 
 def compute_simultaneous_quantile(curves: Floats) -> float:
@@ -347,20 +346,22 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     if n < 3:
         return float("nan")
     free, outside = n - 1, 1.0 - LEVEL
-    turning = _turning(curves - curves.mean(axis=0))
+    path_length = _compute_path_length(curves - curves.mean(axis=0))
 
-    def exceeding(c: float) -> float:
-        rises: float = turning / (2.0 * np.pi) * (1.0 + c**2 / free) ** (-0.5 * (free - 1))
-        return 2.0 * (float(special.stdtr(free, -c)) + rises) - outside
+    def excess_probability(c: float) -> float:
+        upcrossings: float = (
+            path_length / (2.0 * np.pi) * (1.0 + c**2 / free) ** (-0.5 * (free - 1))
+        )
+        return 2.0 * (float(special.stdtr(free, -c)) + upcrossings) - outside
 
     bonferroni = compute_t_quantile(free, outside / points)
-    if exceeding(bonferroni) >= 0.0:
+    if excess_probability(bonferroni) >= 0.0:
         return bonferroni
-    return float(optimize.brentq(exceeding, 0.0, bonferroni, full_output=False))
+    return float(optimize.brentq(excess_probability, 0.0, bonferroni, full_output=False))
 
 
-def _turning(residuals: Floats) -> float:
-    """Return the path length of residuals on the unit sphere, past points without scatter."""
+def _compute_path_length(residuals: Floats) -> float:
+    """Return the path length of normalised residuals, without points that have no scatter."""
     norm = np.linalg.norm(residuals, axis=0)
     size = np.abs(residuals).max(initial=0.0)
     unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]

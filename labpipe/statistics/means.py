@@ -1,4 +1,4 @@
-"""Means of samples cut from spools, causes that tests of a rig share, and budgets of groups."""
+"""Means of samples nested in spools, common causes of the tests of a rig, and group budgets."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 
 LEVEL = 0.95
-"""Level of every interval: two-sided."""
+"""Level of every two-sided interval."""
 _MAX_PARTITIONS = 100
-"""Up to this number the Anderson-Darling test counts all assignments of samples to spools."""
+"""Up to this number of assignments of samples to spools, the Anderson-Darling test is exact."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoolingLimits:
-    """When samples of several spools may be taken as independent.
+    """Conditions under which samples of several spools count as independent.
 
     Parameters
     ----------
     min_p : smallest p-value of the k-sample Anderson-Darling test for pooling; usually 0.05
-    max_spool_share : largest share of the variance between spools; at 0.1 and three samples per
+    max_spool_share : largest share of the variance between spools; with 0.1 and three samples per
         spool the pooled interval is at most 9 % too short
-    confidence : confidence that the share is below; at 0.999 spools are wrongly pooled so rarely
-        that the interval still covers 95 %
+    confidence : of the upper limit of that share; with 0.999, wrong pooling is so rare that the
+        interval still covers 95 %
     """
 
     min_p: float = 0.05
@@ -60,10 +60,10 @@ def compute_nested_mean(
 
     Returns
     -------
-    In the unit of the values. `chosen` is over the spool means, unless the Anderson-Darling test
-    finds no difference between the spools *and* the upper confidence limit of the share of variance
-    between spools is below the limit. Spools have equal weight. One spool: over its samples, with
-    the limitation in `decision`.
+    In the unit of the values. `chosen` is over the spool means with equal weights, unless the
+    Anderson-Darling test finds no difference between the spools *and* the upper confidence limit of
+    the share of variance between spools is below its limit. For one spool it is over the samples,
+    and `decision` states the limitation.
 
     Notes
     -----
@@ -100,7 +100,7 @@ def _finite(values: Sequence[float] | Floats) -> Floats:
 
 
 def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
-    decision = Decision("No samples")
+    decision = Decision(format_sentence("statistics.no_values"))
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
         done = format_sentence("statistics.over_one_spool", samples=counted)
@@ -136,10 +136,10 @@ def _decision(
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
         return Decision(done, (format_sentence("statistics.values_equal"),))
-    return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
+    return Decision(done, (*_describe_shares(scatter, limits), _describe_test(p, counts, limits)))
 
 
-def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
+def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
     """Describe the shares of the variance, and the limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
@@ -156,7 +156,7 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
     return text, format_sentence("statistics.share_needed", most=most, confidence=confidence)
 
 
-def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
+def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
     if np.isnan(p):
         return format_sentence("statistics.no_test")
     least = compute_smallest_p(counts)
@@ -338,18 +338,18 @@ def compute_smallest_p(counts: tuple[int, ...]) -> float:
 
 
 SCATTER = "scatter of the tests"
-"""Contribution to the mean besides the causes of its tests: their differences, for any reason."""
+"""Contribution of the scatter of the tests to the uncertainty of their mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroupBudget:
-    """Contributions to the intervals of one number, as shares that add to one.
+    """Contributions to the variance of one number of a group, as shares with sum one.
 
     Parameters
     ----------
-    of_tests : by cause, median share of the variance over the tests; empty without budgets
-    of_mean : by `SCATTER` and common cause, share of the squared half width; empty without an
-        interval
+    of_tests : median share of the variance of the tests, by cause; empty without budgets
+    of_mean : share of the squared half-width of the mean, by `SCATTER` and common cause; empty
+        without an interval
     """
 
     of_tests: Mapping[str, float]
@@ -401,20 +401,20 @@ def _of_mean(mean: MeanInterval) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """Errors of one result, or of a mean, that scatter does not show.
+    """Errors of a result or a mean that do not contribute to the scatter.
 
     Parameters
     ----------
-    off : value less estimate
+    bias : value minus estimate
     changes : by common cause of all tests of a rig
     """
 
-    off: float
+    bias: float
     changes: Mapping[str, float]
 
 
 def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
-    """Add the common causes of all tests to the intervals of a mean.
+    """Include the common causes of all tests in the intervals of a mean.
 
     Parameters
     ----------
@@ -423,13 +423,13 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Returns
     -------
-    The same means and scatter. Every interval is about the mean of the estimates, and is widened by
-    common causes (`widen_interval`), which are named in the decision.
+    The same means and scatter. The middle of every interval is the mean of the estimates, and the
+    intervals are widened by the common causes (`widen_interval`), which the decision names.
 
     Notes
     -----
-    A common cause moves all numbers at once, each by its own signed change, and so moves their
-    mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
+    A common cause changes all numbers at once, each by its own signed change, and so their mean by
+    the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
     results_by_spool = {
         name: [_shared_of_result(spool) for spool in spools[name]] for name in mean.spool_means
@@ -442,10 +442,10 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     )
     chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
     causes = tuple(contribution.cause for contribution in chosen.common)
-    because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
-    decision = replace(
-        mean.decision, grounds=(*mean.decision.grounds, *(because if causes else ()))
-    )
+    decision = mean.decision
+    if causes:
+        clause = format_sentence("statistics.common_causes", causes=", ".join(causes))
+        decision = replace(decision, grounds=(*decision.grounds, clause))
     return replace(
         mean,
         chosen=chosen,
@@ -479,18 +479,18 @@ def _mean_shared(several: Sequence[_Shared]) -> _Shared:
         cause: float(np.mean([shared.changes.get(cause, 0.0) for shared in several]))
         for cause in causes
     }
-    return _Shared(float(np.mean([shared.off for shared in several])), changes)
+    return _Shared(float(np.mean([shared.bias for shared in several])), changes)
 
 
 def _add_shared(mean: MeanInterval, shared: _Shared) -> MeanInterval:
     common = tuple(
         Contribution(cause, change, is_common=True) for cause, change in shared.changes.items()
     )
-    estimate = mean.mean - shared.off if shared.off else None
-    moved = mean.interval and Interval(
-        mean.interval.lower - shared.off, mean.interval.upper - shared.off
+    estimate = mean.mean - shared.bias if shared.bias else None
+    shifted = mean.interval and Interval(
+        mean.interval.lower - shared.bias, mean.interval.upper - shared.bias
     )
-    interval = moved and widen_interval(moved, common)
+    interval = shifted and widen_interval(shifted, common)
     return replace(mean, interval=interval, estimate=estimate, common=common)
 
 
@@ -504,7 +504,7 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Parameters
     ----------
-    interval : of Student's t, about its middle
+    interval : of Student's t
     common : changes of the mean
 
     Returns
@@ -526,11 +526,11 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 def subtract_changes(
     first: Sequence[Contribution], second: Sequence[Contribution]
 ) -> tuple[Contribution, ...]:
-    """Return the changes by common causes of the difference of two means, second less first.
+    """Return the changes of the difference of two means, second minus first, by common causes.
 
     Parameters
     ----------
-    first, second : changes of two means of tests on one rig: a cause acts on both alike
+    first, second : changes of two means of tests on one rig, where a cause acts on both
     """
     one, two = (
         {contribution.cause: contribution.change for contribution in contributions}
@@ -558,11 +558,11 @@ def are_positive(values: list[Result]) -> bool:
 
 
 def convert_to_log_scale(mean: NestedMean) -> NestedMean:
-    """Put the intervals of the mean of a positive number on a log scale.
+    """Convert the intervals of the mean of a positive number to a log scale.
 
     Parameters
     ----------
-    mean : with the half widths of Student's t and of the common causes of a rig
+    mean : with intervals from Student's t and the common causes of a rig
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Outliers: marked by a named test with a false-alarm rate per report, and never removed."""
+"""Outliers: marked by a statistical test with a false-alarm rate per report, never removed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, GroupNumber, Outlier
 from labpipe.statistics.group_notes import name_samples
@@ -28,7 +29,7 @@ _METHODS = {
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """The furthest of the remaining values, its p-value, and equally far values."""
+    """Index of the furthest of the remaining values, its p-value, and equally far values."""
 
     index: int
     p: float
@@ -42,7 +43,7 @@ class Suspects:
     Parameters
     ----------
     names, values : of the samples
-    steps : the furthest value, then that of the rest, and so on; empty without a test
+    steps : the furthest value, then the furthest of the others, and so on; empty without a test
     method : name of the test
     """
 
@@ -167,11 +168,13 @@ def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]
 
 def _equally_suspect(others: Sequence[int], names: Sequence[str]) -> str:
     other_tests = " and ".join(names[other] for other in others)
-    return f", which cannot tell it from {other_tests}" if other_tests else ""
+    if not other_tests:
+        return ""
+    return format_sentence("statistics.equally_suspect", tests=other_tests)
 
 
 def _steps(values: Floats, spool: NDArray[np.intp], max_suspects: int) -> list[_Step]:
-    """Return the furthest value, its p-value, then the same without it, and so on."""
+    """Return the furthest value with its p-value, then that of the others, and so on."""
     equal_p_ratio = 1.001  # within rounding
     remaining = np.arange(len(values))
     steps: list[_Step] = []
@@ -180,8 +183,8 @@ def _steps(values: Floats, spool: NDArray[np.intp], max_suspects: int) -> list[_
         if chance is None:
             break
         furthest = int(np.argmin(chance))
-        alike = np.flatnonzero(chance <= equal_p_ratio * chance[furthest])
-        twins = tuple(int(remaining[twin]) for twin in alike if twin != furthest)
+        equal = np.flatnonzero(chance <= equal_p_ratio * chance[furthest])
+        twins = tuple(int(remaining[twin]) for twin in equal if twin != furthest)
         steps.append(_Step(int(remaining[furthest]), float(chance[furthest]), twins))
         remaining = np.delete(remaining, furthest)
     return steps

@@ -1,4 +1,4 @@
-"""Comparison of two groups: their difference, whether it is real, and whether it matters."""
+"""Comparison of two groups: difference, significance, and equivalence."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from math import expm1, hypot, isnan, log, log1p, nan, sqrt
 import numpy as np
 from scipy import optimize, special
 
+from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, Difference, MeanInterval, NestedMean, Verdict
 from labpipe.records.result import Contribution
@@ -30,9 +31,9 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 
     Returns
     -------
-    n counts the values of both; deviation is NaN, as there are two. No interval if one of the means
-    has none, with its reason. The interval is about the difference of the estimates, and includes
-    the effect of common causes on the difference.
+    With the number of values of both, and a deviation of NaN. There is no interval if one of the
+    means has none, for its reason. The middle of the interval is the difference of the estimates;
+    it includes the effect of common causes on the difference.
 
     Notes
     -----
@@ -64,9 +65,9 @@ def compute_contrast(
 
     Returns
     -------
-    On a log scale if both intervals are: standard errors and common causes are relative to the
-    means, and the margin m is from 1 / (1 + m) to 1 + m. An error of the gain then cancels. None if
-    a mean has no interval.
+    On a log scale if both intervals are on one: standard errors and common causes are then relative
+    to the means, so an error of the gain cancels, and a margin m is from 1 / (1 + m) to 1 + m. None
+    if a mean has no interval.
     """
     if first.interval is None or second.interval is None:
         return None
@@ -102,7 +103,7 @@ def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> floa
     Parameters
     ----------
     contrast : of two means
-    outside : probability of a difference outside, half of it on each side
+    outside : probability outside the interval, half of it on each side
 
     Returns
     -------
@@ -133,8 +134,8 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 
     Returns
     -------
-    The larger of the two p-values; below 0.05 the groups are equivalent, which is if the 90 %
-    interval of the difference is within the margin. NaN without a margin.
+    The larger of the two p-values; NaN without a margin. It is below 0.05, and the groups are
+    equivalent, if the 90 % interval of the difference is within the margin.
 
     Notes
     -----
@@ -212,12 +213,14 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
 
     Returns
     -------
-    In the same order. Any *different* of the family is wrong in at most 5 % of reports, and so is
-    any *equivalent*: both are corrected for their number by `correct_p_values`. The verdict is
+    In the same order. In at most 5 % of reports any *different* of the family is wrong, and
+    likewise any *equivalent*: both are corrected for their number by `correct_p_values`. The
+    verdict is
 
     - ``different`` if zero is outside the corrected interval;
-    - ``equivalent`` if the two one-sided tests find the difference within the margin, significant
-      or not;
+    - ``equivalent`` if the two one-sided tests find the difference within the margin, even if zero
+    is
+      outside the interval;
     - ``cannot tell`` otherwise.
     """
     unlike = correct_p_values([difference.p for difference in differences])
@@ -234,7 +237,7 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
-        why = reason.message if reason else "there is no interval"
+        why = reason.message if reason else format_sentence("statistics.no_interval")
         return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
     outside = (1.0 - LEVEL) / unlike.divisor
     half = compute_half_width(contrast, outside)
@@ -243,16 +246,27 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
     is_different, is_alike = unlike.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
-    why = f"p = {_shortly(unlike.p)}{_corrected(unlike.tests)}"
+    why = format_sentence(
+        "statistics.p_value", p=_format_p(unlike.p), corrected=_describe_correction(unlike.tests)
+    )
     if is_alike:
-        verdict, p = Verdict.EQUIVALENT, _shortly(alike.p)
-        real = "a real difference, but " if is_different else ""
-        why = f"{real}within {_relative(difference)}: p = {p}{_corrected(alike.tests)}"
+        verdict = Verdict.EQUIVALENT
+        why = format_sentence(
+            "statistics.within_margin",
+            real=format_sentence("statistics.real_but") if is_different else "",
+            margin=_describe_margin(contrast),
+            p=_format_p(alike.p),
+            corrected=_describe_correction(alike.tests),
+        )
+    elif not is_different and contrast.margin is None:
+        why = format_sentence("statistics.zero_no_margin")
     elif not is_different:
-        why = "the interval holds zero, and no margin is stated"
-        if contrast.margin is not None:
-            beyond = f"not shown to be within {_relative(difference)}"
-            why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
+        n = count_needed_samples(contrast, outside)
+        why = format_sentence(
+            "statistics.zero_beyond_margin",
+            margin=_describe_margin(contrast),
+            needed=format_sentence("statistics.more_samples", n=n) if n else "",
+        )
     return replace(
         difference,
         family=family,
@@ -263,25 +277,18 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
     )
 
 
-def _corrected(tests: int) -> str:
-    return f", corrected for {tests} comparisons" if tests > 1 else ""
+def _describe_correction(tests: int) -> str:
+    return format_sentence("statistics.corrected", tests=tests) if tests > 1 else ""
 
 
-def _shortly(p: float) -> str:
+def _format_p(p: float) -> str:
     return "0.0001 or less" if p < 1e-4 else f"{p:.2g}"
 
 
-def _relative(difference: Difference) -> str:
-    """Return the margin in words, as a share of the first mean if possible."""
-    contrast = difference.contrast
-    if contrast is None or contrast.margin is None:
-        return "the margin"
-    return f"{100 * expm1(contrast.margin):.3g} %" if contrast.is_log else "the margin"
-
-
-def _needed(contrast: Contrast, outside: float) -> str:
-    n = count_needed_samples(contrast, outside)
-    return f"; with this scatter n = {n} in each group would tell" if n else ""
+def _describe_margin(contrast: Contrast) -> str:
+    """Return the margin as a share of the first mean on a log scale; else "the margin"."""
+    is_share = contrast.is_log and contrast.margin is not None
+    return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_share else "the margin"
 
 
 def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
@@ -294,10 +301,11 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
 
     Returns
     -------
-    Smallest number at which the interval is no wider than the margin: it then excludes zero, or is
-    within the margin. None beyond 50 samples per group, without a margin, or without scatter.
+    Smallest number for which the interval is no wider than the margin: it then excludes zero or is
+    within the margin. None for more than 50 samples per group, without a margin, or without
+    scatter.
     """
-    max_advised_samples = 50  # samples per group beyond which more tests are not advised
+    max_advised_samples = 50  # per group
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
@@ -310,19 +318,15 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
 
 def _shared(difference: MeanInterval) -> tuple[str, ...]:
     """Return a caveat on causes common to both groups."""
-    causes = ", ".join(finding.cause for finding in difference.common)
-    message = (
-        f"both groups share {causes}: the interval holds what that changes in their difference"
-    )
-    return (message,) if causes else ()
+    causes = ", ".join(contribution.cause for contribution in difference.common)
+    return (format_sentence("statistics.shared_causes", causes=causes),) if causes else ()
 
 
-def _caveats(groups: list[tuple[str, NestedMean]]) -> tuple[str, ...]:
+def _caveats(means: list[tuple[str, NestedMean]]) -> tuple[str, ...]:
     """Return a caveat on groups with samples from one spool."""
-    single = [name for name, mean in groups if len(mean.spool_means) == 1]
-    if not single:
-        return ()
-    return (f"{' and '.join(single)}: one spool, so how spools differ is not in it",)
+    single = [name for name, mean in means if len(mean.spool_means) == 1]
+    groups = " and ".join(single)
+    return (format_sentence("statistics.single_spool", groups=groups),) if single else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,9 +335,10 @@ class Corrected:
 
     Parameters
     ----------
-    p : adjusted: below the level of the family if the finding is significant; NaN for no test
-    divisor : the level of this test is that of the family divided by it
-    tests : in the family
+    p : adjusted p-value, below the level of the family if the test is significant; NaN without a
+        test
+    divisor : level of the family over the level of this test
+    tests : number of tests in the family
     """
 
     p: float
@@ -341,19 +346,18 @@ class Corrected:
     tests: int
 
 
-def correct_p_values(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
+def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Corrected]:
     """Correct the p-values of a family.
 
     Parameters
     ----------
-    chances : p-values; NaN without a test, which then does not count
-    level : probability of any false finding in the family
+    p_values : NaN without a test
+    level : probability of any false positive in the family
 
     Returns
     -------
-    In the order of `chances`. From the first p-value on that is not below its level, all have the
-    divisor of that one: an interval at the level of its test excludes zero exactly if the test is
-    significant.
+    In the order of `p_values`. All tests from the first that is not significant have its divisor,
+    so an interval at the level of a test excludes zero exactly if the test is significant.
 
     Notes
     -----
@@ -362,15 +366,15 @@ def correct_p_values(chances: Sequence[float], level: float = 0.05) -> list[Corr
 
     Examples
     --------
-    >>> [each.p for each in correct_p_values([0.04, 0.01, 0.03])]
+    >>> [corrected.p for corrected in correct_p_values([0.04, 0.01, 0.03])]
     [0.06, 0.03, 0.06]
     """
-    tested = sorted((i for i, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
-    corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(chances)
+    tested = sorted((i for i, p in enumerate(p_values) if not isnan(p)), key=p_values.__getitem__)
+    corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(p_values)
     largest, divisor, goes_on = 0.0, max(1, len(tested)), True
     for rank, i in enumerate(tested):
         remaining = len(tested) - rank
-        largest = max(largest, min(1.0, remaining * chances[i]))
+        largest = max(largest, min(1.0, remaining * p_values[i]))
         divisor = remaining if goes_on else divisor
         goes_on = goes_on and largest < level
         corrected[i] = Corrected(largest, divisor, len(tested))

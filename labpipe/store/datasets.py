@@ -1,8 +1,8 @@
-"""Arrays and texts of a result file: written in compressed chunks, read according to the layout.
+"""Arrays and texts of a result file: written in compressed chunks, and read by the layout.
 
-HDF5's own filters use one processor. Here the chunks are made on all processors, byte for byte in
-the format of those filters (shuffle, gzip, fletcher32), so that any HDF5 library reads
-them. ISA-L deflates six to nine times as fast as zlib at the same size, into the same format.
+The filters of HDF5 use one processor. Here all processors make the chunks in the format of these
+filters (shuffle, gzip, fletcher32), which any HDF5 library reads. ISA-L deflates six to nine times
+as fast as zlib at the same size.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CHUNK_BYTES = 1 << 18
 
 
 Packed = dict[tuple[object, ...], list[bytes]]
-"""Existing chunks, by the memory location of their array."""
+"""Finished chunks, by the memory location of their array."""
 
 
 def _chunks_of(read_array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
@@ -134,8 +134,7 @@ class Target:
     group : open HDF5 group
     pool : threads for compression
     written : arrays by dataset, for verification
-    packed : chunks of these arrays, which must still exist: the same time axis is in several
-        groups, and is compressed once
+    packed : chunks of these arrays; a time axis in several groups is compressed only once
     datasets : datasets of this group, with their axes
     """
 
@@ -243,7 +242,7 @@ class Target:
 
 @contextmanager
 def open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of a known schema; raise all faults as StoreError."""
+    """Open a result file of the known schema; convert all errors to StoreError."""
     try:
         if is_cut_off(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
@@ -286,7 +285,7 @@ def _check_schema(path: Path, root: Any) -> None:
 
 
 def _check_links(path: Path, root: Any) -> None:
-    """Refuse links into other files: a result is complete in itself."""
+    """Raise a StoreError for links into other files: a result file must be complete."""
 
     def find_external(name: bytes, about: Any) -> bytes | None:
         return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
@@ -355,7 +354,7 @@ def _label(dataset: Any, name: str) -> str:
 
 
 def _check_storage(dataset: Any) -> None:
-    """Refuse a dataset that is incomplete or in another file, before allocating memory."""
+    """Raise a StoreError for incomplete or external data, before memory is allocated."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
         raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)

@@ -61,8 +61,8 @@ _STAGE = ".labpipe.new"
 _COMMIT = ".labpipe.commit"
 _DONE = ".labpipe.old"
 STAGES = (_STAGE, _COMMIT, _DONE)
-"""Temporary folders of labpipe; remainders of a killed process there are not results."""
-_FILES, _ASIDE, _REMOVED = "files", "aside", "gone"
+"""Temporary folders of labpipe; files of a killed process in them are not results."""
+_FILES, _REPLACED, _REMOVED = "files", "aside", "gone"
 
 
 @contextmanager
@@ -200,7 +200,9 @@ def _moves(folder: Path) -> list[_Move]:
     removed = (commit / _REMOVED).read_text(encoding="utf-8").splitlines()
     names = [*removed, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
     _require_places(folder, names)
-    return [_Move(commit / _FILES / name, folder / name, commit / _ASIDE / name) for name in names]
+    return [
+        _Move(commit / _FILES / name, folder / name, commit / _REPLACED / name) for name in names
+    ]
 
 
 def _finish(folder: Path, moves: Iterable[_Move]) -> None:
@@ -220,7 +222,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
-    """Refuse impossible moves, and moves out of the folder, before anything is moved."""
+    """Raise an OSError for impossible moves, or moves out of the folder, before any move."""
     goals = [folder / name for name in names]
     for place in {goal.parent for goal in goals}:
         if place.exists() and not place.is_dir():

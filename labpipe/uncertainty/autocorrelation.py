@@ -1,4 +1,4 @@
-"""Autocorrelated noise: long-run variance, and spectrum from stretches of a signal."""
+"""Autocorrelated noise: long-run variance, and spectra from stretches of a signal."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from scipy.special import factorial
 from labpipe.records.arrays import Floats
 
 MAX_COSINES = 128
-"""Cosines, half waves over the window, that the noise is estimated from."""
+"""Maximum number of cosines (half waves over the window) for the estimate of the noise."""
 _WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise below correlated noise, as shares of the spectrum at frequency zero."""
+"""White noise in addition to correlated noise, as shares of the spectrum at frequency zero."""
 
 
 def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
@@ -25,7 +25,7 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     Parameters
     ----------
     residuals : shape (n,), evenly sampled; NaN are ignored
-    parameters : number of parameters of the fit that left the residuals
+    parameters : number of parameters of the fit with these residuals
 
     Returns
     -------
@@ -81,12 +81,12 @@ def estimate_fast_noise(values: Floats) -> Floats:
 
 
 def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
-    """Scale a limit, set by the fast noise of one record, to the noise of each of many like it.
+    """Scale a limit from the fast noise of one record to the noise of each of many similar records.
 
     Parameters
     ----------
     limit : in any unit
-    rows : shape (rows, n), such records; columns with a NaN are ignored
+    rows : shape (rows, n), records; columns with a NaN are ignored
 
     Returns
     -------
@@ -103,8 +103,8 @@ class SpectrumGrid:
 
     Parameters
     ----------
-    count : samples of the longest stretch; the longest time is a fifth of it
-    terms : cosines of it that are used
+    count : samples of the longest stretch; the longest correlation time is a fifth of it
+    terms : number of its cosines that are used
     """
 
     count: int
@@ -134,16 +134,16 @@ class SpectrumGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumLikelihood:
-    """Likelihood of each of g spectra by stretches of a signal with the same basis.
+    """Likelihood of each of g spectra from stretches of a signal with the same basis.
 
     Parameters
     ----------
     spectra : shape (g, terms)
     columns : shape (terms, p), cosines of the basis
-    likelihood : shape (g,), its logarithm but for the sum of squares
+    likelihood : shape (g,), log likelihood without the sum of squares
     squares : shape (g,), whitened sum of squares
-    freedom : degrees of freedom: cosines less coefficients
-    shifts : shape (g, stretches, p), of the coefficients by generalised least squares
+    freedom : degrees of freedom: cosines minus coefficients
+    shifts : shape (g, stretches, p), change of the coefficients by generalised least squares
     unit : shape (g, p, p), their covariance for noise whose spectrum is 1 at frequency zero
     """
 
@@ -210,7 +210,7 @@ class SpectrumLikelihood:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpectrumPosterior:
-    """Probability of each of g spectra from all stretches.
+    """Posterior probability of each of g spectra from all stretches.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ class SpectrumPosterior:
 
     @classmethod
     def combine(cls, stretches: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
-        """Multiply the likelihoods, with one variance for all, and the prior of the spectra."""
+        """Compute the posterior from the likelihoods, with one common variance, and the prior."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
         logs = np.sum([stretch.likelihood for stretch in stretches], axis=0)
@@ -291,8 +291,8 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
 
     Returns
     -------
-    Consecutive stretches up to the end of the signal, without those whose residuals about a cubic
-    have more than four times the median variance: they contain a corner or a step.
+    Consecutive stretches up to the end of the signal. Stretches with a corner or a step are
+    omitted: their residuals about a cubic have more than four times the median variance.
     """
     finite = values[~np.isnan(values)]
     count = len(finite) // width
@@ -344,13 +344,13 @@ def _products(waves: Floats) -> Floats:
 def _spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
     """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
-    Each with white noise from zero to a third below: a load cell has both, and a pure first-order
-    process fitted to both is too fast and too small.
+    White noise is added in shares from zero to a third: a load cell has both kinds, and the fit of
+    a pure first-order process would have too short a correlation time and too small a variance.
     """
     factors = np.append(0.0, np.exp(-1.0 / grid.times))
     spectra = compute_autoregressive_spectra(factors, np.pi * np.arange(terms) / count)
-    # Mirror images rise with frequency. Without them white noise would be at the edge of the grid,
-    # and its intervals would be too wide.
+    # Mirrored spectra rise with frequency. Without them white noise would be at the edge of the
+    # grid, and its intervals would be too wide.
     mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _WHITE_FLOORS]
     return np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
 

@@ -1,4 +1,4 @@
-"""Extractors of numbers from a curve and its replicates.
+"""Extraction of numbers from a curve and its replicates.
 
 A number is a function of a curve. Its samples (windows, turns, the failure) are chosen once, on one
 curve; the number is then computed for all replicates at once.
@@ -19,7 +19,7 @@ from labpipe.records.estimates import Failure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A curve that numbers are read from, or its replicates.
+    """A curve, or replicates of it, from which numbers are computed.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ class Trace:
     displacement, force : shape (..., n), m, N; NaN where unknown
     branches : in samples of the curve
     failed_at : sample of the failure, or None
-    sizes : m (an area m^2), of specimen and rig by the keys of the protocol
+    sizes : m (an area m^2), of specimen and rig, by key of the protocol
     steps_beyond : time from the last sample before a failure or turn to it, in sampling steps
-    steps : parts that each sampling step has been divided into
+    steps : number of parts of each original sampling step
     """
 
     time: Floats
@@ -47,8 +47,8 @@ class Trace:
         Parameters
         ----------
         times : parts per step, at least 1
-        has_corners : whether the steps before and after each step are extended to where they
-            meet in it, instead
+        has_corners : whether, instead, the neighbouring steps are extended to their intersection
+            in the divided step
         """
         if times == 1:
             return self
@@ -96,12 +96,12 @@ def _beyond_chords(values: Floats, times: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """How numbers are read, with their samples chosen.
+    """Functions that compute numbers from chosen samples.
 
     Parameters
     ----------
     numbers : returns each number of a trace with the same samples, shape (...) of the curves; NaN
-        where a curve has none
+        for a curve without the number
     n : number of samples used
     noisy_numbers : the same for curves with noise, if noise changes which samples are read, else
         None
@@ -127,13 +127,13 @@ class Reading:
 
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
-"""Chooses, on one curve, the samples that numbers are read from; or says why there are none."""
+"""Chooses the samples of numbers on one curve; or returns why they are not available."""
 
 
 def read_part(
     function: Callable[[Floats, Floats], Floats], part: Samples | tuple[slice, Samples]
 ) -> Callable[[Trace], tuple[Floats]]:
-    """Return a number of traces from displacement and force of a part of them.
+    """Make a function that computes a number from a part of a trace.
 
     Parameters
     ----------
@@ -157,11 +157,11 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
     Parameters
     ----------
     function : of a trace and of the first number of each part
-    parts : numbers that it depends on
+    parts : numbers on which it depends
 
     Returns
     -------
-    A reading, or the first failure of a part.
+    Returns a reading, or the first failure of a part.
     """
 
     def decide(trace: Trace) -> Reading | Failure:
@@ -181,7 +181,7 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
             )
 
         is_cut = all(reading.ends_at_samples for reading in readings)
-        has_noise = any(reading.depends_on_corners for reading in readings)
-        return Reading(numbers, readings[0].n, drawn, is_cut, has_noise)
+        has_corners = any(reading.depends_on_corners for reading in readings)
+        return Reading(numbers, readings[0].n, drawn, is_cut, has_corners)
 
     return decide

@@ -1,13 +1,13 @@
 """Value, estimate, 95 % interval and budget of a number, from replicates of the curve.
 
-The recipe of JCGM 101:2008 (GUM supplement 1). With T the number of a curve,
+The method of JCGM 101:2008 (GUM supplement 1). With T the number of a curve,
 
-delta_r = T(smooth + noise_r, filtered) - T(smooth) + sum over inputs i of what a draw z_ir changes,
+delta_r = T(smooth + noise_r, filtered) - T(smooth) + sum over inputs i of the change by a draw
+z_ir,
 
-and the interval is [value - 97.5 % quantile of delta, value - 2.5 % quantile], with the value: what
-the number of the measured curve may be off, reversed. It includes the bias of T in noise: the
-largest of many noisy samples is above the largest true value. `estimate` is the value less the mean
-of delta.
+and the interval is [value - 97.5 % quantile of delta, value - 2.5 % quantile], widened to contain
+the value. It includes the bias of T from noise: the largest of many noisy samples is above the
+largest true value. `estimate` is the value minus the mean of delta.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from labpipe.uncertainty.replicates import Curves, Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
 _BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
-"""The effect of finer samples is known from a curve that is smoother or rougher than the true one:
-the true effect is between -1/2 and 3/2 of it."""
+"""The effect of finer samples is computed on a curve that is smoother or rougher than the true one:
+the true effect is taken between -1/2 and 3/2 of it."""
 _CORNERS = Input(STEP, lambda trace, _: trace, law="uniform", stream="corners between samples")
 
 
@@ -41,7 +41,7 @@ class Measured:
 
     Parameters
     ----------
-    value : the plain number of the measured curve
+    value : number of the measured curve
     deviations : shape (replicates,), error of the number of each replicate, in its unit; NaN where
         a replicate has none
     budget : contributions to the uncertainty
@@ -74,7 +74,7 @@ class Measured:
     def interval(self) -> Interval:
         """Return the 95 % interval, widened to contain the value.
 
-        The largest of many noisy samples and the last one before a break are outside otherwise.
+        Otherwise the largest of many noisy samples, or the last one before a break, may be outside.
         """
         low, high = np.nanquantile(self.deviations, _QUANTILES_95).tolist()
         return Interval(self.value - max(high, 0.0), self.value - min(low, 0.0))
@@ -89,7 +89,7 @@ def measure_numbers(
     ----------
     replicates : of the curve
     decide : chooses the samples of the numbers
-    values : the numbers, if they are read from more samples than the curve has
+    values : the numbers, if they were computed from more samples than the curve has
 
     Returns
     -------
@@ -115,7 +115,7 @@ def measure_numbers(
     between, spread_between = _between_samples(replicates, reading, smooth)
     off = noise - between
     parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
-    handed = list[tuple[Floats, Reason]]()
+    input_doubts = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.compute_change(quantity, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
@@ -124,14 +124,14 @@ def measure_numbers(
         z = replicates.draw_input(quantity)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
-        handed += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
+        input_doubts += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
     lost = float(np.isnan(off).any(axis=0).mean())
     not_repeatable = Reason.of("uncertainty.not_repeatable", lost=lost)
     if lost >= 0.5:
         return not_repeatable
     if lost > 0.05:
         doubts.append(("", not_repeatable))
-    about_noise = tuple(_slow_noise_doubts(replicates, plain.n))
+    noise_doubts = tuple(_slow_noise_doubts(replicates, plain.n))
     spread, slight = np.nanstd(noise, axis=1), slight_share * np.abs(values)
     matters = spread > np.maximum(slight, small_uncertainty_share * np.nanstd(off, axis=1))
     return tuple(
@@ -143,8 +143,8 @@ def measure_numbers(
             (
                 *doubts,
                 *_interval_doubts(value, off[row]),
-                *(about_noise if matters[row] else ()),
-                *(("", reason) for by, reason in handed if by[row] > slight[row]),
+                *(noise_doubts if matters[row] else ()),
+                *(("", reason) for by, reason in input_doubts if by[row] > slight[row]),
             ),
         )
         for row, value in enumerate(values)
@@ -187,7 +187,7 @@ def _between_samples(
 def _decide_on_smooth(
     replicates: Replicates, decide: Decide, reading: Reading
 ) -> Reading | Failure:
-    """Decide on the smooth curve; if it just misses a limit, use the measured samples."""
+    """Choose the samples on the smooth curve; if that fails, on the measured one."""
     plain = decide(replicates.smooth)
     if isinstance(plain, Reading):
         return plain
@@ -202,8 +202,8 @@ def _decide_on_smooth(
 def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
     """Yield doubts about an interval without width, or far from its value.
 
-    The largest of many noisy samples is outside, too, by a part of the noise: the estimate accounts
-    for that.
+    The largest of many noisy samples is outside by a part of the noise only, which the estimate
+    corrects.
     """
     if not np.nanmax(off) > np.nanmin(off):
         yield "", Reason.of("uncertainty.no_width")
@@ -214,7 +214,7 @@ def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
 
 
 def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
-    """Yield why an interval from so many samples may be too narrow."""
+    """Yield reasons why the interval of a number of `count` samples may be too narrow."""
     # Largest correlation time, as a share of the samples of a number,
     max_window_share = 0.4
     # as a share of the samples of the record,
@@ -240,16 +240,16 @@ def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str
 class SmoothNumbers:
     """Numbers of a curve without noise, on its samples and on finer ones.
 
-    Windows end at samples. With a few hundred samples, numbers jump when an input moves a sample
-    across the end of its window, and miss the part between the last sample and that end. Finer
-    samples of the same curve avoid both.
+    Windows end at samples. With a few hundred samples, a number jumps if an input moves a sample
+    across the end of its window, and the part between the last sample and that end is missing.
+    Finer samples of the same curve avoid both.
 
     Parameters
     ----------
     decide : chooses the samples of the numbers
     trace, reading, numbers : the curve, its reading, and its numbers
     fine, fine_reading, fine_numbers : the same for the finer curve
-    curves : made before, by input, its change, and parts per sampling step
+    curves : cache, by input, its change, and parts per sampling step
     """
 
     decide: Decide
@@ -265,7 +265,7 @@ class SmoothNumbers:
     def of(
         cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
     ) -> SmoothNumbers:
-        """Decide again on finer samples, if only the sampling cuts its windows."""
+        """Choose the samples again on finer samples, if windows end at samples."""
         times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.ends_at_samples else 1
         plain = trace, reading, _numbers_of(reading, trace)
         smooth = cls(decide, *plain, *plain, {} if curves is None else curves)

@@ -1,8 +1,8 @@
-"""Model of the noise of a signal, estimated from short pieces, and draws from it.
+"""Model of the noise of a signal, estimated from short pieces, and random records from it.
 
-The noise of a load cell, a controller or a specimen is correlated over tenths of a second, as long
-as a window of a test may be. The correlation can then not be estimated and taken as exact: each
-replicate also draws the process, by its probability.
+The noise of a load cell, a controller or a specimen is correlated over tenths of a second, which
+may be as long as a window of a test. The estimated correlation is then uncertain: each replicate
+also draws the noise process by its probability.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ from labpipe.uncertainty.autocorrelation import (
 )
 
 _PIECES_PER_BRANCH = 12
-"""Pieces of the longest branch: with 8, the curve counts as noise, and intervals are 3 to 5 times
+"""Pieces of the longest branch. With 8, residuals contain the curve, and intervals are 3 to 5 times
 too wide."""
 _MIN_PIECE_SAMPLES, MIN_NOISE_SAMPLES = 50, 5
 """Samples of a piece of a long record, and of the shortest record that has noise."""
 SHORT_RECORD_SAMPLES = 150
-"""Samples of the longest branch up to which a record is judged by polynomials through it."""
+"""Samples of the longest branch up to which polynomials are fitted to a whole record."""
 _HALF_WAVES = 48
-"""Half waves of a piece that the noise is estimated from: with 128, hum looks like correlation."""
+"""Half waves of a piece for the estimate of the noise: with 128, hum would count as correlation."""
 _POLYNOMIAL_COLUMNS = 6
-"""Columns of the polynomial removed from a piece: degree five."""
+"""Columns of the polynomial that is removed from a piece: degree five."""
 _CORNER_VARIANCE_RATIO = 4.0
-"""A piece with more than this multiple of the median variance has a corner or step of the curve."""
+"""A piece with more than this multiple of the median variance contains a corner or a step."""
 _FLICKER_POWERS, _FLICKER_CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Powers of the frequency of flicker noise; rad per sample at which white noise is as large."""
 _MIN_OWN_WAVES, _BAND_WAVES = 256, 16
-"""Half waves over a branch above which the power of the record itself is used, in bands."""
+"""Half waves over a branch above which the power of the record is used; half waves of its bands."""
 _MARGIN_TIMES = 12
-"""Correlation times after which the end of a drawn record is independent of its start."""
+"""Correlation times after which samples of a drawn record count as independent."""
 _BATCH_RECORDS = 10
-"""Records that are drawn at once: they fit into the cache."""
+"""Records that are drawn at once, so that they fit into the cache."""
 _ROUNDING_SHARE = 1e-9
 """Share of the range of a signal below which residuals are rounding, not noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Processes:
-    """First-order autoregressive noise of many correlation times, with and without white noise.
+    """Candidate processes: autoregressive noise with and without white noise, and flicker noise.
 
-    And flicker noise, whose power rises with a power of the period, up to that of the record.
+    The power of flicker noise rises with a power of the period, up to the length of the record.
 
     factor, floor, is_mirrored, prior, time, steep : shape (g,)
     crossing : shape (g,), rad per sample, where white noise is as large as flicker noise
@@ -86,7 +86,7 @@ def _processes(longest: int, count: int) -> _Processes:
     """Return the processes for a record with `count` samples, `longest` in its longest branch."""
     n_times = 24
     shortest_time = 0.4
-    # White noise below correlated noise, as shares of the spectrum at frequency zero.
+    # White noise in addition to correlated noise, as shares of the spectrum at frequency zero.
     white_floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
     prior_power = -0.4
     # Longest correlation time, as a share of the longest branch. A record of fewer than a dozen
@@ -125,7 +125,7 @@ def _processes(longest: int, count: int) -> _Processes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseModel:
-    """Probable processes of the noise of a signal.
+    """Noise of a signal as a mixture of processes.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ class NoiseModel:
     def correlation_time(self) -> float:
         """Return the mean correlation time, samples.
 
-        Half the power at frequency zero over the variance: less for more white noise below, and one
-        half for white noise alone.
+        Half the power at frequency zero over the variance: one half for white noise. Added white
+        noise reduces it.
         """
         processes = _processes(self.longest, self.count)
         slow = (1.0 - processes.factor) / (1.0 + processes.factor)
@@ -166,7 +166,7 @@ class NoiseModel:
         return not self.squares.any()
 
     def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:
-        """Draw noise of a record.
+        """Draw random noise of a record.
 
         Parameters
         ----------
@@ -463,7 +463,7 @@ def _replace_corner_power(
 
 
 def _fast_wave_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the power of fast waves of all branches in bands: angles per sample, power."""
+    """Return the power of fast waves of all branches in bands: angles per sample, and power."""
     residual_pieces = [
         branch - curve
         for branch, curve in zip(branches, smooth, strict=True)
@@ -487,7 +487,7 @@ def _fast_wave_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tu
 
 
 class Piece(NamedTuple):
-    """Samples of a record that one polynomial follows, and its degree."""
+    """Samples of a record with one polynomial, and its degree."""
 
     start: int
     stop: int
@@ -599,11 +599,11 @@ def _slopes(count: int, degree: int) -> Floats:
 
 
 MODES = 3
-"""They contain 93 % of the variance of a random walk."""
+"""Modes of a zero drift: they contain 93 % of the variance of a random walk."""
 
 
 def compute_drift_modes(times: Floats, by: float) -> list[Floats]:
-    """Return the modes of a zero drift, each for its own standard normal draw.
+    """Compute the modes of a zero drift, each with an independent standard normal draw.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)
     (Karhunen-Loeve; M. Loeve, Probability Theory II, 4th ed., 1978). They are scaled so that the

@@ -1,9 +1,9 @@
-"""Replicates of a measured curve: its smooth curve with newly drawn noise.
+"""Replicates of a measured curve: its smooth curve with random noise.
 
-JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is its spread over draws of everything
-that it depends on. The noise of the signals is drawn as records; an input that is the same for the
-whole record (a gain, a zero, an offset) is one draw per record, and its effect is computed once, on
-the smooth curve.
+JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is its spread over draws of all
+quantities on which it depends. The noise of the signals is drawn as records; an input that is the
+same for the whole record (a gain, a zero, an offset) is one draw per record, and its effect is
+computed once, on the smooth curve.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class Input:
 
     Parameters
     ----------
-    cause : such as ``gain of the load cell``
+    cause : a key of `labpipe.records.causes.IS_COMMON`
     perturb : returns a trace with the input changed by a number of standard uncertainties
     law : its distribution
     moves_curve : whether it changes the curve, so that windows are chosen again
     draws : shape (replicates,), in standard uncertainties, if the input was drawn before
     stream : name of its random stream; the cause if empty
-    doubts : why its uncertainty, and that of numbers that depend on it, may be wrong
+    doubts : reasons why its uncertainty, and that of dependent numbers, may be wrong
     """
 
     cause: str
@@ -81,14 +81,14 @@ class Replicates:
 
     Parameters
     ----------
-    measured : the curve that numbers are read from
+    measured : curve from which numbers are computed
     blocks : the same on the samples of `smooth`
-    smooth : the curve without noise and filters, perhaps on fewer samples
+    smooth : the curve without noise and filters, possibly on fewer samples
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : further uncertain inputs
     seed : of all draws
     noises : noise models of force and displacement, for those that have noise
-    curves : made from `smooth` so far
+    curves : cache of curves made from `smooth`
     """
 
     measured: Trace
@@ -156,7 +156,7 @@ class Replicates:
 
 
 def make_generator(seed: bytes, name: str) -> np.random.Generator:
-    """Make the random generator of a name, the same for the same record.
+    """Make a random generator that depends only on seed and name.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def count_spline_intervals(trace: Trace) -> int:
     ----------
     trace : the record; one with several branches is cyclic
     """
-    # With 40 intervals, a tensile curve follows slow noise.
+    # With 40 intervals, the spline of a tensile curve would follow slow noise.
     return 40 if len(trace.branches) > 1 else 12
 
 
@@ -195,7 +195,7 @@ def fit_smooth_curve(
     cuts : samples at which a new piece begins: turns, slips, the failure
     parts : largest number of intervals per piece
     broken : the cut at which the curve may jump; at all others the pieces are joined
-    branches : branches with motion; None if there is motion all the time
+    branches : branches with motion; None if the whole record is in motion
 
     Returns
     -------
@@ -215,17 +215,17 @@ def fit_smooth_curve(
             smooth[low:high][is_finite] = _straight_line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
-        rests = branches is not None and not any(x.start <= low < x.stop for x in branches)
-        if len(y) <= SHORT_RECORD_SAMPLES and not rests:
+        is_rest = branches is not None and not any(x.start <= low < x.stop for x in branches)
+        if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
             smooth[low:high][is_finite] = _polynomials(x, y)
             continue
         min_samples, max_pieces = (
-            (min_rest_samples, max_rest_intervals) if rests else (_MIN_INTERVAL_SAMPLES, parts)
+            (min_rest_samples, max_rest_intervals) if is_rest else (_MIN_INTERVAL_SAMPLES, parts)
         )
         count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
-        is_constant = rests and _is_constant(y, curve, count + _SPLINE_DEGREE)
+        is_constant = is_rest and _is_constant(y, curve, count + _SPLINE_DEGREE)
         smooth[low:high][is_finite] = y.mean() if is_constant else curve
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
@@ -306,7 +306,7 @@ def draw_replicates(
 
     Parameters
     ----------
-    measured : the curve that numbers are read from
+    measured : curve from which numbers are computed
     unfiltered : the same without filters, on at most about 20 000 samples
     cuts : samples of `unfiltered` at which a new piece begins
     filters : filters of the protocol for displacements and for forces (..., n)
@@ -323,7 +323,7 @@ def draw_replicates(
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
-    for name, act in zip(("displacement", "force"), filters, strict=True):
+    for name, function in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = fit_smooth_curve(
             time, values, cuts, parts, broken=failed, branches=unfiltered.branches
@@ -336,7 +336,7 @@ def draw_replicates(
             if noise.is_zero
             else noise.draw(len(time), N_REPLICATES, make_generator(seed, name))
         )
-        drawn.append(_noisy_and_filtered(curve, record_noise, act))
+        drawn.append(_noisy_and_filtered(curve, record_noise, function))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = drawn
@@ -351,14 +351,14 @@ def draw_replicates(
     return replace(replicates, noises=noises)
 
 
-def _noisy_and_filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
+def _noisy_and_filtered(curve: Floats, noise: Singles | None, function: Filter) -> Floats:
     """Add noise to a curve and filter it, in batches: shape (replicates, n)."""
     if noise is None:
-        return np.broadcast_to(act(curve[None]), (N_REPLICATES, len(curve)))
+        return np.broadcast_to(function(curve[None]), (N_REPLICATES, len(curve)))
     filtered = np.empty(noise.shape)
     for first in range(0, len(noise), _BATCH_REPLICATES):
         rows = slice(first, first + _BATCH_REPLICATES)
-        filtered[rows] = act(curve + noise[rows])
+        filtered[rows] = function(curve + noise[rows])
     return filtered
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.protocol.load import dump_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult
@@ -30,7 +30,7 @@ def bent_bundle() -> TestResult:
     law = replace(law, wires=(("B1", 7),), locking=1.0)
     branches = [np.linspace(start, stop, _POINTS) for start, stop in pairwise(_TURNS)]
     deflection = np.concatenate(branches)
-    force = end_load_path(law.law(), LENGTH, deflection).load
+    force = compute_end_load_path(law.law(), LENGTH, deflection).load
     number = np.repeat(np.arange(len(branches)), _POINTS)
     kink = law.slip_curvature * LENGTH**2 / 3.0
     rising = slice(0, _POINTS)

@@ -13,8 +13,8 @@ from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_travel,
     bend_under_force,
-    shape_of,
-    straight,
+    compute_shape,
+    make_straight,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
@@ -30,7 +30,7 @@ NO_ERRORS = BendingErrors(force_noise=0.0, force_zero=0.0, force_scale=0.0, offs
 
 def pulled(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShape]:
     """Shapes of a wire that hangs under the counterweight, the string just slack, and is pulled."""
-    start = bend_under_force(law, straight(law, 48), LENGTH, np.array([0.0, -WEIGHT]))
+    start = bend_under_force(law, make_straight(law, 48), LENGTH, np.array([0.0, -WEIGHT]))
     tip = (float(start.x[-1]), float(start.y[-1]))
     level = StringRig(STRING, WEIGHT, LENGTH, STRING)
     rig = replace(level, anchor_height=STRING + level.travel_to_taut_string(*tip))
@@ -47,7 +47,7 @@ HEAVY = 0.3
 
 def lifted(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShape]:
     """Shapes of a wire that weighs `HEAVY`, lies level at rest, and is pulled by its string."""
-    shapes, state = [], straight(law, 48, self_weight=HEAVY)
+    shapes, state = [], make_straight(law, 48, self_weight=HEAVY)
     rig = StringRig(STRING, WEIGHT, LENGTH, STRING)
     for at in np.linspace(0.0, travel, frames):
         shapes.append(bend_to_travel(law, state, LENGTH, rig, float(at)))
@@ -57,8 +57,8 @@ def lifted(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShap
 
 def loaded(law: MomentLaw, *, force: float, frames: int) -> list[CantileverShape]:
     """Shapes of a straight wire under a growing end load normal to the clamped axis."""
-    shapes, state = [], straight(law, 48)
-    shapes.append(shape_of(law, state, LENGTH))
+    shapes, state = [], make_straight(law, 48)
+    shapes.append(compute_shape(law, state, LENGTH))
     for load in np.linspace(0.0, force, frames)[1:]:
         shapes.append(bend_under_force(law, state, LENGTH, np.array([0.0, float(load)])))
         state = shapes[-1].state

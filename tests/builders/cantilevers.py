@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import MomentLaw, stick_slip_law
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, straight
+from labpipe.mechanics.law.plays import MomentLaw, make_stick_slip_law
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, make_straight
 from labpipe.records.arrays import Floats
 
 LENGTH = 0.085
-WIRE = stick_slip_law(
+WIRE = make_stick_slip_law(
     stick_stiffness=5e-3,
     stick_moment=0.002,
     slip_stiffness=5e-3,
@@ -20,7 +20,7 @@ WIRE = stick_slip_law(
 
 
 def by_stations(law: MomentLaw, deflections: Floats) -> Floats:
-    state, loads = straight(law, 64), []
+    state, loads = make_straight(law, 64), []
     for deflection in deflections:
         shape = bend_to_deflection(law, state, LENGTH, float(deflection))
         state = shape.state

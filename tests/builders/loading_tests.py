@@ -12,17 +12,17 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from labpipe.mechanics.law.plays import MomentLaw
-from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
     bend_to_travel,
-    straight,
+    make_straight,
 )
-from labpipe.mechanics.wire.cross_section import CrossSection, hexagonal
-from labpipe.mechanics.wire.friction import insulated
+from labpipe.mechanics.wire.cross_section import CrossSection, place_hexagon
+from labpipe.mechanics.wire.friction import make_contacts
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.records.arrays import Floats
 from tests.builders.stranded_wires import WIRES, layers_of, tube
@@ -41,25 +41,25 @@ def rig_of(length: float) -> StringRig:
 
 def section_of(name: str, modulus: float = MODULUS, scale: float = SCALE) -> CrossSection:
     copper = RambergOsgood(110e9, 530e6 * scale, 0.44)
-    return hexagonal(layers_of(name, copper), tube(WIRES[name][0], modulus=modulus))
+    return place_hexagon(layers_of(name, copper), tube(WIRES[name][0], modulus=modulus))
 
 
 def wire_of(name: str, phi: float = PHI, modulus: float = MODULUS, scale: float = SCALE) -> Wire:
     section = section_of(name, modulus, scale)
     rings = len(section.layers) - 1
     radial = phi / (MU_S + MU_P)
-    return Wire(section, insulated(rings, strand=MU_S, insulation=MU_P, radial_force=radial))
+    return Wire(section, make_contacts(rings, strand=MU_S, insulation=MU_P, radial_force=radial))
 
 
 def law_of(wire: Wire, n_plays: int = 200) -> MomentLaw:
-    return play_law(wire.section, wire.contacts, largest_curvature=80.0, n_plays=n_plays)
+    return fit_play_law(wire.section, wire.contacts, largest_curvature=80.0, n_plays=n_plays)
 
 
 @lru_cache
 def exact_curve(name: str, length: float, *, has_string: bool = True) -> CubicSpline:
     """Force over deflection of the wire as made, N and m."""
     law = law_of(wire_of(name))
-    state, rig = straight(law), rig_of(length)
+    state, rig = make_straight(law), rig_of(length)
     deflections, forces = [0.0], [0.0]
     for goal in 1.06 * DEEPEST * np.linspace(0.0, 1.0, 50)[1:] ** 1.6:
         if has_string:

@@ -8,12 +8,12 @@ from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
-    concentric,
-    hexagonal,
     lay_up,
+    place_hexagon,
+    place_rings,
 )
-from labpipe.mechanics.wire.friction import Contacts, insulated
-from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.friction import Contacts, make_contacts
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material, StressTable
 
 LAYS = {7: (12.0,), 19: (12.0, -15.0), 37: (12.0, -15.0, 12.0)}
 WIRES = {
@@ -44,17 +44,17 @@ def layers_of(
 def wire(
     name: str, material: Material = ANNEALED_COPPER, *, mirrored: bool = False
 ) -> CrossSection:
-    return hexagonal(layers_of(name, material, mirrored=mirrored), tube(WIRES[name][0]))
+    return place_hexagon(layers_of(name, material, mirrored=mirrored), tube(WIRES[name][0]))
 
 
 def contacts_of(section: CrossSection, radial_force: float = 0.15) -> Contacts:
     rings = len(section.layers) - 1
-    return insulated(rings, strand=0.21, insulation=0.10, radial_force=radial_force)
+    return make_contacts(rings, strand=0.21, insulation=0.10, radial_force=radial_force)
 
 
 def cardinal() -> CrossSection:
     """ACSR Cardinal: steel 1 + 6, aluminium 12 + 18 + 24."""
-    steel, aluminium = Elastic(207e9), Elastic(68e9)
+    steel, aluminium = elastic(207e9), elastic(68e9)
     rings = [
         (1, 3.34e-3, 0.0, steel),
         (6, 3.34e-3, 5.695, steel),
@@ -62,9 +62,17 @@ def cardinal() -> CrossSection:
         (18, 3.32e-3, -11.708, aluminium),
         (24, 3.32e-3, 13.103, aluminium),
     ]
-    return concentric(
+    return place_rings(
         tuple(
             Layer(count, diameter, float(np.radians(angle)), material, 0.3)
             for count, diameter, angle, material in rings
         )
     )
+
+
+def elastic(modulus: float) -> StressTable:
+    return StressTable((1e3,), (1e3 * modulus,))
+
+
+def perfectly_plastic(modulus: float, yield_stress: float) -> StressTable:
+    return StressTable((yield_stress / modulus, 1e3), (yield_stress, yield_stress))

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.mechanics.law.loss_card import COUNTS, LossCard, card_of
+from labpipe.mechanics.law.loss_card import SLIDER_COUNTS, LossCard, make_loss_card
 from labpipe.mechanics.law.sliders import fit_sliders
 from labpipe.mechanics.wire.wire_table import wire_table as table_of
 from labpipe.records.arrays import Floats
@@ -43,11 +43,11 @@ def loss_card(
     *,
     first: float = 0.0,
     last: float = np.inf,
-    counts: tuple[int, ...] = COUNTS,
+    counts: tuple[int, ...] = SLIDER_COUNTS,
 ) -> LossCard:
     """What a law loses between two curvatures."""
     laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
-    return card_of(curvature, moment, laws)
+    return make_loss_card(curvature, moment, laws)
 
 
 def told(table: WireTable) -> list[QualityNote]:

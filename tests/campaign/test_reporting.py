@@ -145,7 +145,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     assert by_cure.by == ("cured",)
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
-    assert none.notes[0].message == "the test sheets of these samples do not say cured"
+    assert none.notes[0].message == "the test sheets of these samples do not state cured"
     asked = [difference.fields for difference in by_cure.differences if difference.single_field]
     assert asked == [{"cured": ("24 h", "48 h")}] * 2
     other = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}

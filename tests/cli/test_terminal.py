@@ -21,9 +21,9 @@ from labpipe.cli.terminal import show_completed
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.mechanics.studies.calibration_study import Calibrated
 from labpipe.mechanics.studies.first_loadings import FirstLoading
-from labpipe.mechanics.studies.validation import compare
+from labpipe.mechanics.studies.validation import compare_tests
 from labpipe.mechanics.studies.wire_models import ModelledWires
-from labpipe.mechanics.wire.bundle_model import bundle_model
+from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
@@ -136,7 +136,7 @@ def test_invalid_bore_is_refused(run: Run, tmp_path: Path, bore: str) -> None:
 
 def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) -> list[str]:
     made = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
-    model = bundle_model(made, example_wires())
+    model = compute_bundle_model(made, example_wires())
     return format_bundle(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
 
 
@@ -146,7 +146,7 @@ def done() -> Calibrated:
     found = calibrate(wire_of("A2"), curves, Settings())
     assert isinstance(found, Calibration)
     loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
-    groups = compare(found, {"A2": wire_of("A2")}, loadings)
+    groups = compare_tests(found, {"A2": wire_of("A2")}, loadings)
     return Calibrated(Path("processed/calibration"), found, groups, {}, ())
 
 

@@ -10,28 +10,28 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.rod.bands import LineBands, bands_of
+from labpipe.mechanics.rod.bands import LineBands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
-    calibrated_distributions,
+    build_calibrated_distributions,
+    build_stated_distribution,
     join_distributions,
-    stated_distribution,
 )
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.response import Band
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.prediction import tested_curvature
+from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
     LawFamily,
-    family_of,
+    make_law_family,
 )
-from labpipe.mechanics.wire.wire_table import build, mass_per_length
+from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.units import GRAVITY
@@ -86,7 +86,7 @@ def spec_of(name: str) -> WireSpec:
 def wire_of(name: str) -> Wire:
     """The same, to be calibrated."""
     spec = spec_of(name)
-    built = build(spec)
+    built = build_wire(spec)
     weight = GRAVITY * mass_per_length(spec, built.section)
     return Wire(built.section, built.contacts, self_weight=weight)
 
@@ -132,13 +132,13 @@ def known_of(seed: int) -> KnownFacts:
     if not isinstance(found, Calibration):
         message = f"{found.code}: {found.message}"
         raise RuntimeError(message)
-    return KnownFacts(found, tested_curvature(wire, found.solutions[0].values, curves[:1]))
+    return KnownFacts(found, find_tested_curvature(wire, found.solutions[0].values, curves[:1]))
 
 
 def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
-        stated_distribution(
+        build_stated_distribution(
             _INPUTS.get(name, name),
             deviation,
             freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
@@ -147,7 +147,9 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
         for name, deviation in drawn.stated.items()
         if name != "specimen"
     ]
-    calibrated = calibrated_distributions(found.solutions, found.widening, specimen=LAW_FACTOR)
+    calibrated = build_calibrated_distributions(
+        found.solutions, found.widening, specimen=LAW_FACTOR
+    )
     return tuple(join_distributions([each, *stated]) for each in calibrated)
 
 
@@ -172,8 +174,11 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
         for solution in what.calibration.solutions
         if solution.is_allowed
     ]
-    return bands_of(
-        [partial(path_of, kind, drawn, family_of(spec_of(drawn.wire), own)) for own in values],
+    return predict_line_bands(
+        [
+            partial(path_of, kind, drawn, make_law_family(spec_of(drawn.wire), own))
+            for own in values
+        ],
         beliefs_of(kind, drawn, what.calibration),
         steps=(held_at(kind), -1),
         tested_curvature=what.tested_curvature,
@@ -222,7 +227,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
         failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    truth = true_line(kind, drawn, family_of(spec_of(drawn.wire)).at({}).torsional_stiffness)
+    truth = true_line(kind, drawn, make_law_family(spec_of(drawn.wire)).at({}).torsional_stiffness)
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}

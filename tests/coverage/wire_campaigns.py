@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.prediction import predict
-from labpipe.mechanics.wire.cantilever import StringRig, bend_to_travel, straight
-from labpipe.mechanics.wire.cross_section import Insulation, compressed, hexagonal, lay_up
-from labpipe.mechanics.wire.friction import insulated
+from labpipe.mechanics.wire.cantilever import StringRig, bend_to_travel, make_straight
+from labpipe.mechanics.wire.cross_section import Insulation, lay_up, place_hexagon, place_sectors
+from labpipe.mechanics.wire.friction import make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS, CalibratedParameter, Calibration
@@ -100,9 +100,11 @@ def wire_of(name: str) -> Wire:
     lays = [float(np.radians(lay)) for lay in build.lays]
     layers = lay_up(build.strands, build.strand, lays, ANNEALED_COPPER)
     tube = Insulation(build.diameter / 2.0 - build.wall, build.wall, TRUTH.modulus)
-    section = (compressed if build.is_compressed else hexagonal)(layers, tube)
+    section = (place_sectors if build.is_compressed else place_hexagon)(layers, tube)
     radial = TRUTH.friction / (TRUTH.strand + TRUTH.tube)
-    contacts = insulated(len(lays), strand=TRUTH.strand, insulation=TRUTH.tube, radial_force=radial)
+    contacts = make_contacts(
+        len(lays), strand=TRUTH.strand, insulation=TRUTH.tube, radial_force=radial
+    )
     return Wire(section, contacts, self_weight=foreign.weight_of(build))
 
 
@@ -126,8 +128,8 @@ def true_curve(model: str, wire: str, length: int, at: tuple[float, ...]) -> Pch
         bent = foreign.loading(wire, long, TRUTH, goals=tuple(goal for goal in goals if goal > 0.0))
         return PchipInterpolator(bent.deflection, bent.force)
     made, rig = wire_of(wire), rig_of(long)
-    law = play_law(made.section, made.contacts, largest_curvature=80.0, n_plays=200)
-    state = straight(law, self_weight=made.self_weight)
+    law = fit_play_law(made.section, made.contacts, largest_curvature=80.0, n_plays=200)
+    state = make_straight(law, self_weight=made.self_weight)
     rest = bend_to_travel(law, state, long, rig, 0.0)
     deflections, forces, state = [0.0], [0.0], rest.state
     for goal in goals:  # travel is a little more than deflection, and later much more

@@ -10,13 +10,13 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 
-from labpipe.mechanics.decks.deck_law import linear_range
-from labpipe.mechanics.decks.mujoco import mujoco_deck
-from labpipe.mechanics.decks.mujoco_line import line_deck
+from labpipe.mechanics.decks.deck_law import find_linear_range
+from labpipe.mechanics.decks.mujoco import write_mujoco_deck
+from labpipe.mechanics.decks.mujoco_line import write_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_section import material_of
+from labpipe.mechanics.studies.harness_section import read_material
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
@@ -46,10 +46,10 @@ def test_a_small_load_bends_the_cable_as_the_wire_model_says(
 ) -> None:
     table = wire_table(name)
     stiffness = table.stick_stiffness
-    close = linear_range(table, stiffness)
+    close = find_linear_range(table, stiffness)
     assert close is not None
     load = 0.5 * close[1] * stiffness / length
-    tip, _ = outcome_of_call(mujoco_deck(table, length=length, edges=edges), load)
+    tip, _ = outcome_of_call(write_mujoco_deck(table, length=length, edges=edges), load)
     assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
     # up to there, it is the wire itself that bends so
     assert load * length < np.interp(close[1], table.curvature, table.moment)
@@ -65,7 +65,9 @@ def test_a_large_load_bends_it_along_the_elastica(edges: int) -> None:
         (2.0, 0.493457, 2e-3),
     ):
         load = alpha * 1.2e-3 / LENGTH**2
-        deck = mujoco_deck(replace(table, mass_per_length=mass), stiffness=1.2e-3, edges=edges)
+        deck = write_mujoco_deck(
+            replace(table, mass_per_length=mass), stiffness=1.2e-3, edges=edges
+        )
         tip, data = outcome_of_call(deck, load)
         assert tip[1] / LENGTH == pytest.approx(deflection, rel=0.005)
         assert tip[2] == pytest.approx(0.0, abs=1e-9)
@@ -77,7 +79,7 @@ def test_a_large_load_bends_it_along_the_elastica(edges: int) -> None:
 
 def test_numbers_of_the_model() -> None:
     table = wire_table("A2")
-    root = Xml.fromstring(mujoco_deck(table))  # our own text
+    root = Xml.fromstring(write_mujoco_deck(table))  # our own text
     flex = root.find("worldbody/flexcomp")
     assert flex is not None
     elasticity = flex.find("elasticity")
@@ -95,9 +97,9 @@ def test_the_stiffness_is_stated_or_the_slope_of_the_law_at_zero() -> None:
     table = wire_table("A2")
     secants = table.secant_stiffness / 5.0
     slipping = replace(table, slip_onsets=np.zeros(1), moment=table.moment / 5.0)
-    text = mujoco_deck(replace(slipping, secant_stiffness=secants))
+    text = write_mujoco_deck(replace(slipping, secant_stiffness=secants))
     assert f"bending stiffness {secants[1]:.6g} N m2 (the slope of the law at zero" in text
-    soft = mujoco_deck(table, stiffness=1e-4)
+    soft = write_mujoco_deck(table, stiffness=1e-4)
     assert "bending stiffness 0.0001 N m2 (as given), nowhere within 5 % of the wire's law" in soft
 
 
@@ -105,7 +107,7 @@ def test_the_stiffness_is_stated_or_the_slope_of_the_law_at_zero() -> None:
 def test_a_name_breaks_nothing_and_the_clamp_is_where_the_deck_says(name: str) -> None:
     import mujoco
 
-    deck = mujoco_deck(replace(wire_table(), name=name), edges=10)
+    deck = write_mujoco_deck(replace(wire_table(), name=name), edges=10)
     model = mujoco.MjModel.from_xml_string(deck)
     assert (model.nflex, model.nflexvert, len(model.flex_vert0)) == (1, 11, 11)
     assert model.flex_radius[0] == pytest.approx(0.8e-3)
@@ -124,13 +126,13 @@ def test_refused() -> None:
         ({"edges": 2}, r"edges=2: must be >= 3"),
     ):
         with pytest.raises(ValueError, match=message):
-            mujoco_deck(wire_table(), **changes)
+            write_mujoco_deck(wire_table(), **changes)
 
 
 def ready(folder: Path, text: str) -> PreparedLine:
     file = written(folder, text)
     harness = load_harness(file)
-    return prepare_line(harness, material_of(harness, file).sections[0]({}), {})
+    return prepare_line(harness, read_material(harness, file).sections[0]({}), {})
 
 
 def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:
@@ -180,7 +182,7 @@ def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
 def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
     """An arch in its plane: within 1.5 % of the length."""
     prepared = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
-    deck = line_deck(prepared.line, prepared.boundaries, title="arch")
+    deck = write_line_deck(prepared.line, prepared.boundaries, title="arch")
     assert moved(deck, 8, 7) == pytest.approx(along_rod(prepared, 8, 7), abs=3e-3)
 
 
@@ -206,7 +208,7 @@ def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path, weight: str, 
     prepared = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
     if weight == "none":
         prepared = replace(prepared, boundaries=prepared.boundaries[:-1])
-    deck = line_deck(prepared.line, prepared.boundaries, title="pushed")
+    deck = write_line_deck(prepared.line, prepared.boundaries, title="pushed")
     assert moved(deck, 16, 7) == pytest.approx(along_rod(prepared, 16, 7), abs=2e-4)
 
 
@@ -216,7 +218,7 @@ def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
     curl = "  spool: {curvature: 5 1/m, towards: [0, 1, 0]}\n"
     prepared = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
     model = mujoco.MjModel.from_xml_string(
-        line_deck(prepared.line, prepared.boundaries, title="curl")
+        write_line_deck(prepared.line, prepared.boundaries, title="curl")
     )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -236,7 +238,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     )
     text = arch().replace("left", "'a \"b\" <c>'").replace("right", "'g,h é'")
     prepared = ready(tmp_path, text.replace("steps:", more))
-    deck = line_deck(prepared.line, prepared.boundaries, title="all -- kinds")
+    deck = write_line_deck(prepared.line, prepared.boundaries, title="all -- kinds")
     root = ET.fromstring(deck)
     names = {part.get("name") for part in root.iter() if part.get("name")}
     assert names >= {
@@ -248,7 +250,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     assert spatial is not None
     assert spatial.get("range") == "0 0.095"
     clip = ready(tmp_path, arch().replace("right", "node_3"))
-    root = ET.fromstring(line_deck(clip.line, clip.boundaries, title="a line"))
+    root = ET.fromstring(write_line_deck(clip.line, clip.boundaries, title="a line"))
     bodies = [body.get("name") for body in root.iter("body")]
     assert "node_3" in bodies
     assert len(set(bodies)) == len(bodies)
@@ -257,7 +259,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
     prepared = ready(tmp_path, arch())
     held = [boundary for boundary in prepared.boundaries if isinstance(boundary, rod.Held)]
-    loose = line_deck(prepared.line, held[1:], title="loose")
-    fixed = line_deck(prepared.line, held, title="fixed")
+    loose = write_line_deck(prepared.line, held[1:], title="loose")
+    fixed = write_line_deck(prepared.line, held, title="fixed")
     assert loose.count("<freejoint />") == 1
     assert "freejoint" not in fixed

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.decks import DECKS
-from labpipe.mechanics.decks.lookup import sliders_csv, sliders_json
-from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.mechanics.law.plays import concave_law
+from labpipe.mechanics.decks.lookup import write_sliders_csv, write_sliders_json
+from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
+from labpipe.mechanics.law.plays import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
@@ -37,19 +37,21 @@ TOWARDS = np.radians([0.0, 11.25, 31.5])
 
 @cache
 def example(name: str) -> WireTable:
-    return wire_table(next(spec for spec in read_wire_sheet(EXAMPLES) if spec.name == name))
+    return wire_table(next(spec for spec in read_wire_sheet(EXAMPLES).specs if spec.name == name))
 
 
 @cache
 def wanted(name: str) -> tuple[Floats, float]:
     """Loads at the deflections, and what is left of the last when the load is gone."""
     table = example(name)
-    law = concave_law(table.curvature[1:], table.moment[1:])
+    law = make_concave_law(table.curvature[1:], table.moment[1:])
     back = np.linspace(0.0499, 0.0005, 200)
-    load = end_load_path(law, LENGTH, np.concatenate([DEFLECTIONS, back])).load[len(DEFLECTIONS) :]
+    load = compute_end_load_path(law, LENGTH, np.concatenate([DEFLECTIONS, back])).load[
+        len(DEFLECTIONS) :
+    ]
     at = int(np.argmax(load <= 0.0))
     left = float(np.interp(0.0, load[at : at - 2 : -1], back[at : at - 2 : -1]))
-    return end_load_path(law, LENGTH, DEFLECTIONS).load, left
+    return compute_end_load_path(law, LENGTH, DEFLECTIONS).load, left
 
 
 @pytest.mark.slow
@@ -65,7 +67,7 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
     In space less than 0.2 mm out of the plane of the load.
     """
     loads, left = wanted(name)
-    write = mujoco_plane_deck if towards is None else mujoco_space_deck
+    write = write_mujoco_plane_deck if towards is None else write_mujoco_space_deck
     turn = towards or 0.0
     places = tips(write(example(name), length=LENGTH), np.append(loads, 0.0), turn)
     along = places @ [0.0, np.cos(turn), np.sin(turn)]
@@ -77,17 +79,17 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
 @pytest.mark.parametrize(
     ("name", "write"),
     [
-        ("C4", mujoco_plane_deck),
+        ("C4", write_mujoco_plane_deck),
         *(
             pytest.param(name, write, marks=pytest.mark.slow)
-            for name, write in product(NAMES, (mujoco_plane_deck, mujoco_space_deck))
-            if (name, write) != ("C4", mujoco_plane_deck)
+            for name, write in product(NAMES, (write_mujoco_plane_deck, write_mujoco_space_deck))
+            if (name, write) != ("C4", write_mujoco_plane_deck)
         ),
     ],
 )
 def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     """The second cycle goes the way of the law's loops: the tip comes back to where it was."""
-    towards = TOWARDS[1] if write is mujoco_space_deck else 0.0
+    towards = TOWARDS[1] if write is write_mujoco_space_deck else 0.0
     along = np.array([0.0, np.cos(towards), np.sin(towards)])
     loads, left = wanted(name)
     half = 0.5 * loads[-1]
@@ -95,11 +97,11 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     places = tips(write(example(name), length=LENGTH), path, towards)
     deflection = places @ along
     table = example(name)
-    law = concave_law(table.curvature[1:], table.moment[1:])
+    law = make_concave_law(table.curvature[1:], table.moment[1:])
     turn = deflection[4]
     ways = [np.linspace(1e-4, turn, 40), np.linspace(turn, left, 80)[1:]]
     ways += [np.linspace(left, turn, 80)[1:], np.linspace(turn, left, 80)[1:]]
-    model = end_load_path(law, LENGTH, np.concatenate(ways))
+    model = compute_end_load_path(law, LENGTH, np.concatenate(ways))
     down, up, again = (model.load[-237:][79 * n : 79 * (n + 1)] for n in range(3))
     assert deflection[4] == pytest.approx(deflection[0], rel=0.005)
     assert deflection[6] == pytest.approx(deflection[2], rel=0.005)
@@ -120,7 +122,8 @@ def _checked(deck: str) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    "write", [mujoco_plane_deck, pytest.param(mujoco_space_deck, marks=pytest.mark.slow)]
+    "write",
+    [write_mujoco_plane_deck, pytest.param(write_mujoco_space_deck, marks=pytest.mark.slow)],
 )
 def test_the_check_of_a_deck(write: Callable[[WireTable], str]) -> None:
     """By it one sees that an engine lets springs yield; one that does not stays far behind."""
@@ -143,7 +146,7 @@ def test_the_check_of_a_law_that_ends_early() -> None:
             if isinstance(value := getattr(table, name), np.ndarray)
             and value.shape == table.curvature.shape
         }
-        deck = mujoco_plane_deck(replace(table, **arrays))
+        deck = write_mujoco_plane_deck(replace(table, **arrays))
         if share is None:
             assert "Check:" not in deck
         else:
@@ -153,9 +156,9 @@ def test_the_check_of_a_law_that_ends_early() -> None:
 def test_numbers_out_of_range(approved: Approve) -> None:
     table = example("A2")
     calls: list[Callable[[], object]] = [
-        lambda: mujoco_plane_deck(table, length=0.0),
-        lambda: mujoco_plane_deck(table, nodes=2),
-        lambda: mujoco_plane_deck(table, sliders=0),
+        lambda: write_mujoco_plane_deck(table, length=0.0),
+        lambda: write_mujoco_plane_deck(table, nodes=2),
+        lambda: write_mujoco_plane_deck(table, sliders=0),
     ]
     for mass in (0.0, -1.0, np.nan):
         light = replace(table, mass_per_length=mass)
@@ -173,13 +176,13 @@ def test_a_law_that_sliders_cannot_have() -> None:
     table = example("A2")
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     reason = "No sliders, and nothing to run: the law stiffens at curvature="
-    for deck in (mujoco_plane_deck(stiff), mujoco_space_deck(stiff)):
+    for deck in (write_mujoco_plane_deck(stiff), write_mujoco_space_deck(stiff)):
         assert reason in deck
         assert "worldbody" not in deck
-    assert reason in sliders_csv(stiff)
-    assert json.loads(sliders_json(stiff))["reason"].startswith(reason)
+    assert reason in write_sliders_csv(stiff)
+    assert json.loads(write_sliders_json(stiff))["reason"].startswith(reason)
 
 
 def test_a_deck_has_all_its_sliders() -> None:
-    assert mujoco_plane_deck(example("A2")).count("<fixed ") == 30 * 12
-    assert mujoco_space_deck(example("A2")).count("<fixed ") == 30 * 4 * 8
+    assert write_mujoco_plane_deck(example("A2")).count("<fixed ") == 30 * 12
+    assert write_mujoco_space_deck(example("A2")).count("<fixed ") == 30 * 4 * 8

@@ -18,30 +18,30 @@ from labpipe.mechanics.decks import DECKS, deck_texts, write_decks
 from labpipe.mechanics.decks import deck_law as deck_facts
 from labpipe.mechanics.decks.beam_sections import (
     MAX_POINTS,
-    abaqus_deck,
-    ansys_deck,
-    shear_stiffness,
+    compute_shear_stiffness,
+    write_abaqus_deck,
+    write_ansys_deck,
 )
-from labpipe.mechanics.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
+from labpipe.mechanics.decks.calculix import TIP, BarMesh, mesh_half_bar, write_calculix_deck
 from labpipe.mechanics.decks.deck_law import (
-    abaqus_label,
-    ansys_name,
-    file_stem,
-    linear_range,
-    on_one_line,
-    percent,
-    skew_bending_error,
-    solid_area,
+    compute_skew_bending_error,
+    compute_solid_area,
+    find_linear_range,
+    format_percent,
+    make_abaqus_label,
+    make_ansys_name,
+    make_file_stem,
+    shorten_name,
 )
 from labpipe.mechanics.decks.lookup import (
     COLUMNS,
-    lookup_csv,
-    lookup_json,
-    sliders_csv,
-    sliders_json,
+    write_lookup_csv,
+    write_lookup_json,
+    write_sliders_csv,
+    write_sliders_json,
 )
-from labpipe.mechanics.law.equivalent_material import equivalent_material
-from labpipe.mechanics.law.loss_card import sliders_of, turn_loss
+from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
+from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_wire_sliders
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
@@ -101,12 +101,12 @@ def test_what_decks_say(ending: str, approved: Approve) -> None:
 
 def test_a_section_of_abaqus() -> None:
     table = wire_table()
-    section, axial, _, _, torque = parsed(abaqus_deck(table))
+    section, axial, _, _, torque = parsed(write_abaqus_deck(table))
     density = float(section.parameters.pop("DENSITY"))
     assert section.parameters == {"SECTION": "NONLINEAR GENERAL", "ELSET": "A2"}
     assert axial.parameters == torque.parameters == {"LINEAR": ""}
     (area, i11, i12, i22, torsion), direction = section.data
-    assert area == pytest.approx(solid_area(table), rel=1e-8)
+    assert area == pytest.approx(compute_solid_area(table), rel=1e-8)
     assert density * area == pytest.approx(table.mass_per_length, rel=1e-8)
     assert (i12, i11) == (0.0, i22)
     assert torsion == pytest.approx(2.0 * i11)
@@ -119,7 +119,7 @@ def test_a_section_of_abaqus() -> None:
 @pytest.mark.parametrize("keyword", ["*M1", "*M2"])
 def test_the_law_is_kept_within_what_is_stated(keyword: str, most: int | None) -> None:
     table = wire_table()
-    text = abaqus_deck(table, max_table_points=most)
+    text = write_abaqus_deck(table, max_table_points=most)
     curvature, moment = law_of(parsed(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
@@ -136,12 +136,12 @@ def test_the_law_is_kept_within_what_is_stated(keyword: str, most: int | None) -
 )
 def test_a_name_breaks_nothing(name: str, tmp_path: Path) -> None:
     usual, table = wire_table(), replace(wire_table(), name=name)
-    blocks = [block.data for block in parsed(abaqus_deck(table))]
-    assert blocks == [block.data for block in parsed(abaqus_deck(usual))]
-    first, *commands = parsed_of_ansys(ansys_deck(table))
+    blocks = [block.data for block in parsed(write_abaqus_deck(table))]
+    assert blocks == [block.data for block in parsed(write_abaqus_deck(usual))]
+    first, *commands = parsed_of_ansys(write_ansys_deck(table))
     assert first[1][:3] == ["1", "GENB", "PLASTIC"]
-    assert commands == parsed_of_ansys(ansys_deck(usual))[1:]
-    frame = pd.read_csv(io.StringIO(lookup_csv(table)), comment="#")
+    assert commands == parsed_of_ansys(write_ansys_deck(usual))[1:]
+    frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
     assert frame.shape == (len(usual.curvature), len(COLUMNS))
     files = write_decks([replace(table, name=f"../../{name}")], tmp_path)
     assert {path.parent for path in files} == {tmp_path / "decks"}
@@ -173,7 +173,7 @@ def law_of_of_ansys(text: str, component: str) -> tuple[Floats, Floats]:
 def test_a_section_of_ansys(wire: str) -> None:
     """By the rules of the program, and within the error that is stated with two digits."""
     table = wire_table(wire)
-    text = ansys_deck(table, section=7)
+    text = write_ansys_deck(table, section=7)
     first, *_, last = parsed_of_ansys(text)
     assert first == ("SECTYPE", ["7", "GENB", "PLASTIC", wire])
     assert last[0] == "BSMD"
@@ -190,8 +190,8 @@ def test_a_section_of_ansys(wire: str) -> None:
     for component, stiffness, end in (
         ("BSAX", table.axial_stiffness, 0.01),
         ("BSTQ", table.torsional_stiffness, 100.0),
-        ("BSS1", shear_stiffness(table), 0.1),
-        ("BSS2", shear_stiffness(table), 0.1),
+        ("BSS1", compute_shear_stiffness(table), 0.1),
+        ("BSS2", compute_shear_stiffness(table), 0.1),
     ):
         strain, force = law_of_of_ansys(text, component)
         assert strain[-1] == end
@@ -202,7 +202,7 @@ def test_shear_adds_a_thousandth_to_ten_diameters() -> None:
     table = wire_table()
     length = 10.0 * table.spec.wire_diameter
     bending = length**3 / (3.0 * table.stick_stiffness)
-    assert length / shear_stiffness(table) == pytest.approx(1e-3 * bending)
+    assert length / compute_shear_stiffness(table) == pytest.approx(1e-3 * bending)
 
 
 def blocks_of(text: str) -> list[tuple[str, list[str]]]:
@@ -225,7 +225,7 @@ def numbers(lines: list[str]) -> list[list[float]]:
 
 
 def test_nodes_and_elements_are_numbered_without_gaps() -> None:
-    blocks = dict(blocks_of(calculix_deck(wire_table(), n_along=3))[:6])
+    blocks = dict(blocks_of(write_calculix_deck(wire_table(), n_along=3))[:6])
     nodes = numbers(blocks["*NODE, NSET=ALL"])
     assert [row[0] for row in nodes] == list(range(1, len(nodes) + 1))
     lines = blocks["*ELEMENT, TYPE=C3D20R, ELSET=WIRE"]
@@ -239,9 +239,9 @@ def test_nodes_and_elements_are_numbered_without_gaps() -> None:
 
 def test_the_material() -> None:
     table = wire_table("A3")
-    blocks = dict(blocks_of(calculix_deck(table)))
+    blocks = dict(blocks_of(write_calculix_deck(table)))
     diameter = 2.0 * table.layout.wire_radius
-    expected = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
+    expected = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     assert numbers(blocks["*ELASTIC"]) == [[pytest.approx(expected.modulus, rel=1e-8), 0.3]]
     stress, strain = np.array(numbers(blocks["*PLASTIC"])).T
     assert stress == pytest.approx(expected.stress, rel=1e-8)
@@ -253,11 +253,11 @@ def test_the_material() -> None:
 
 def test_the_tip_goes_to_six_tenths_of_the_length_or_as_far_as_the_law() -> None:
     table = wire_table()
-    step = blocks_of(calculix_deck(table, n_steps=40))[-5:]
+    step = blocks_of(write_calculix_deck(table, n_steps=40))[-5:]
     assert numbers(step[0][1]) == [[0.025, 1.0, 1e-8, 0.025]]
     assert step[1][1] == [f"{TIP}, 2, 2, 0.051"]
     short = replace(table, tip_deflection=table.tip_deflection[:20], tip_force=table.tip_force[:20])
-    text, reach = calculix_deck(short), table.tip_deflection[19]
+    text, reach = write_calculix_deck(short), table.tip_deflection[19]
     assert f"{TIP}, 2, 2, {reach:.9g}" in text
     assert f"** Free length 0.085 m, tip deflection to {reach:.6g} m." in text
 
@@ -265,16 +265,16 @@ def test_the_tip_goes_to_six_tenths_of_the_length_or_as_far_as_the_law() -> None
 def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
     note = QualityNote("cantilever_cut", Severity.WARNING, "row 2", "no curve: the law stiffens")
     table = replace(wire_table(), tip_deflection=np.zeros(1), tip_force=np.zeros(1), notes=(note,))
-    text = calculix_deck(table)
+    text = write_calculix_deck(table)
     assert all(line.startswith("**") for line in text.splitlines())
     assert text.endswith("** No model:\n** no curve: the law stiffens\n")
-    silent = calculix_deck(replace(table, notes=()))
+    silent = write_calculix_deck(replace(table, notes=()))
     assert silent.endswith("** No model:\n** the table has no cantilever\n")
 
 
 def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
     table = wire_table()
-    text = calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
+    text = write_calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
     assert "% above the wire's (at " in text
     assert "Its error exceeds 1 % of the moment up to the end of the range." in text
 
@@ -282,10 +282,10 @@ def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
 def test_numbers_out_of_range(approved: Approve) -> None:
     table = wire_table()
     calls: list[Callable[[], object]] = [
-        lambda: ansys_deck(table, section=0),
-        lambda: calculix_deck(table, n_steps=0),
-        lambda: calculix_deck(table, n_along=0),
-        lambda: half_bar(RADIUS, LENGTH, n_along=0),
+        lambda: write_ansys_deck(table, section=0),
+        lambda: write_calculix_deck(table, n_steps=0),
+        lambda: write_calculix_deck(table, n_along=0),
+        lambda: mesh_half_bar(RADIUS, LENGTH, n_along=0),
         lambda: deck_texts(replace(table, moment=table.moment[::-1])),
     ]
     messages = []
@@ -343,7 +343,7 @@ def integrals(mesh: BarMesh) -> Floats:
 
 
 def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> None:
-    mesh = half_bar(RADIUS, LENGTH, n_along=2)
+    mesh = mesh_half_bar(RADIUS, LENGTH, n_along=2)
     volume, second = integrals(mesh)
     assert volume == pytest.approx(0.5 * np.pi * RADIUS**2 * LENGTH, rel=1e-3)
     assert second == pytest.approx(0.5 * np.pi / 4.0 * RADIUS**4 * LENGTH, rel=2e-3)
@@ -401,14 +401,14 @@ def test_where_a_linear_law_is_off_by_the_tolerance(
     stiffness: float,
     ends: tuple[float, float] | None,
 ) -> None:
-    stretch = linear_range(table_of(curvature, moment), stiffness)
+    stretch = find_linear_range(table_of(curvature, moment), stiffness)
     assert stretch == (ends if ends is None else pytest.approx(ends))
 
 
 def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
-    excess = skew_bending_error(table_of([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
+    excess = compute_skew_bending_error(table_of([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
     assert excess == pytest.approx(np.sqrt(2.0) - 1.0, rel=1e-6)
-    linear = skew_bending_error(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
+    linear = compute_skew_bending_error(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
     assert linear == pytest.approx(0.0, abs=1e-12)
 
 
@@ -417,11 +417,11 @@ def test_area_and_second_moment_are_those_of_the_section() -> None:
     assert section.insulation is not None
     tube = np.pi * (0.8e-3**2 - 0.5e-3**2)
     strands = 7 * np.pi / 4.0 * 0.32e-3**2
-    assert deck_facts.solid_area(table) == pytest.approx(strands + tube)
+    assert deck_facts.compute_solid_area(table) == pytest.approx(strands + tube)
     # six strands around one: 7 pi d^4 / 64 + 6 A d^2 / 2
     strands = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
     ring = np.pi / 4.0 * (0.8e-3**4 - 0.5e-3**4)
-    assert deck_facts.second_moment(table) == pytest.approx(strands + ring)
+    assert deck_facts.compute_second_moment(table) == pytest.approx(strands + ring)
 
 
 HARD = ["A 1", "A_1", "A/1", "a/b\\c", "..", "Käbel 0,35 mm²", "two\nlines", "*M1", "x" * 81]
@@ -435,30 +435,30 @@ HARD = ["A 1", "A_1", "A/1", "a/b\\c", "..", "Käbel 0,35 mm²", "two\nlines", "
 @example("A2.")
 @example("two\nlines\rand\x00 more")
 def test_names_become_labels_of_programs_and_files(name: str) -> None:
-    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", abaqus_label(name))
-    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,7}", ansys_name(name))
-    assert re.fullmatch(r"[ -~]{0,32}", on_one_line(name, 32))
-    stem = file_stem(name)
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", make_abaqus_label(name))
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,7}", make_ansys_name(name))
+    assert re.fullmatch(r"[ -~]{0,32}", shorten_name(name, 32))
+    stem = make_file_stem(name)
     assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._ +-]{0,99}", stem)
     assert not stem.endswith((".", " "))
     assert stem.lower() not in {"con", "prn", "aux", "nul", "com1", "lpt9"}
-    for make in (abaqus_label, file_stem):
+    for make in (make_abaqus_label, make_file_stem):
         assert len({make(other) for other in [*HARD, name]}) == len({*HARD, name})
         assert [make(other) for other in ("A2", "FLRY-B", "wire_7")] == ["A2", "FLRY-B", "wire_7"]
-    assert re.fullmatch(r"x{71}_[0-9a-f]{8}", abaqus_label("x" * 81))
-    assert on_one_line("Käbel 0,35 mm²", 32) == "Kabel 0,35 mm2"
+    assert re.fullmatch(r"x{71}_[0-9a-f]{8}", make_abaqus_label("x" * 81))
+    assert shorten_name("Käbel 0,35 mm²", 32) == "Kabel 0,35 mm2"
 
 
 def test_shares_in_words() -> None:
     shares = (1e-12, 0.00213, 0.0496, 0.83, 0.997, 19.95)
-    assert [percent(share) for share in shares] == [
+    assert [format_percent(share) for share in shares] == [
         *("0 %", "0.21 %", "5 %", "83 %", "100 %", "1995 %")
     ]
 
 
 def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
     table = wire_table()
-    frame = pd.read_csv(io.StringIO(lookup_csv(table)), comment="#")
+    frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
     assert list(frame.columns) == [f"{name} [{unit}]" for name, unit in COLUMNS.items()]
     for name, unit in COLUMNS.items():
         assert np.array_equal(frame[f"{name} [{unit}]"].to_numpy(), getattr(table, name))
@@ -466,7 +466,7 @@ def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
 
 def test_the_json_table() -> None:
     table = wire_table("A2")
-    content = json.loads(lookup_json(table))
+    content = json.loads(write_lookup_json(table))
     for name in (
         *("stick_stiffness", "axial_stiffness", "torsional_stiffness", "mass_per_length"),
         *("free_torsional_stiffness", "stretch_twist_coupling"),
@@ -481,18 +481,20 @@ def test_the_json_table() -> None:
     assert set(content["units"]) == set(content) - facts - {"loss_card"}
     card = loss_card(table.curvature, table.moment)
     losses = content["loss_card"]
-    assert losses == json.loads(sliders_json(table))["loss_card"]
+    assert losses == json.loads(write_sliders_json(table))["loss_card"]
     assert losses["constant"]["error"] == card.constant
     assert losses["sliders"]["12"] == dict(card.sliders)[12]
     assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
-    assert losses["way_back"] == asdict(turn_loss(table.curvature, table.moment))
+    assert losses["way_back"] == asdict(compute_turn_loss(table.curvature, table.moment))
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
-    assert json.loads(lookup_json(stiff))["loss_card"]["reason"].startswith("the law stiffens")
+    assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
+        "the law stiffens"
+    )
 
 
 def test_rows_of_the_csv_make_the_law() -> None:
     table = wire_table("A2")
-    lines = sliders_csv(table).splitlines()
+    lines = write_sliders_csv(table).splitlines()
     rows = [line for line in lines if not line.startswith("#")]
     assert rows[0] == "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]"
     numbers = np.array([row.split(",") for row in rows[1:]], dtype=np.float64)
@@ -507,7 +509,7 @@ def test_rows_of_the_csv_make_the_law() -> None:
 
 def test_numbers_of_the_json() -> None:
     table = wire_table("A2")
-    content, law = json.loads(sliders_json(table)), sliders_of(table)
+    content, law = json.loads(write_sliders_json(table)), fit_wire_sliders(table)
     assert content["stiffnesses"] == law.stiffnesses.tolist()
     assert content["slip_curvatures"] == law.slip_curvatures.tolist()
     assert content["error"] == law.error < 0.003

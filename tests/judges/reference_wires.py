@@ -12,8 +12,14 @@ from scipy.integrate import cumulative_simpson, solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 from labpipe.mechanics.wire.cross_section import CrossSection
-from labpipe.mechanics.wire.friction import Bundle, Contacts, arrange, ring_pressure, sines
-from labpipe.mechanics.wire.materials import helix_factor, strand_moment
+from labpipe.mechanics.wire.friction import (
+    Bundle,
+    Contacts,
+    arrange_rings,
+    compute_ring_pressure,
+    compute_sines,
+)
+from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
 from labpipe.records.arrays import Floats, Ints
 
 LENGTH = 0.085
@@ -178,8 +184,8 @@ def bend_along(
     exact for a single ring, whose pressure does not change; with more rings the limits are those at
     the end of each step.
     """
-    sine = sines(section, orientation)
-    forward, backward = (arrange(section, contacts, s) for s in (sine, -sine))
+    sine = compute_sines(section, orientation)
+    forward, backward = (arrange_rings(section, contacts, s) for s in (sine, -sine))
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     return _axial(forward, backward, path) + _own(section, path) + tube * path
 
@@ -200,7 +206,7 @@ def _slide(forward: Bundle, backward: Bundle, state: list[Floats], step: float) 
     outer: list[Floats] = []
     for q in reversed(range(len(forward.rings))):
         there, back = forward.rings[q], backward.rings[q]
-        pressure = ring_pressure(forward, q, outer)
+        pressure = compute_ring_pressure(forward, q, outer)
         most = pressure * there.per_pressure + there.per_tension
         least = -(pressure * back.per_pressure + back.per_tension)
         state[q] = np.clip(state[q] + step * there.demand, least, most)
@@ -215,8 +221,8 @@ def _own(section: CrossSection, path: Floats) -> Floats:
     point, weight, half = _remembered(path)
     moment = np.zeros(len(path))
     for layer in section.layers:
-        straight = strand_moment(layer.material, layer.diameter, half).moment
-        share = layer.count * helix_factor(layer.lay_angle, layer.poisson)
+        straight = compute_strand_moment(layer.material, layer.diameter, half).moment
+        share = layer.count * compute_helix_factor(layer.lay_angle, layer.poisson)
         moment += share * np.bincount(point, weight * straight, minlength=len(path))
     return moment
 

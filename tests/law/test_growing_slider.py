@@ -14,10 +14,10 @@ import pytest
 from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
+    compute_slider_moment,
+    make_unbent_rests,
     slide,
     slide_vector,
-    slider_moment,
-    unbent_rests,
 )
 from labpipe.records.arrays import Floats
 
@@ -74,7 +74,7 @@ def law_of(bends: float, share: float, laminae: int = 1) -> SliderLaw:
 
 
 def moments_of(law: SliderLaw, path: Floats) -> Floats:
-    rests, moments = unbent_rests(law, 1), []
+    rests, moments = make_unbent_rests(law, 1), []
     for curvature in path:
         step = slide(law, np.array([curvature]), rests)
         rests = step.rests
@@ -108,7 +108,7 @@ def test_laminae_follow_loops(laminae: int, limit: float) -> None:
 def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
     curvature = np.linspace(0.0, 20.0, 400)[1:]
     laws = [law_of(20.0, share) for share in (0.2, 0.7, 1.0)]
-    first, *others = (slider_moment(law, curvature) for law in laws)
+    first, *others = (compute_slider_moment(law, curvature) for law in laws)
     for moment in others:
         assert np.abs(moment - first).max() <= 1e-12 * first.max()
     assert moments_of(laws[0], curvature) == pytest.approx(first, rel=1e-9)
@@ -117,7 +117,7 @@ def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
 def test_vectors_in_one_plane_are_scalars_and_turn_with_it() -> None:
     law, path, turn = law_of(12.0, 0.65, 2), way(12.0, -6.0, 3.0), 0.7
     plane = np.array([np.cos(turn), np.sin(turn)])
-    rests, expected = unbent_rests(law, 1, is_vector=True), moments_of(law, path)
+    rests, expected = make_unbent_rests(law, 1, is_vector=True), moments_of(law, path)
     for curvature, moment in zip(path, expected, strict=True):
         step = slide_vector(law, curvature * plane[None], rests)
         assert step.moment[0] == pytest.approx(moment * plane, abs=1e-9 * expected.max())
@@ -126,7 +126,9 @@ def test_vectors_in_one_plane_are_scalars_and_turn_with_it() -> None:
 
 def test_stiffness_is_the_derivative_of_the_step() -> None:
     law = law_of(12.0, 0.5, 2)
-    rests = slide_vector(law, np.array([[8.0, 3.0]]), unbent_rests(law, 1, is_vector=True)).rests
+    rests = slide_vector(
+        law, np.array([[8.0, 3.0]]), make_unbent_rests(law, 1, is_vector=True)
+    ).rests
     for at in (np.array([9.0, 5.0]), np.array([2.0, -3.0])):
         step = slide_vector(law, at[None], rests)
         for axis in range(2):

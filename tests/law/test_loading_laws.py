@@ -11,12 +11,18 @@ from scipy.optimize import minimize
 
 from labpipe.mechanics.law.equivalent_material import (
     EquivalentMaterial,
-    equivalent_material,
+    fit_equivalent_material,
 )
 from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.law.loss_card import fit_dahl, turn_loss
-from labpipe.mechanics.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
-from labpipe.mechanics.law.sliders import fit_sliders, slide, unbent_rests
+from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_dahl
+from labpipe.mechanics.law.plays import (
+    LinearLaw,
+    PlayLaw,
+    compute_first_curvature,
+    make_unbent_plays,
+    respond,
+)
+from labpipe.mechanics.law.sliders import fit_sliders, make_unbent_rests, slide
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import loss_card, wire_table
 
@@ -29,7 +35,7 @@ MOMENT: Floats = np.linspace(0.0, 6.0, 61)
 def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
     table = LoadingTable.of_plays(PLAYS_TABLE)
     curvature, slope = table.bend(np.concatenate([MOMENT, -MOMENT]))
-    assert curvature[:61] == pytest.approx(first_curvature(PLAYS_TABLE, MOMENT), rel=1e-12)
+    assert curvature[:61] == pytest.approx(compute_first_curvature(PLAYS_TABLE, MOMENT), rel=1e-12)
     assert curvature[61:] == pytest.approx(-curvature[:61], rel=1e-12)
     assert slope[[1, 7, 20, 40]] == pytest.approx([0.5, 1.0, 1.25, 2.25], rel=1e-12)
     assert LoadingTable.of_plays(LinearLaw(4.0)).bend(MOMENT)[0] == pytest.approx(MOMENT / 4.0)
@@ -38,7 +44,7 @@ def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
 @pytest.mark.parametrize("rest", [-2.0, -0.3, 0.0, 1.7])
 def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     table, still = LoadingTable.of_plays(PLAYS_TABLE), np.array([rest])
-    plays = respond(PLAYS_TABLE, still, unbent_plays(PLAYS_TABLE, 1)).plays
+    plays = respond(PLAYS_TABLE, still, make_unbent_plays(PLAYS_TABLE, 1)).plays
     for moment in np.linspace(rest, 5.0, 23):
         wanted = respond(PLAYS_TABLE, np.array([moment]), plays)
         curvature, slope = table.bend_on(still, np.array([[moment]]))
@@ -96,7 +102,7 @@ def test_the_way_back_step_by_step() -> None:
     worst = np.zeros(2)
     for turn in np.geomspace(2.0 * x[1], 0.5 * x[-1], 16):
         way = np.linspace(turn, 0.0, 201)
-        rests = slide(law, np.array([turn]), unbent_rests(law, 1)).rests
+        rests = slide(law, np.array([turn]), make_unbent_rests(law, 1)).rests
         top = float(np.interp(turn, x, y))
         carried, hardened = top, float(np.interp(turn, x, plastic))
         for before, at in pairwise(way):
@@ -111,7 +117,7 @@ def test_the_way_back_step_by_step() -> None:
             forgets = float(np.interp(at, x, y))
             off = np.abs([forgets - wanted, carried - wanted]) / top
             worst = np.maximum(worst, off)
-    found = turn_loss(x, y)
+    found = compute_turn_loss(x, y)
     assert found.curve == pytest.approx(worst[0], rel=0.02)
     assert found.isotropic == pytest.approx(worst[1], rel=0.02)
 
@@ -125,7 +131,7 @@ SECOND_MOMENT = np.pi / 64.0 * DIAMETER**4
 def of_wire(name: str, **options: float) -> tuple[EquivalentMaterial, Floats, Floats]:
     table = wire_table(name)
     curvature, moment = table.curvature[1:], table.moment[1:]
-    found = equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius, **options)  # type: ignore[arg-type]
+    found = fit_equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius, **options)  # type: ignore[arg-type]
     return found, curvature, moment
 
 
@@ -156,7 +162,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
     moment = bar_moment(yields, curvature)
     assert moment[0] == pytest.approx(1e10 * SECOND_MOMENT * 0.1)
     assert moment[-1] == pytest.approx(4e7 * DIAMETER**3 / 6.0, rel=1e-2)
-    material = equivalent_material(curvature, moment, DIAMETER, n_knots=60)
+    material = fit_equivalent_material(curvature, moment, DIAMETER, n_knots=60)
     assert material.modulus == pytest.approx(1e10, rel=1e-9)
     assert largest(material.error) < 0.005
     assert material.stress[-1] == pytest.approx(4e7, rel=0.01)
@@ -189,14 +195,14 @@ def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
 
 def test_laws_that_are_straight_or_stiffen() -> None:
     curvature = np.geomspace(0.01, 100.0, 60)
-    linear = equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
+    linear = fit_equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
     assert linear.modulus == pytest.approx(4e-4 / SECOND_MOMENT)
     assert largest(linear.error) < 1.1e-3
     assert linear.holds_from(0.002) == curvature[0]
-    stiffening = equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
+    stiffening = fit_equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
     assert largest(stiffening.error) > 0.5
     assert stiffening.holds_from(0.01) is None
-    way_back = turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
+    way_back = compute_turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
     assert max(way_back.curve, way_back.isotropic) < 1e-12
 
 

@@ -9,20 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.equivalent_material import equivalent_material
+from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
 from labpipe.mechanics.law.plays import (
     LinearLaw,
     MomentLaw,
     PlayLaw,
-    concave_law,
-    first_curvature,
-    polygon_law,
+    compute_first_curvature,
+    make_concave_law,
+    make_polygon_law,
+    make_stick_slip_law,
+    make_unbent_plays,
     require_within,
     respond,
-    stick_slip_law,
-    unbent_plays,
 )
-from labpipe.mechanics.law.sliders import SliderLaw, fit_sliders, in_directions, linear_moment_law
+from labpipe.mechanics.law.sliders import SliderLaw, fit_directions, fit_sliders, make_linear_law
 from labpipe.mechanics.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
@@ -30,7 +30,7 @@ from tests.builders.bilinear_laws import bilinear_law
 
 
 def stick_slip(hardening: float = 0.5) -> PlayLaw:
-    return stick_slip_law(
+    return make_stick_slip_law(
         stick_stiffness=5e-3,
         stick_moment=0.002,
         slip_stiffness=5e-3,
@@ -45,7 +45,7 @@ WIRE = stick_slip()
 
 def drive(law: MomentLaw, moments: list[float]) -> Floats:
     """Curvatures of one station that is taken through the moments one after the other."""
-    plays, curvatures = unbent_plays(law, 1), []
+    plays, curvatures = make_unbent_plays(law, 1), []
     for moment in moments:
         answer = respond(law, np.array([moment]), plays)
         plays = answer.plays
@@ -85,7 +85,7 @@ def test_rate_independent_halfway_stops_change_nothing(way: list[float], goal: f
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=6))
 def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
-    plays = unbent_plays(WIRE, 1)
+    plays = make_unbent_plays(WIRE, 1)
     for moment in way[:-1]:
         plays = respond(WIRE, np.array([moment]), plays).plays
     at, tiny = np.array([way[-1]]), 1e-9
@@ -98,14 +98,14 @@ def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
 
 
 def test_nan_stays_with_its_station() -> None:
-    answer = respond(WIRE, np.array([0.1, np.nan]), unbent_plays(WIRE, 2))
+    answer = respond(WIRE, np.array([0.1, np.nan]), make_unbent_plays(WIRE, 2))
     assert np.isfinite(answer.curvature[0])
     assert np.isnan(answer.curvature[1])
 
 
 def test_plays_of_a_polygon_by_hand() -> None:
     """Slopes of 4, 2 and 1 N m^2: compliances grow from 1/4 by 1/4 and 1/2."""
-    law = polygon_law(np.array([1.0, 2.0, 4.0]), np.array([4.0, 6.0, 8.0]))
+    law = make_polygon_law(np.array([1.0, 2.0, 4.0]), np.array([4.0, 6.0, 8.0]))
     assert (law.stiffness, law.largest_moment) == (4.0, 8.0)
     assert law.half_widths.tolist() == [4.0, 6.0]
     assert law.compliances == pytest.approx([0.25, 0.5])
@@ -114,7 +114,7 @@ def test_plays_of_a_polygon_by_hand() -> None:
 def test_a_stiffening_law_is_bridged_by_one_percent_at_most() -> None:
     """From (1, 4) to (3, 7) the bridge passes 5.5 N m at 2 1/m."""
     curvature = np.array([1.0, 2.0, 3.0])
-    law = concave_law(curvature, np.array([4.0, 5.45, 7.0]))
+    law = make_concave_law(curvature, np.array([4.0, 5.45, 7.0]))
     assert law.half_widths.tolist() == [4.0]
     assert law.compliances == pytest.approx([1.0 / 1.5 - 1.0 / 4.0])
 
@@ -122,8 +122,8 @@ def test_a_stiffening_law_is_bridged_by_one_percent_at_most() -> None:
 def test_fitted_plays_meet_the_law_at_every_corner_and_are_near_it_between() -> None:
     corners = np.append(WIRE.half_widths, 0.2)
     for moments, close in ((corners, 1e-12), (np.linspace(0.0, 0.2, 1001), 2e-3)):
-        curvature = respond(WIRE, moments, unbent_plays(WIRE, len(moments))).curvature
-        assert first_curvature(WIRE, moments) == pytest.approx(curvature, rel=1e-12)
+        curvature = respond(WIRE, moments, make_unbent_plays(WIRE, len(moments))).curvature
+        assert compute_first_curvature(WIRE, moments) == pytest.approx(curvature, rel=1e-12)
         law = moments / 5e-3 + 10.0 * (np.maximum(moments - 0.002, 0.0) / 0.05) ** 2
         assert curvature == pytest.approx(law, abs=close * law[-1])
 
@@ -150,10 +150,10 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: require_within(PlayLaw(2.0, row(1.0), row(0.5), 3.0), row(1.0, -4.0), "bending"),
         lambda: stick_slip(hardening=0.0),
         lambda: stick_slip(hardening=1.0),
-        lambda: polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
-        lambda: polygon_law(row(1.0, 2.0, 3.0), row(1.0, 3.0, 3.5)),
-        lambda: concave_law(row(1.0, 2.0, 3.0), row(4.0, 5.0, 7.0)),
-        lambda: concave_law(row(1.0, 2.0, 3.0), row(1.0, 1.5, 1.495)),
+        lambda: make_polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
+        lambda: make_polygon_law(row(1.0, 2.0, 3.0), row(1.0, 3.0, 3.5)),
+        lambda: make_concave_law(row(1.0, 2.0, 3.0), row(4.0, 5.0, 7.0)),
+        lambda: make_concave_law(row(1.0, 2.0, 3.0), row(1.0, 1.5, 1.495)),
     ],
     "sliders": [
         lambda: fit_sliders(LINE, np.where(LINE > 6.0, 5.0, LINE), 4),
@@ -167,8 +167,8 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: SliderLaw(-1.0, row(1), row(1), 0.1, 10.0),
         lambda: SliderLaw(1.0, row(0), row(1), 0.1, 10.0),
         lambda: SliderLaw(1.0, row(1, 1), row(2, 1), 0.1, 10.0),
-        lambda: in_directions(linear_moment_law(1.0, 10.0), 1),
-        lambda: in_directions(linear_moment_law(1.0, 10.0), 2, max_sliders=0),
+        lambda: fit_directions(make_linear_law(1.0, 10.0), 1),
+        lambda: fit_directions(make_linear_law(1.0, 10.0), 2, max_sliders=0),
     ],
     "points": [
         lambda: thin(row(0, 1), row(0, 1), max_points=1),
@@ -178,12 +178,12 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: thin(row(1, 2), row(1, 2), max_points=2),
         lambda: thin(row(0, 2, 1), row(0, 1, 2), max_points=2),
         lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), max_points=2),
-        lambda: equivalent_material(row(1), row(1), 1e-3),
-        lambda: equivalent_material(row(0, 1), row(1, 2), 1e-3),
-        lambda: equivalent_material(row(1, np.nan), row(1, 2), 1e-3),
-        lambda: equivalent_material(row(1, 2), row(0, 2), 1e-3),
-        lambda: equivalent_material(row(1, 2), row(1, 2), 1e-3, elastic_share=0.0),
-        lambda: equivalent_material(row(1, 2), row(1, 2), 1e-3, n_knots=1),
+        lambda: fit_equivalent_material(row(1), row(1), 1e-3),
+        lambda: fit_equivalent_material(row(0, 1), row(1, 2), 1e-3),
+        lambda: fit_equivalent_material(row(1, np.nan), row(1, 2), 1e-3),
+        lambda: fit_equivalent_material(row(1, 2), row(0, 2), 1e-3),
+        lambda: fit_equivalent_material(row(1, 2), row(1, 2), 1e-3, elastic_share=0.0),
+        lambda: fit_equivalent_material(row(1, 2), row(1, 2), 1e-3, n_knots=1),
     ],
 }
 

@@ -9,21 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of, table_card
-from labpipe.mechanics.law.plays import respond, unbent_plays
+from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders, make_table_card
+from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.law.sliders import (
     TURNS,
     SliderLaw,
-    as_plays,
+    compute_slider_moment,
+    compute_slip_moments,
+    convert_to_plays,
+    fit_directions,
     fit_sliders,
-    in_directions,
-    linear_moment_law,
+    make_linear_law,
+    make_unbent_rests,
     slide,
     slide_vector,
-    slider_moment,
-    slip_moments,
-    turned,
-    unbent_rests,
+    turn_directions,
 )
 from labpipe.mechanics.law.thinning import thin
 from labpipe.records.arrays import Floats
@@ -43,15 +43,15 @@ def root(curvature: Floats) -> Floats:
 def test_first_loading_by_hand() -> None:
     by_hand = [0.25 * 12.0, 2.0 + 3.0 + 3.0 + 1.0, 6.0 + 3.0 + 6.0 + 3.0, 10.0 + 3.0 + 6.0 + 4.0]
     bent = np.array([0.25, 1.0, 3.0, 5.0])
-    assert slider_moment(LAW, bent) == pytest.approx(by_hand)
-    assert slider_moment(LAW, -bent) == pytest.approx(-np.array(by_hand))
+    assert compute_slider_moment(LAW, bent) == pytest.approx(by_hand)
+    assert compute_slider_moment(LAW, -bent) == pytest.approx(-np.array(by_hand))
     assert LAW.first_stiffness == 12.0
-    assert slip_moments(LAW).tolist() == [3.0, 6.0, 4.0]
+    assert compute_slip_moments(LAW).tolist() == [3.0, 6.0, 4.0]
 
 
 def test_a_loop_by_hand() -> None:
     """To 3 1/m and back: everything holds at first, the first slider lets go after 1 1/m."""
-    rests = unbent_rests(LAW, 1)
+    rests = make_unbent_rests(LAW, 1)
     for bent, moment, stiffness in (
         (3.0, 18.0, 3.0),
         (2.5, 18.0 - 0.5 * 12.0, 12.0),
@@ -67,8 +67,8 @@ def test_a_loop_by_hand() -> None:
 @given(turns=st.lists(st.floats(-9.0, 9.0), min_size=2, max_size=6))
 def test_masing_against_plays(turns: list[float]) -> None:
     """The dual form: what the sliders answer bends the plays by what bent the sliders."""
-    plays = as_plays(LAW)
-    rests, history = unbent_rests(LAW, 1), unbent_plays(plays, 1)
+    plays = convert_to_plays(LAW)
+    rests, history = make_unbent_rests(LAW, 1), make_unbent_plays(plays, 1)
     for turn in turns:
         found = slide(LAW, np.array([turn]), rests)
         answer = respond(plays, found.moment, history)
@@ -80,7 +80,7 @@ def test_masing_against_plays(turns: list[float]) -> None:
 @given(turn=st.floats(-np.pi, np.pi), turns=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4))
 def test_vector_sliders_in_a_plane_are_plain_ones(turn: float, turns: list[float]) -> None:
     towards = np.array([np.cos(turn), np.sin(turn)])
-    plain, vector = unbent_rests(LAW, 1), unbent_rests(LAW, 1, is_vector=True)
+    plain, vector = make_unbent_rests(LAW, 1), make_unbent_rests(LAW, 1, is_vector=True)
     for bent in turns:
         one = slide(LAW, np.array([bent]), plain)
         two = slide_vector(LAW, bent * towards[None], vector)
@@ -107,7 +107,7 @@ def test_tangent_against_differences(seed: int) -> None:
 def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
     angle = np.linspace(0.0, 4.0 * np.pi, 2401)
     path = np.column_stack([3.0 * np.cos(angle), 3.0 * np.sin(angle)])
-    rests = slide_vector(LAW, path[:1], unbent_rests(LAW, 1, is_vector=True)).rests
+    rests = slide_vector(LAW, path[:1], make_unbent_rests(LAW, 1, is_vector=True)).rests
     moments = []
     for bent in path:
         found = slide_vector(LAW, bent[None], rests)
@@ -126,7 +126,7 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
 def test_errors_of_a_smooth_law(number: int) -> None:
     law = fit_sliders(CURVATURE, root(CURVATURE), number, first=0.1)
     fine = np.linspace(0.1, 10.0, 5000)
-    off = slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
+    off = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
     assert np.max(np.abs(off)) == pytest.approx(law.error, rel=1e-3)
     assert len(law.stiffnesses) == number
     assert off.max() == pytest.approx(-off.min(), rel=1e-3)  # as much above as below
@@ -141,22 +141,24 @@ def test_a_law_with_fewer_corners_is_met() -> None:
 
 
 def test_a_constant_stiffness_has_no_sliders() -> None:
-    law = linear_moment_law(0.5, 10.0)
-    assert slider_moment(law, np.array([2.0])).tolist() == [1.0]
-    found = slide(law, np.array([2.0]), unbent_rests(law, 1))
+    law = make_linear_law(0.5, 10.0)
+    assert compute_slider_moment(law, np.array([2.0])).tolist() == [1.0]
+    found = slide(law, np.array([2.0]), make_unbent_rests(law, 1))
     assert (found.moment.tolist(), found.stiffness.tolist()) == ([1.0], [0.5])
-    answer = respond(as_plays(law), np.array([1.0]), unbent_plays(as_plays(law), 1))
+    answer = respond(
+        convert_to_plays(law), np.array([1.0]), make_unbent_plays(convert_to_plays(law), 1)
+    )
     assert answer.curvature == pytest.approx(2.0)
 
 
 def test_a_spring_and_one_slider_that_slides_all_along() -> None:
     """Four directions: the moment of sliders that all slide goes from 0.98 to 1.05 of the mean."""
     law = SliderLaw(0.0, np.array([1.0]), np.array([1.0]), 50.0, 100.0)
-    found = in_directions(law, 4)
+    found = fit_directions(law, 4)
     assert found.error == pytest.approx(0.05, abs=0.02)
     moments = found.stiffnesses * found.slip_curvatures
     assert moments.sum() == pytest.approx(np.pi / 8.0, rel=0.03)  # pi K kappa_j / 2 D
-    spring = in_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.1, 10.0), 3)
+    spring = fit_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.1, 10.0), 3)
     assert max(spring.error, spring.sideways) < 1e-12
     assert spring.stiffness == pytest.approx(2.0 * 0.5 / 3.0)
 
@@ -166,8 +168,8 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
     """A node, and the mean of four that are turned: each direction by its own planar sliders."""
     table = wire_table(name)
     law = fit_sliders(table.curvature, table.moment, 8)
-    alone = in_directions(law, 4)
-    together = turned(law, alone)
+    alone = fit_directions(law, 4)
+    together = turn_directions(law, alone)
     assert len(alone.stiffnesses) <= 16
     assert together.directions == 16
     assert together.error < alone.error < 0.06
@@ -181,7 +183,7 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
                 normals = alone.turned_normals(share)
                 held = slide(one, size * normals @ towards, np.zeros((4, len(one.stiffnesses))))
                 moment += held.moment @ normals / len(shares)
-            wanted = slider_moment(law, np.array([size]))[0]
+            wanted = compute_slider_moment(law, np.array([size]))[0]
             assert moment @ towards == pytest.approx(wanted, rel=1.05 * stated.error)
             aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
             assert aside <= 1.1 * stated.sideways * wanted + 1e-12
@@ -189,12 +191,14 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
 
 def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     table = wire_table("A2")
-    law, bent = sliders_of(table), table.curvature[1:]
-    off = np.abs(slider_moment(law, bent) / table.moment[1:] - 1.0)
+    law, bent = fit_wire_sliders(table), table.curvature[1:]
+    off = np.abs(compute_slider_moment(law, bent) / table.moment[1:] - 1.0)
     assert len(law.stiffnesses) == SLIDERS
-    assert float(off.max()) == pytest.approx(dict(table_card(table).sliders)[SLIDERS], rel=1e-6)
-    assert len(sliders_of(table, 4).stiffnesses) == 4
-    assert sliders_of(table) is sliders_of(table, sliders=SLIDERS)  # fitted once
+    assert float(off.max()) == pytest.approx(
+        dict(make_table_card(table).sliders)[SLIDERS], rel=1e-6
+    )
+    assert len(fit_wire_sliders(table, 4).stiffnesses) == 4
+    assert fit_wire_sliders(table) is fit_wire_sliders(table, sliders=SLIDERS)  # fitted once
 
 
 def worst(x: Floats, y: Floats, curvature: Floats, moment: Floats, between: int = 7) -> float:

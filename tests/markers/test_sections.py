@@ -183,7 +183,7 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
 
-    found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, bent_most=bent_most)
+    found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, is_bent=bent_most)
 
     top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
     assert found.axis.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
@@ -222,4 +222,4 @@ def test_what_makes_no_sections() -> None:
     ):
         sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
-            fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)
+            fit_span(sections, span=SPAN, radius=RADIUS, facing="side", is_bent=bent_most)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
-from labpipe.mechanics.wire.calibration.measured_curves import curve_errors
+from labpipe.mechanics.wire.calibration.measured_curves import compute_curve_errors
 from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.records.group import SampleCurve
 from labpipe.records.wire_calibration import (
@@ -72,7 +72,7 @@ def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> Valid
         band=band,
         prediction=model,
         mean_of=2,
-        errors=curve_errors(band.mean, force, lower, upper),
+        errors=compute_curve_errors(band.mean, force, lower, upper),
     )
 
 

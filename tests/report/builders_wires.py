@@ -7,9 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.mechanics.wire.cross_section import Insulation, compressed, lay_up, strand_diameter
+from labpipe.mechanics.wire.cross_section import (
+    Insulation,
+    compute_strand_diameter,
+    lay_up,
+    place_sectors,
+)
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.wire_table import layout_of
+from labpipe.mechanics.wire.wire_table import make_layout
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
 from tests.builders.wire_tables import wire_table
@@ -35,9 +40,9 @@ def troubled() -> WireTable:
 @cache
 def compressed_wire() -> WireTable:
     """The section of B1, seven compressed strands in a wall of 0.2 mm, with the law of A1."""
-    strand = strand_diameter(0.35e-6, 7)
+    strand = compute_strand_diameter(0.35e-6, 7)
     layers = lay_up(7, strand, [float(np.radians(12.0))], ANNEALED_COPPER)
-    section = compressed(layers, Insulation(0.35e-3, 0.2e-3, 1e9))
+    section = place_sectors(layers, Insulation(0.35e-3, 0.2e-3, 1e9))
     table = wire_table("A1", "B1")
     spec = replace(table.spec, wire_diameter=1.1e-3, strand_diameters=(strand, strand))
-    return replace(table, layout=layout_of(section), spec=spec)
+    return replace(table, layout=make_layout(section), spec=spec)

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from labpipe.mechanics.wire.bundle_model import bundle_model
+from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
@@ -40,10 +40,10 @@ from tests.builders.bundles import bundle, example_wires
 from tests.builders.campaigns import build_campaign
 from tests.report.figure_words import all_words, table_words
 
-MIXED = bundle_model(
+MIXED = compute_bundle_model(
     bundle(("B1", 4), ("B2", 3), arrangement="asymmetric", conduit_bore=4e-3), example_wires()
 )
-ALIKE = bundle_model(bundle(("B1", 7)), example_wires())
+ALIKE = compute_bundle_model(bundle(("B1", 7)), example_wires())
 
 
 SCALE = Scale(1e6, "N·mm²")

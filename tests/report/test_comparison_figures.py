@@ -139,7 +139,7 @@ def test_tables_of_questions(approved: Approve) -> None:
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
     (pair,) = list_single_field_pairs(bundle_campaign(samples))
     number, other = pair.differences
-    odd = replace(number, caveats=(*number.caveats, "not made alike: this against that"))
+    odd = replace(number, caveats=(*number.caveats, "different methods: this against that"))
     zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
     pairs = [
         usual,

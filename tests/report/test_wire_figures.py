@@ -15,7 +15,7 @@ from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 from python_calamine import CalamineWorkbook
 
-from labpipe.mechanics.wire.end_load_path import force_at
+from labpipe.mechanics.wire.end_load_path import interpolate_end_load
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import style
 from labpipe.report.wire_figures import (
@@ -184,12 +184,12 @@ def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
 
 def test_force_on_the_curve_and_none_beyond_its_end() -> None:
     middle = (TABLE.tip_deflection[3] + TABLE.tip_deflection[4]) / 2.0
-    assert TABLE.tip_force[3] < force_at(TABLE, middle) < TABLE.tip_force[4]
-    at_end = force_at(TABLE, TABLE.tip_deflection[-1])
+    assert TABLE.tip_force[3] < interpolate_end_load(TABLE, middle) < TABLE.tip_force[4]
+    at_end = interpolate_end_load(TABLE, TABLE.tip_deflection[-1])
     assert at_end == pytest.approx(TABLE.tip_force[-1], rel=1e-12)
-    assert make_summary_record(TABLE)["end load at 5 mm (N)"] == force_at(TABLE, 5e-3)
+    assert make_summary_record(TABLE)["end load at 5 mm (N)"] == interpolate_end_load(TABLE, 5e-3)
     short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
-    assert np.isnan(force_at(short, 5e-3))
+    assert np.isnan(interpolate_end_load(short, 5e-3))
     # PHYSICS: of the friction moment, which is all but the whole moment when slip begins
     assert compute_orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
 

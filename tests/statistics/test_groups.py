@@ -65,7 +65,7 @@ def test_what_is_left_out_says_why() -> None:
     assert list(number.values) == ["s0-1"]
     assert {test: join_reasons(reasons) for test, reasons in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
-        "s1-1": "other_unit: in N/mm, where the first sample is in N/m",
+        "s1-1": "other_unit: in N/mm; the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
         "s1-3": "not_finite: the value is inf",
     }
@@ -240,12 +240,12 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
         replace(build_sample("s1", name), test=name, results=(Result("k", 1.0, "N", method=how),))
         for name, how in (("a", short), ("b", long), ("c", short))
     ]
-    why = Reason("made_otherwise", f"made by {long}; the mean: {short}")
+    why = Reason("made_otherwise", f"computed by {long}; the mean: {short}")
     assert find_other_methods(made) == {"k": {"b": why}}
     assert list(find_other_methods(made[1:])["k"]) == ["c"]
     (note,) = make_method_notes(find_other_methods(made), made)
     assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
-    assert note.message == f"not in the mean, as it was made otherwise: b ({why.message})"
+    assert note.message == f"not in the mean, since the method differs: b ({why.message})"
     (number,) = build_group("A", "p", made).numbers
     assert (list(number.values), number.left_out) == (["a", "c"], {"b": (why,)})
 

@@ -41,7 +41,7 @@ def test_no_samples_and_one_sample_say_so() -> None:
     assert str(none.reason).startswith("no_samples: ")
     assert averaged({}).chosen.estimate is None
     assert (one.mean, one.interval, one.n) == (3.0, None, 1)
-    assert str(one.reason).endswith("scatter of two values, there is one spool")
+    assert str(one.reason).endswith("needs two values, there is one spool")
     scatter = estimate_spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
     assert np.isnan([scatter.within, scatter.between_spools, scatter.share]).all()
     assert scatter.share_upper == 1.0

@@ -112,13 +112,18 @@ def test_nothing_scatters() -> None:
 @pytest.mark.parametrize(
     ("second", "margin", "verdict", "message"),
     [
-        (SECOND, None, Verdict.DIFFERENT, "different: p = 0.025; one and two: one spool, so how"),
+        (
+            SECOND,
+            None,
+            Verdict.DIFFERENT,
+            "different: p = 0.025; one and two: one spool, so the scatter",
+        ),
         (NEAR, 0.1, Verdict.EQUIVALENT, ": within 10 %: p = "),
         (SECOND, 0.5, Verdict.EQUIVALENT, "a real difference, but within 50 %: p = "),
-        (NEAR, None, Verdict.CANNOT_TELL, "the interval holds zero, and no margin is stated;"),
-        (NEAR, 0.01, Verdict.CANNOT_TELL, "the interval holds zero, not shown to be within 1 %"),
-        (NEAR, 0.03, Verdict.CANNOT_TELL, "with this scatter n = 22 in each group would tell"),
-        ([1.0], None, Verdict.CANNOT_TELL, "an interval needs the scatter of two values, there"),
+        (NEAR, None, Verdict.CANNOT_TELL, "the interval contains zero, and no margin is stated;"),
+        (NEAR, 0.01, Verdict.CANNOT_TELL, "the interval contains zero, not shown to be within 1 %"),
+        (NEAR, 0.03, Verdict.CANNOT_TELL, "with this scatter n = 22 in each group would decide"),
+        ([1.0], None, Verdict.CANNOT_TELL, "an interval needs two values, there"),
     ],
 )
 def test_verdicts_of_one_comparison(
@@ -220,8 +225,8 @@ def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     assert {finding.sample for finding in found} == {"c1", "c2"}
     assert found[0].p == found[1].p
     assert {finding.method for finding in found} == {
-        "Grubbs' test within spools, which cannot tell it from c1",
-        "Grubbs' test within spools, which cannot tell it from c2",
+        "Grubbs' test within spools, which cannot distinguish it from c1",
+        "Grubbs' test within spools, which cannot distinguish it from c2",
     }
 
 

@@ -11,12 +11,12 @@ from labpipe.errors import LabpipeError
 from labpipe.mechanics.studies.bundle_bounds import (
     Conduit,
     as_json,
-    bundle_loop,
+    extract_loop,
     find_places,
     model_bundle,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.bundle_model import bundle_model
+from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, join_reasons
@@ -28,14 +28,14 @@ from tests.builders.bent_bundles import LENGTH, bent_bundle
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample, grouped, three_of
 from tests.builders.bundles import EXAMPLES, bundle, example_wires
 
-WIRES = read_wire_sheet(EXAMPLES)
+WIRES = read_wire_sheet(EXAMPLES).specs
 
 
 SEVEN = bundle_of("7 B1", conduit="corrugated-tube", conduit_bore=0.0107)
 
 
 def test_samples_and_mean_between_the_bounds_of_the_model() -> None:
-    model = bundle_model(Bundle(SEVEN.wires), example_wires())
+    model = compute_bundle_model(Bundle(SEVEN.wires), example_wires())
     *samples, mean = find_places(grouped(three_of(SEVEN)), WIRES)
     assert [place.test for place in (*samples, mean)] == [*(f"{mean.group}-{n}" for n in "123"), ""]
     for place in (*samples, mean):
@@ -98,7 +98,7 @@ def test_words_to_numbers_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     modelled = model_bundle("4 B1 + 3 B2", wires=EXAMPLES, arrangement="asymmetric")
     stated = bundle(("B1", 4), ("B2", 3), arrangement="asymmetric")
-    plain = bundle_model(stated, example_wires())
+    plain = compute_bundle_model(stated, example_wires())
     assert (modelled.name, modelled.conduits) == ("4 B1 3 B2 asymmetric", ())
     assert modelled.model.high == plain.high
     assert modelled.wanted_bore == pytest.approx(1e-3 * np.sqrt((4 * 1.1**2 + 3 * 1.25**2) / 0.7))
@@ -217,28 +217,28 @@ def test_bounds_without_a_loop(tmp_path: Path) -> None:
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
     bare = replace(whole, specimen=replace(whole.specimen, dimensions={}))
-    with pytest.raises(ValueError, match=r"^the test sheet has neither length nor span$"):
-        bundle_loop(bare)
+    with pytest.raises(ValueError, match=r"^the test sheet states neither length nor span$"):
+        extract_loop(bare)
 
 
 def test_a_span_is_two_cantilevers_and_a_cantilever_weighs_what_its_sheet_says() -> None:
     whole = bent_bundle()
     assert whole.curve is not None
     half = replace(whole, specimen=replace(whole.specimen, dimensions={"span": 2.0 * LENGTH}))
-    one, other = bundle_loop(whole), bundle_loop(half)
+    one, other = extract_loop(whole), extract_loop(half)
     assert other.length == one.length == LENGTH
     assert other.force == pytest.approx(0.5 * one.force)
     assert other.kink == (one.kink[0], 0.5 * one.kink[1])
     force = whole.curve.force.copy()
     force[10] = np.nan
-    gap = bundle_loop(replace(whole, curve=replace(whole.curve, force=force)))
+    gap = extract_loop(replace(whole, curve=replace(whole.curve, force=force)))
     assert np.all(np.isfinite(gap.force))
     assert gap.deflection.min() > 1e-3 * LENGTH
     protocol = parse_protocol(whole.protocol_yaml, "p.yaml")
     specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
     text = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
     assert one.self_weight == 0.0
-    assert bundle_loop(replace(whole, protocol_yaml=text)).self_weight == pytest.approx(
+    assert extract_loop(replace(whole, protocol_yaml=text)).self_weight == pytest.approx(
         0.0758 * GRAVITY
     )
-    assert bundle_loop(replace(half, protocol_yaml=text)).self_weight == 0.0
+    assert extract_loop(replace(half, protocol_yaml=text)).self_weight == 0.0

@@ -9,26 +9,26 @@ import pytest
 from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
-from labpipe.mechanics.decks.lookup import sliders_json
+from labpipe.mechanics.decks.lookup import write_sliders_json
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
-    linear_moment_law,
+    compute_slider_moment,
+    make_linear_law,
+    make_unbent_rests,
     slide_vector,
-    slider_moment,
-    unbent_rests,
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
-from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
-    curvature_after_release,
-    largest_unbending,
-    max_residual_curvature,
-    residual_curvature,
-    unloading_reason,
+    bound_residual_curvature,
+    check_unloading,
+    compute_released_curvature,
+    compute_residual_curvature,
+    measure_unbending,
 )
-from labpipe.mechanics.studies.harness_section import Material, material_of
+from labpipe.mechanics.studies.harness_section import Material, read_material
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.protocol.harness_file import HarnessFile
@@ -45,7 +45,7 @@ from tests.builders.harness_files import (
     written,
 )
 
-SECTION = Section(linear_moment_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
+SECTION = Section(make_linear_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
 
 
 def harness(tmp_path: Path, text: str) -> HarnessFile:
@@ -70,7 +70,9 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
     wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
     assert right.position == pytest.approx(wanted, abs=1e-15)
     assert right.frame is not None
-    assert matrices(right.frame)[:, :, 2] == pytest.approx(np.tile([1.0, 0, 0], (5, 1)), abs=1e-12)
+    assert to_matrices(right.frame)[:, :, 2] == pytest.approx(
+        np.tile([1.0, 0, 0], (5, 1)), abs=1e-12
+    )
     assert held(prepared, "left").position == pytest.approx(np.zeros((5, 3)))
 
 
@@ -97,7 +99,7 @@ def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     grip = held(line_of(tmp_path, text.replace(path, turns)), "gripper")
     assert grip.release == 9
     assert grip.frame is not None
-    axes = matrices(grip.frame)
+    axes = to_matrices(grip.frame)
     root = np.sqrt(0.5)
     directions = [[1, 0, 0], [root, 0, root], *[[0, 0, 1]] * 9]
     assert axes[:, :, 2] == pytest.approx(np.array(directions), abs=1e-12)
@@ -170,15 +172,15 @@ def test_rings_strings_and_planes(tmp_path: Path) -> None:
 
 def material(folder: Path, section: str, *, wires: Path | None = None, line: str = "") -> Material:
     file = written(folder, arch(section, line=line))
-    return material_of(load_harness(file), file, wires)
+    return read_material(load_harness(file), file, wires)
 
 
 def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     """The sheet of the file, or another in its place; and a deck of the wire."""
     wire = material(tmp_path, "{wire: A2}")
-    table = wire_table(next(spec for spec in read_wire_sheet(SHEET) if spec.name == "A2"))
+    table = wire_table(next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2"))
     section = wire.sections[0]({})
-    moments = slider_moment(section.law, table.curvature[1:])
+    moments = compute_slider_moment(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
     assert section.mass_per_length == pytest.approx(table.mass_per_length)
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
@@ -194,7 +196,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
         "X,1.6,7,0.32,0.3,12\n"
     )
     assert material(tmp_path, "{wire: X}", wires=other).name == "X"
-    (tmp_path / "A2.sliders.json").write_text(sliders_json(table), encoding="utf-8")
+    (tmp_path / "A2.sliders.json").write_text(write_sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
     of_deck = deck.sections[0]({})
     assert of_deck.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
@@ -247,7 +249,7 @@ SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0,
 
 def bent(law: SliderLaw, path: list[tuple[float, float]]) -> Floats:
     """Where the sliders of one station rest after some curvatures."""
-    rests = unbent_rests(law, 1, is_vector=True)
+    rests = make_unbent_rests(law, 1, is_vector=True)
     for curvature in path:
         rests = slide_vector(law, np.array([curvature]), rests).rests
     return rests
@@ -262,10 +264,10 @@ def test_one_slider() -> None:
         (ONE, 5.0, 3.0),  # back by 2, then it slides the other way until 2 k = 6
         (replace(ONE, stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
     ):
-        released = curvature_after_release(law, bent(law, [(to, 0.0)]))[0]
+        released = compute_released_curvature(law, bent(law, [(to, 0.0)]))[0]
         assert released == pytest.approx([residual, 0.0], abs=1e-8)
     spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
-    assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
+    assert not compute_released_curvature(spring, np.zeros((4, 0, 2))).any()
 
 
 def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
@@ -280,7 +282,7 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     least = minimize(
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
     )
-    assert curvature_after_release(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
+    assert compute_released_curvature(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
 
 
 def test_a_laid_line_keeps_what_its_own_law_says() -> None:
@@ -290,10 +292,16 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     """
     _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
     law = prepared.line.section.law
-    reason = unloading_reason(path, prepared.line)
-    assert reason is not None
-    assert "85 mm from the start the residual curvature is 1.49 1/m by the rule" in reason.message
-    residual, largest = residual_curvature(path.last, law), max_residual_curvature(path, law)
+    doubt = check_unloading(path, prepared)
+    assert doubt is not None
+    assert (
+        "85 mm from the start the residual curvature is 1.49 1/m by the rule"
+        in doubt.reason.message
+    )
+    residual, largest = (
+        compute_residual_curvature(path.last, law),
+        bound_residual_curvature(path, law),
+    )
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(largest))
     assert residual[node] == pytest.approx(1.49, abs=0.01)
@@ -304,8 +312,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
     back = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert largest[node] == pytest.approx(float(back), rel=1e-9)
-    assert largest_unbending(path) == pytest.approx(
+    assert measure_unbending(path) == pytest.approx(
         (bends.max(axis=0) - bends[-1]).max() / bends.max()
     )
-    assert 0.7 < largest_unbending(path) < 0.8
-    assert largest_unbending(replace(path, states=41 * path.states[-1:])) == 0.0
+    assert 0.7 < measure_unbending(path) < 0.8
+    assert measure_unbending(replace(path, states=41 * path.states[-1:])) == 0.0

@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.mechanics.decks.calculix import calculix_deck
-from labpipe.mechanics.law.plays import LinearLaw, concave_law
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.decks.calculix import write_calculix_deck
+from labpipe.mechanics.law.plays import LinearLaw, make_concave_law
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.mechanics.wire.wire_table import wire_table as table_of
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
@@ -43,7 +43,7 @@ CLOSE = 0.02
 
 def pushed(table: WireTable, folder: Path, *, n_steps: int = 80) -> tuple[Floats, Floats]:
     """Tip deflection and end load, m and N, as the program finds them."""
-    (folder / "wire.inp").write_text(calculix_deck(table, n_along=N_ALONG, n_steps=n_steps))
+    (folder / "wire.inp").write_text(write_calculix_deck(table, n_along=N_ALONG, n_steps=n_steps))
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run(["ccx", "-i", "wire"], cwd=folder, env=environment, check=True, timeout=300)
     across, up = CurveColumn("deflection", "m"), CurveColumn("force", "N")
@@ -66,7 +66,7 @@ def compressed(name: str) -> WireTable:
 def test_a_linear_bar_is_the_elastica(tmp_path: Path) -> None:
     table = wire_table("A2")
     deflection, load = pushed(replace(table, moment=4e-4 * table.curvature), tmp_path, n_steps=12)
-    expected = end_load_path(LinearLaw(4e-4), table.spec.length, deflection).load
+    expected = compute_end_load_path(LinearLaw(4e-4), table.spec.length, deflection).load
     assert deflection[-1] == pytest.approx(0.6 * table.spec.length)
     assert load == pytest.approx(expected, rel=3e-3)
 
@@ -79,6 +79,6 @@ def test_wires(name: str, tmp_path: Path) -> None:
     assert deflection[-1] >= 0.05
     held = (deflection >= 0.005) & (deflection <= 0.05)
     assert np.count_nonzero(held) > 60
-    law = concave_law(table.curvature[1:], table.moment[1:])
-    expected = end_load_path(law, table.spec.length, deflection[held]).load
+    law = make_concave_law(table.curvature[1:], table.moment[1:])
+    expected = compute_end_load_path(law, table.spec.length, deflection[held]).load
     assert load[held] == pytest.approx(expected, rel=CLOSE)

@@ -14,8 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
-from labpipe.mechanics.wire.cross_section import concentric
+from labpipe.mechanics.wire.bending_law import (
+    compute_moment_curve,
+    compute_slip_stiffness,
+    compute_stick_stiffness,
+)
+from labpipe.mechanics.wire.cross_section import place_rings
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
 from labpipe.results.least_squares import compute_slope, compute_zero_crossing
@@ -160,8 +164,8 @@ CONCENTRIC = {"C1": 1.62, "C2": 3.15, "C3": 6.60, "C4": 17.9, "C5": 41.9}
 
 @pytest.mark.parametrize("name", sorted(PRINTED))
 def test_bounds(name: str) -> None:
-    low = 1e3 * stick_stiffness(wire(name))
-    high = 1e3 * stick_stiffness(concentric(layers_of(name), tube(WIRES[name][0])))
+    low = 1e3 * compute_stick_stiffness(wire(name))
+    high = 1e3 * compute_stick_stiffness(place_rings(layers_of(name), tube(WIRES[name][0])))
     assert low == pytest.approx(HEXAGONAL[name], rel=3e-3)
     assert high == pytest.approx(CONCENTRIC[name], rel=3e-3)
     if name != "C2":
@@ -190,7 +194,7 @@ def published(realdata: Path) -> tuple[Floats, Floats]:
 
 def rms(contacts: Contacts, published: tuple[Floats, Floats], orientation: float = 0.0) -> float:
     curvature, moment = published
-    found = moment_curvature(
+    found = compute_moment_curve(
         cardinal(), contacts, curvature, tension=TENSION, orientation=orientation
     )
     return float(np.sqrt(np.mean((found.moment - moment) ** 2)))
@@ -198,8 +202,8 @@ def rms(contacts: Contacts, published: tuple[Floats, Floats], orientation: float
 
 def test_stiffness_bounds() -> None:
     """Published 30.2 N m^2 is with cos(alpha) for the helix; the energy average is 0.3 % less."""
-    assert slip_stiffness(cardinal()) == pytest.approx(30.2, rel=4e-3)
-    assert stick_stiffness(cardinal()) == pytest.approx(1891.0, rel=2e-4)
+    assert compute_slip_stiffness(cardinal()) == pytest.approx(30.2, rel=4e-3)
+    assert compute_stick_stiffness(cardinal()) == pytest.approx(1891.0, rel=2e-4)
 
 
 @pytest.mark.realdata

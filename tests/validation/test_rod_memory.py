@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.mechanics.law.loss_card import sliders_of
-from labpipe.mechanics.law.plays import respond, unbent_plays
-from labpipe.mechanics.law.sliders import as_plays
+from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
+from labpipe.mechanics.law.plays import make_unbent_plays, respond
+from labpipe.mechanics.law.sliders import convert_to_plays
 from labpipe.mechanics.rod.boundaries import Load, Moment
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.wire.cantilever import bend_under_force, straight
+from labpipe.mechanics.wire.cantilever import bend_under_force, make_straight
 from labpipe.records.arrays import Floats
 from tests.builders.rods import (
     LENGTH,
@@ -33,7 +33,7 @@ from tests.builders.wire_tables import wire_table
 from tests.judges.judged_rods import clamped
 from tests.judges.rod_references import tips
 
-PLAYS = as_plays(SLIDING)
+PLAYS = convert_to_plays(SLIDING)
 
 
 def test_a_node_there_and_back_follows_masing() -> None:
@@ -43,7 +43,7 @@ def test_a_node_there_and_back_follows_masing() -> None:
     path = walked(line, [clamp(line), Moment(-1, moments)], steps)
     # d1 is up: a moment about it bends by the first component
     found = np.array([state.curvatures[0, 1, 0] for state in path.states])
-    plays, expected = unbent_plays(PLAYS, 1), []
+    plays, expected = make_unbent_plays(PLAYS, 1), []
     for moment in moments[:, 2]:
         response = respond(PLAYS, np.array([moment]), plays)
         plays = response.plays
@@ -54,7 +54,7 @@ def test_a_node_there_and_back_follows_masing() -> None:
 
 def wire_loop(forces: Floats) -> Floats:
     """Deflections of the cantilever of `wire` under forces across it, m, at 96 stations."""
-    state, out = straight(PLAYS, 96), []
+    state, out = make_straight(PLAYS, 96), []
     for force in forces:
         shape = bend_under_force(PLAYS, state, LENGTH, np.array([0.0, force]))
         state = shape.state
@@ -88,7 +88,7 @@ def rod_tips(
 ) -> Floats:
     """Where the tip of the rod is under each load, shape (loads, 3)."""
     table = wire_table(name)
-    section = Section(sliders_of(table), table.torsional_stiffness)
+    section = Section(fit_wire_sliders(table), table.torsional_stiffness)
     line = straight_line(WIRE_LENGTH, ELEMENTS, section)
     angles = np.broadcast_to(towards, loads.shape)
     pulls = np.column_stack([0.0 * loads, loads * np.cos(angles), loads * np.sin(angles)])
@@ -111,7 +111,7 @@ def test_a_load_that_turns() -> None:
     towards = np.radians([0.0, 0.0, 30.0, 60.0, 90.0, 90.0])
     loads = np.array([0.4, 0.8, 0.8, 0.8, 0.8, 0.0])
     rod = rod_tips("A2", loads, towards)
-    chain = tips(mujoco_space_deck(wire_table("A2")), loads, towards)
+    chain = tips(write_mujoco_space_deck(wire_table("A2")), loads, towards)
     off = np.linalg.norm(rod - chain, axis=1)
     most = np.max(np.linalg.norm(chain[:, 1:], axis=1))
     assert np.max(off[:-1]) < 3e-3 * most
@@ -122,7 +122,7 @@ def test_a_load_that_turns() -> None:
 def test_there_and_back_and_there_again() -> None:
     """Two cycles: deflections, and what is left without load, within 0.5 %."""
     loads = 0.9 * np.array([0.2, 0.5, 1.0, 0.5, 0.0, -0.5, 0.0, 0.5, 1.0, 0.0])
-    rod, chain = rod_tips("A2", loads), tips(mujoco_plane_deck(wire_table("A2")), loads)
+    rod, chain = rod_tips("A2", loads), tips(write_mujoco_plane_deck(wire_table("A2")), loads)
     assert float(np.max(np.abs(chain[:, 1]))) > 0.4 * WIRE_LENGTH
     assert rod[:, 1] == pytest.approx(chain[:, 1], rel=5e-3)
     assert rod[:, 2] == pytest.approx(0.0, abs=1e-9)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import corners_of, respond, unbent_plays
-from labpipe.mechanics.wire.bending_law import moment_curvature, stick_stiffness
-from labpipe.virtual_lab.cantilever_scenarios import solve_path, taped_scenario
+from labpipe.mechanics.law.plays import find_corners, make_unbent_plays, respond
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
+from labpipe.virtual_lab.cantilever_scenarios import build_taped_scenario, solve_path
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, BundleModel, StrandedWire, lay_wires
 from labpipe.virtual_lab.truth import evaluate_taped, find_kink
 from tests.judges.reference_wires import bend_along
@@ -22,10 +22,10 @@ EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)
 def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
     law = wire.law()
     curvature = np.geomspace(1e-3, 70.0, 200)
-    moment = moment_curvature(wire.section(), wire.contacts(), curvature).moment
-    curvatures = respond(law, moment, unbent_plays(law, len(moment))).curvature
+    moment = compute_moment_curve(wire.section(), wire.contacts(), curvature).moment
+    curvatures = respond(law, moment, make_unbent_plays(law, len(moment))).curvature
     assert curvatures == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
-    assert law.stiffness == pytest.approx(stick_stiffness(wire.section()), rel=1e-3)
+    assert law.stiffness == pytest.approx(compute_stick_stiffness(wire.section()), rel=1e-3)
 
 
 @EVERY
@@ -34,7 +34,7 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
     path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
     top, down = path[len(there) - 1], path[len(there) :]
-    history = respond(law, np.array([top]), unbent_plays(law, 1)).plays
+    history = respond(law, np.array([top]), make_unbent_plays(law, 1)).plays
     curvatures = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(back[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top
@@ -61,7 +61,7 @@ def test_slips_where_it_is_said_to() -> None:
     distances = np.abs(lay_wires(bundle).y)
     distances = distances[distances > 1e-9]
     mean = np.sqrt(np.mean(distances**2))
-    _, bent, _ = corners_of(bundle.law())
+    _, bent, _ = find_corners(bundle.law())
     for curvature in bundle.slip_curvature * mean / np.unique(distances.round(9)):
         assert np.min(np.abs(bent - curvature)) < 1e-6 * curvature
     assert bundle.glue_strain is not None
@@ -106,7 +106,7 @@ def test_two_lines_are_found_where_they_join() -> None:
 
 def test_a_bundle_in_the_rig() -> None:
     bundle = TAPED_TYPES["TWB-B1-19-PVC"]
-    test = taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
+    test = build_taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
     truth = evaluate_taped(solve_path(test))
     # A straight elastic beam: 3 EI / L^3; the counterweight's string adds next to nothing.
     linear = 3.0 * bundle.law().stiffness / test.length**3

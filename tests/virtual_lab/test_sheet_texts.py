@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import build
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.observations import (
     PROTOCOL_VALUES,
@@ -19,7 +19,7 @@ from labpipe.virtual_lab.observations import (
 )
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.virtual_lab.three_point import (
-    conduit_scenario,
+    build_conduit_scenario,
 )
 
 
@@ -57,7 +57,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
         "markers.pull_offset": "5 mm",
     }
     files = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
-    sheet = yaml.safe_load(write_sheet(conduit_scenario("CWB-2b"), files))
+    sheet = yaml.safe_load(write_sheet(build_conduit_scenario("CWB-2b"), files))
     assert sheet["protocol"] == "conduit-bundle"
     assert sheet["specimen"]["span"] == "152.4 mm"
     assert sheet["specimen"]["bundle"]["taping"] == "coarse"
@@ -70,10 +70,10 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
 
 def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:
     sheet = write_wire_sheet(tmp_path / "wires")
-    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     assert list(specs) == list(WIRES)
     for name, wire in WIRES.items():
-        section, virtual = build(specs[name]).section, wire.section()
+        section, virtual = build_wire(specs[name]).section, wire.section()
         assert section.kind == virtual.kind
         assert specs[name].wire_diameter == pytest.approx(wire.diameter, rel=1e-6)
         assert section.x == pytest.approx(virtual.x, abs=1e-9)

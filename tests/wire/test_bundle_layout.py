@@ -13,21 +13,21 @@ from scipy.optimize import nnls
 from labpipe.mechanics.wire.bundle_layout import (
     _lattice_heap,
     _start_pitches,
-    arrange,
-    evenly,
-    on_one_side,
-    sites,
+    arrange_wires,
+    place_sites,
+    spread_evenly,
+    stack_kinds,
 )
 from labpipe.mechanics.wire.bundle_packing import (
-    bore_for,
     choose_bore,
-    densest_heap,
-    fits,
-    holding_circle,
-    packing_fraction,
+    compute_bore,
+    compute_packing_fraction,
+    find_densest_heap,
+    find_holding_circle,
+    fits_bore,
     require_dense,
 )
-from labpipe.mechanics.wire.cross_section import largest_overlap
+from labpipe.mechanics.wire.cross_section import find_largest_overlap
 from labpipe.records.arrays import Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS
 from tests.builders.bundles import bundle
@@ -35,14 +35,14 @@ from tests.builders.bundles import bundle
 
 @pytest.mark.parametrize("number", [2, 8, 13, 19])
 def test_wires_touch_and_do_not_overlap(number: int) -> None:
-    places = sites(number)
+    places = place_sites(number)
     assert places.shape == (number, 2)
-    assert largest_overlap(places, np.ones(number) / 2.0) < 1e-9
+    assert find_largest_overlap(places, np.ones(number) / 2.0) < 1e-9
     distance = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
     if number == 8:  # the densest eight in a circle need 3.3048 radii (Pirl 1969)
-        assert 3.3047 < 2.0 * holding_circle(places, np.ones(8))[1] < 1.11 * 3.3048
+        assert 3.3047 < 2.0 * find_holding_circle(places, np.ones(8))[1] < 1.11 * 3.3048
 
 
 def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
@@ -55,14 +55,14 @@ def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
 
 def test_a_shared_row_is_balanced() -> None:
     places = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
-    assert on_one_side(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
-    assert on_one_side(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
+    assert stack_kinds(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
+    assert stack_kinds(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
 
 
 @pytest.mark.parametrize("counts", [[10, 9], [8, 6, 5]])
 def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
     """By the centroids and second moments of the kinds."""
-    places = sites(19)
+    places = place_sites(19)
     x, y = places.T / np.sqrt(np.mean(np.sum(places**2, axis=1)))
     traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - 1.0])
 
@@ -70,8 +70,8 @@ def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
         sums = [traits[:, kind == k].sum(axis=1) for k in range(len(counts))]
         return float(np.sum(np.square(sums) / np.array(counts)[:, None]))
 
-    even = evenly(places, counts, seed=2)
-    assert np.array_equal(even, evenly(places, counts, seed=2))
+    even = spread_evenly(places, counts, seed=2)
+    assert np.array_equal(even, spread_evenly(places, counts, seed=2))
     assert np.bincount(even).tolist() == counts
     for pair in combinations(range(19), 2):
         exchanged = even.copy()
@@ -87,7 +87,7 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
     rng = np.random.default_rng(number)
     diameters = rng.uniform(0.8, 1.2, number)
-    centres = densest_heap([rng.normal(size=(number, 2))], diameters)
+    centres = find_densest_heap([rng.normal(size=(number, 2))], diameters)
     first, second = np.triu_indices(number, 1)
     apart = centres[first] - centres[second]
     distance = np.hypot(*apart.T)
@@ -110,7 +110,7 @@ def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bo
         angle = np.radians(np.append(np.linspace(100.0, 260.0, 30), np.zeros(270)))
         centres = np.column_stack([np.cos(angle), np.sin(angle)])
         centres[30:, 0], centres[30, 0], diameters = 0.3, 1.2, np.full(300, 0.01)
-    middle, radius = holding_circle(centres, diameters)
+    middle, radius = find_holding_circle(centres, diameters)
     reach = np.hypot(*(centres - middle).T) + diameters / 2.0
     assert reach.max() == pytest.approx(radius)
     touching = centres[reach > radius * (1.0 - 1e-6)] - middle
@@ -125,7 +125,7 @@ def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bo
 )
 def test_hexagons(number: int, core: int, farthest: float) -> None:
     """Around one wire or three; from the middle outwards, then by angle."""
-    places = sites(number)
+    places = place_sites(number)
     away = np.hypot(*places.T)
     assert away[:core] == pytest.approx(0.0 if core == 1 else 3.0**-0.5, abs=1e-12)
     assert away.max() == pytest.approx(farthest, abs=1e-12)
@@ -144,11 +144,11 @@ def test_mixed_bundles(arrangement: str) -> None:
     """Half a micrometre makes wires unequal, too."""
     diameters = (1.10e-3, 1.1005e-3) if arrangement == "symmetric" else DIAMETERS
     mixed = bundle(("B1", 10), ("B2", 9), arrangement=arrangement)
-    layout = arrange(mixed, diameters, STIFFNESS)
+    layout = arrange_wires(mixed, diameters, STIFFNESS)
     centres = np.column_stack([layout.x, layout.y])
     assert layout.kind.tolist() == [0] * 10 + [1] * 9
     assert layout.diameter == pytest.approx(np.repeat(diameters, [10, 9]))
-    assert largest_overlap(centres, layout.diameter / 2.0) < 1e-12
+    assert find_largest_overlap(centres, layout.diameter / 2.0) < 1e-12
     centroid = np.average(centres, axis=0, weights=layout.diameter**2)
     assert centroid == pytest.approx([0.0, 0.0], abs=1e-9)
     reach = np.hypot(*centres.T) + layout.diameter / 2.0
@@ -162,32 +162,32 @@ def test_mixed_bundles(arrangement: str) -> None:
         stiff, soft = (layout.y[layout.kind == kind].mean() for kind in (1, 0))
         assert stiff > 1e-3 > 0.0 > soft
     elif arrangement == "packed":
-        again, other = (arrange(mixed, diameters, STIFFNESS, seed=seed) for seed in (0, 5))
+        again, other = (arrange_wires(mixed, diameters, STIFFNESS, seed=seed) for seed in (0, 5))
         assert np.array_equal(layout.x, again.x)
         assert not np.array_equal(layout.x, other.x)
 
 
 def test_stated_positions_are_kept_about_their_centroid() -> None:
     stated = bundle(("B1", 2), positions=((1e-3, 0.0), (1e-3, 2e-3)))
-    layout = arrange(stated, DIAMETERS[:1], STIFFNESS[:1])
+    layout = arrange_wires(stated, DIAMETERS[:1], STIFFNESS[:1])
     assert layout.arrangement == "stated"
     assert (layout.x.tolist(), layout.y.tolist()) == ([0.0, 0.0], [-1e-3, 1e-3])
     assert layout.radius == pytest.approx(1.55e-3)
     pressed = bundle(("B1", 2), positions=((0.0, 0.0), (1.092e-3, 0.0)))  # insulation gives
-    assert arrange(pressed, DIAMETERS[:1], STIFFNESS[:1]).arrangement == "stated"
+    assert arrange_wires(pressed, DIAMETERS[:1], STIFFNESS[:1]).arrangement == "stated"
 
 
 def test_packing_fractions_and_bores() -> None:
     seven = np.full(7, 1e-3)
-    assert packing_fraction(seven, 3e-3) == pytest.approx(7.0 / 9.0)
+    assert compute_packing_fraction(seven, 3e-3) == pytest.approx(7.0 / 9.0)
     mixed = np.array([1.1e-3] * 10 + [1.25e-3] * 9)
-    assert packing_fraction(mixed, bore_for(mixed)) == pytest.approx(0.7)
-    assert bore_for(seven, 7.0 / 9.0) == pytest.approx(3e-3)
+    assert compute_packing_fraction(mixed, compute_bore(mixed)) == pytest.approx(0.7)
+    assert compute_bore(seven, 7.0 / 9.0) == pytest.approx(3e-3)
     assert choose_bore(seven, (2.9e-3, 3.2e-3, 3.6e-3), smallest=3e-3) == 3.2e-3
     assert choose_bore(seven, (3.6e-3, 9e-3), smallest=3e-3) == 3.6e-3
     assert choose_bore(seven, (3e-3,), smallest=3e-3) == 3e-3
-    assert fits(3e-3 * (1.0 + 1e-12), 3e-3)
-    assert not fits(3.001e-3, 3e-3)
+    assert fits_bore(3e-3 * (1.0 + 1e-12), 3e-3)
+    assert not fits_bore(3.001e-3, 3e-3)
 
 
 @settings(max_examples=5, deadline=None)
@@ -199,13 +199,15 @@ def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) ->
     rng = np.random.default_rng(seed)
     diameters = rng.uniform(0.5, 1.5, number)
     start = rng.normal(size=(number, 2))
-    heap = densest_heap([start], diameters)
-    assert largest_overlap(heap, diameters / 2.0) < 1e-9
+    heap = find_densest_heap([start], diameters)
+    assert find_largest_overlap(heap, diameters / 2.0) < 1e-9
     assert np.average(heap, axis=0, weights=diameters**2) == pytest.approx([0.0, 0.0], abs=1e-9)
     if number > 3:
-        assert packing_fraction(diameters, 2.0 * holding_circle(heap, diameters)[1]) > 0.5
+        assert (
+            compute_packing_fraction(diameters, 2.0 * find_holding_circle(heap, diameters)[1]) > 0.5
+        )
     scale = 2.0**-10  # rounds no number
-    small = densest_heap([scale * start], scale * diameters)
+    small = find_densest_heap([scale * start], scale * diameters)
     assert scale * heap == pytest.approx(small, abs=1e-12)
 
 
@@ -213,7 +215,7 @@ def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) ->
 def test_wires_on_one_another_part(beside: int) -> None:
     """Seven at one place, some more at another."""
     centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
-    heap = densest_heap([centres], np.ones(7 + beside))
-    assert largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
-    assert holding_circle(heap, np.ones(7 + beside))[1] < 2.0
+    heap = find_densest_heap([centres], np.ones(7 + beside))
+    assert find_largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
+    assert find_holding_circle(heap, np.ones(7 + beside))[1] < 2.0
     require_dense(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2))  # two wires fill just half

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
-from labpipe.mechanics.wire.bending_law import play_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import (
     AtDeflection,
     CantileverShape,
@@ -19,18 +19,18 @@ from labpipe.mechanics.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
-    held_level,
-    straight,
+    hold_level,
+    make_straight,
 )
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.mechanics.wire.newton import (
     Condition,
     Wire,
     bend_wire,
-    chebyshev_stations,
-    interpolation_matrix,
-    jacobian,
-    residual,
+    compute_jacobian,
+    compute_residual,
+    make_interpolation_matrix,
+    make_stations,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.cantilevers import LENGTH, WIRE
@@ -40,7 +40,7 @@ RIG = StringRig(string_length=0.76, weight=0.0027 * 9.80665, anchor_x=LENGTH, an
 
 
 def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[CantileverShape]:
-    state, shapes = straight(law), []
+    state, shapes = make_straight(law), []
     for travel in travels:
         shapes.append(bend_to_travel(law, state, LENGTH, rig, float(travel)))
         state = shapes[-1].state
@@ -88,9 +88,9 @@ def test_lean_of_the_string(law: MomentLaw, lean: tuple[float, float]) -> None:
 
     Against a vertical load at the same deflection, and at a deflection equal to the travel.
     """
-    shape = bend_to_travel(law, straight(law), LENGTH, RIG, 0.05)
+    shape = bend_to_travel(law, make_straight(law), LENGTH, RIG, 0.05)
     loads = [
-        end_load_path(law, LENGTH, np.array([deflection])).load[0]
+        compute_end_load_path(law, LENGTH, np.array([deflection])).load[0]
         for deflection in (shape.y[-1], 0.05)
     ]
     share = 100.0 * ((shape.tension - RIG.weight) / np.array(loads) - 1.0)
@@ -98,7 +98,7 @@ def test_lean_of_the_string(law: MomentLaw, lean: tuple[float, float]) -> None:
 
 
 def test_one_step_or_many_reach_the_same_place_on_a_branch() -> None:
-    one = bend_to_travel(WIRE, straight(WIRE), LENGTH, RIG, 0.03)
+    one = bend_to_travel(WIRE, make_straight(WIRE), LENGTH, RIG, 0.03)
     many = travel_through(WIRE, RIG, ramp(0.0, 0.03, steps=40))[-1]
     assert one.tension == pytest.approx(many.tension, rel=1e-8)
     np.testing.assert_allclose(one.y, many.y, atol=1e-9)
@@ -106,9 +106,9 @@ def test_one_step_or_many_reach_the_same_place_on_a_branch() -> None:
 
 def test_a_long_step_does_not_end_in_a_curl() -> None:
     section = wire("C4")
-    law = play_law(section, contacts_of(section), largest_curvature=95.0)
-    whole = bend_to_deflection(law, straight(law), LENGTH, 0.08 * LENGTH)
-    halves = bend_to_deflection(law, straight(law), LENGTH, 0.04 * LENGTH)
+    law = fit_play_law(section, contacts_of(section), largest_curvature=95.0)
+    whole = bend_to_deflection(law, make_straight(law), LENGTH, 0.08 * LENGTH)
+    halves = bend_to_deflection(law, make_straight(law), LENGTH, 0.04 * LENGTH)
     halves = bend_to_deflection(law, halves.state, LENGTH, 0.08 * LENGTH)
     assert whole.force[1] == pytest.approx(halves.force[1], rel=1e-4)
     assert np.all(np.diff(whole.angle) > 0.0)
@@ -125,15 +125,15 @@ def test_a_long_step_does_not_end_in_a_curl() -> None:
 )
 def test_jacobian_against_central_differences(condition: Condition) -> None:
     n, law, h = 12, LinearLaw(1.0), 1e-6
-    stations = chebyshev_stations(n)
+    stations = make_stations(n)
     wire = Wire(LoadingTable.of_plays(law).bend, stations, 0.8, condition)
     state = np.append(1.2 * (1.0 - stations.position), 0.9)
 
     def missing(values: Floats) -> Floats:
         moment = values[None, :n]
-        return np.ravel(residual(wire, bend_wire(wire, moment, values[n:]), moment))
+        return np.ravel(compute_residual(wire, bend_wire(wire, moment, values[n:]), moment))
 
-    exact = jacobian(wire, bend_wire(wire, state[None, :n], state[n:]))[0]
+    exact = compute_jacobian(wire, bend_wire(wire, state[None, :n], state[n:]))[0]
     for column in range(n + 1):
         step = h * (np.arange(n + 1) == column)
         slope = (missing(state + step) - missing(state - step)) / (2 * h)
@@ -142,22 +142,22 @@ def test_jacobian_against_central_differences(condition: Condition) -> None:
 
 def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
     law, weight, long = LinearLaw(2e-3), 1e-4, 0.12
-    hanging = bend_under_force(law, straight(law, self_weight=weight), long, np.zeros(2))
+    hanging = bend_under_force(law, make_straight(law, self_weight=weight), long, np.zeros(2))
     assert hanging.y[-1] == pytest.approx(-weight * long**4 / 8.0 / 2e-3, rel=1e-6)
     assert hanging.moment[0] == pytest.approx(-weight * long**2 / 2.0, rel=1e-6)
     rig = StringRig(0.76, 0.0265, LENGTH, 0.75)
-    slack = bend_to_travel(LinearLaw(4e-3), straight(LinearLaw(4e-3)), LENGTH, rig, 0.0)
+    slack = bend_to_travel(LinearLaw(4e-3), make_straight(LinearLaw(4e-3)), LENGTH, rig, 0.0)
     assert slack.tension == 0.0
     assert slack.force == pytest.approx([0.0, -0.0265])
     assert slack.y[-1] == pytest.approx(-0.0265 * LENGTH**3 / (3 * 4e-3), rel=1e-3)
-    rest = held_level(law, long, weight)
+    rest = hold_level(law, long, weight)
     assert rest.force[1] == pytest.approx(3.0 * weight * long / 8.0, rel=1e-6)
     assert rest.moment[0] == pytest.approx(-weight * long**2 / 8.0, rel=1e-6)
     assert rest.y.min() == pytest.approx(-weight * long**4 / 184.6 / 2e-3, rel=1e-3)
 
 
 def test_integrals_of_polynomials_are_exact_and_a_smooth_function_is_interpolated() -> None:
-    stations = chebyshev_stations(9)
+    stations = make_stations(9)
     s = stations.position
     for power in range(8):
         integral = s ** (power + 1) / (power + 1)
@@ -165,5 +165,5 @@ def test_integrals_of_polynomials_are_exact_and_a_smooth_function_is_interpolate
         rest = 1 / (power + 1) - integral
         np.testing.assert_allclose(stations.to_tip @ s**power, rest, atol=1e-14)
         assert stations.weights @ s**power == pytest.approx(1 / (power + 1))
-    wanted, known = np.linspace(0.0, 1.0, 33), np.sin(3 * chebyshev_stations(24).position)
-    np.testing.assert_allclose(interpolation_matrix(24, wanted) @ known, np.sin(3 * wanted))
+    wanted, known = np.linspace(0.0, 1.0, 33), np.sin(3 * make_stations(24).position)
+    np.testing.assert_allclose(make_interpolation_matrix(24, wanted) @ known, np.sin(3 * wanted))

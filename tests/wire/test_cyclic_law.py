@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import MomentLaw, respond, unbent_plays
-from labpipe.mechanics.wire.bending_law import moment_curvature
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, straight
+from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
 from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from tests.builders.stranded_wires import contacts_of, wire
 
@@ -31,7 +31,7 @@ def law_of_a2(share: float) -> MomentLaw:
 
 
 def pulled_twice(law: MomentLaw) -> Loop:
-    state, start, residuals, energies, forces = straight(law), 0.0, [], [], []
+    state, start, residuals, energies, forces = make_straight(law), 0.0, [], [], []
     for _ in range(2):
         path, load = [start], [0.0]
         for deflection in np.linspace(start, PULL, 25)[1:]:
@@ -84,7 +84,7 @@ def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> N
     """Released to zero moment in one step, without a path."""
     law, bent = law_of_a2(share), np.array([5.0, 12.0, 23.5, 37.5])
     section = wire("A2")
-    moment = moment_curvature(section, contacts_of(section), bent).moment
-    history = respond(law, moment, unbent_plays(law, len(bent))).plays
+    moment = compute_moment_curve(section, contacts_of(section), bent).moment
+    history = respond(law, moment, make_unbent_plays(law, len(bent))).plays
     after = respond(law, np.zeros(len(bent)), history).curvature
     assert after / bent == pytest.approx(kept, abs=0.011)

@@ -8,9 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, PlayLaw
-from labpipe.mechanics.wire.bending_law import play_law
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, straight
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.bending_law import fit_play_law
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
@@ -18,7 +18,7 @@ from tests.judges.first_integral import by_first_integral, closed_form
 
 
 def stranded(name: str, largest: float) -> PlayLaw:
-    return play_law(wire(name), contacts_of(wire(name)), largest_curvature=largest)
+    return fit_play_law(wire(name), contacts_of(wire(name)), largest_curvature=largest)
 
 
 STRANDED, C4 = stranded("A2", 125.0), stranded("C4", 95.0)
@@ -35,10 +35,10 @@ def test_the_elastica(tip_angle: float) -> None:
         assert (load, rise, shortening) == pytest.approx((10.0, 0.81061, 0.555), rel=1e-4)
     law = LinearLaw(2e-3)
     force = np.array([0.0, load * law.stiffness / LENGTH**2])
-    shape = bend_under_force(law, straight(law), LENGTH, force)
+    shape = bend_under_force(law, make_straight(law), LENGTH, force)
     numbers = (shape.y[-1] / LENGTH, 1.0 - shape.x[-1] / LENGTH, shape.angle[-1])
     assert numbers == pytest.approx((rise, shortening, tip_angle), abs=1e-9)
-    path = end_load_path(law, LENGTH, np.array([rise * LENGTH]))
+    path = compute_end_load_path(law, LENGTH, np.array([rise * LENGTH]))
     clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * law.stiffness / LENGTH
     assert (path.load[0], path.clamp_moment[0]) == pytest.approx((force[1], clamp), rel=1e-8)
 
@@ -56,34 +56,34 @@ def test_the_elastica(tip_angle: float) -> None:
 )
 def test_the_first_integral(law: MomentLaw, load: float, within: float) -> None:
     deflection, tip, clamp = by_first_integral(law, LENGTH, load)
-    shape = bend_under_force(law, straight(law), LENGTH, np.array([0.0, load]))
+    shape = bend_under_force(law, make_straight(law), LENGTH, np.array([0.0, load]))
     numbers = (shape.y[-1], shape.angle[-1], shape.moment[0])
     assert numbers == pytest.approx((deflection, tip, clamp), rel=within)
-    path = end_load_path(law, LENGTH, np.array([deflection]))
+    path = compute_end_load_path(law, LENGTH, np.array([deflection]))
     found = path.load[0], path.clamp_moment[0]
     assert found == pytest.approx((load, clamp), rel=1e-7)
 
 
 def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
     deflections = np.array([0.0, 0.02, 0.04, 0.03, 0.02, -0.01, 0.0])
-    loads = end_load_path(WIRE, LENGTH, deflections).load
+    loads = compute_end_load_path(WIRE, LENGTH, deflections).load
     wanted = by_stations(WIRE, deflections[1:])
     assert loads == pytest.approx(np.append(0.0, wanted), abs=5e-5 * loads.max())
     assert loads[4] < 0.7 * loads[1]
-    down = end_load_path(WIRE, LENGTH, -deflections[1:3]).load
+    down = compute_end_load_path(WIRE, LENGTH, -deflections[1:3]).load
     assert down == pytest.approx(-loads[1:3], rel=1e-4)
-    assert end_load_path(WIRE, LENGTH, np.zeros(0)).load.shape == (0,)
+    assert compute_end_load_path(WIRE, LENGTH, np.zeros(0)).load.shape == (0,)
 
 
 def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
     law, deflections = C4, np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
-    state, shapes = straight(law, 64), []
+    state, shapes = make_straight(law, 64), []
     for deflection in deflections.tolist():
         shapes.append(bend_to_deflection(law, state, LENGTH, deflection))
         state = shapes[-1].state
     loads, moments = zip(*((shape.force[1], shape.moment[0]) for shape in shapes), strict=True)
     for step in (40, 4, 1):
-        path = end_load_path(law, LENGTH, deflections[step - 1 :: step])
+        path = compute_end_load_path(law, LENGTH, deflections[step - 1 :: step])
         assert path.load == pytest.approx(loads[step - 1 :: step], rel=1e-4)
         assert path.clamp_moment == pytest.approx(moments[step - 1 :: step], rel=1e-4)
 
@@ -91,9 +91,9 @@ def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
 def test_a_path_ends_where_the_law_does() -> None:
     short, long = stranded("A2", 20.0), stranded("A2", 60.0)
     deflections = np.linspace(0.0, 0.05, 26)[1:]
-    path = end_load_path(short, LENGTH, deflections)
+    path = compute_end_load_path(short, LENGTH, deflections)
     assert 5 < len(path.load) < 25
-    beyond = end_load_path(long, LENGTH, deflections).clamp_moment
+    beyond = compute_end_load_path(long, LENGTH, deflections).clamp_moment
     assert beyond[len(path.load) - 1] < short.largest_moment < beyond[len(path.load)]
-    back = end_load_path(short, LENGTH, np.array([0.01, 0.005, 0.012, 0.05, 0.01]))
+    back = compute_end_load_path(short, LENGTH, np.array([0.01, 0.005, 0.012, 0.05, 0.01]))
     assert len(back.load) == 3

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, polygon_law
-from labpipe.mechanics.wire.calibration.prediction import tested_curvature as curvature_of
+from labpipe.mechanics.law.plays import LinearLaw, MomentLaw, make_polygon_law
+from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
     bend_to_deflection,
     bend_to_travel,
-    held_level,
-    straight,
+    hold_level,
+    make_straight,
 )
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
-    force_at,
+    find_loading_states,
+    interpolate_force,
     load_cantilever,
-    loading_states,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.bilinear_laws import bilinear_law
@@ -44,7 +44,7 @@ def curve_of(law: MomentLaw, rig: StringRig | None, deflection: float = 0.055) -
 
 def test_forces_are_odd_and_nan_stays() -> None:
     curve = curve_of(A2, None)
-    force, change = force_at(curve, np.array([0.01, -0.01, 0.0, np.nan]))
+    force, change = interpolate_force(curve, np.array([0.01, -0.01, 0.0, np.nan]))
     assert force[0] == -force[1] > 0.0
     assert force[2] == 0.0
     assert np.isnan(force[3])
@@ -58,7 +58,7 @@ RIG = StringRig(0.76, 0.0265, HEAVY_LENGTH, 0.76)
 
 KNOTS: Floats = np.geomspace(1e-7, 2e-2, 300)
 
-LAW = polygon_law(yielding(KNOTS), KNOTS)
+LAW = make_polygon_law(yielding(KNOTS), KNOTS)
 
 TABLE = LoadingTable.of_plays(LAW)
 
@@ -71,9 +71,9 @@ def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> 
     resting = found = other.rest()
     curve = load_cantilever(TABLE, HEAVY_LENGTH, rig, WEIGHT, 0.07)
     if rig is None:
-        shape = held_level(LAW, HEAVY_LENGTH, WEIGHT)
+        shape = hold_level(LAW, HEAVY_LENGTH, WEIGHT)
     else:
-        state = straight(LAW, self_weight=WEIGHT)
+        state = make_straight(LAW, self_weight=WEIGHT)
         shape = bend_to_travel(LAW, state, HEAVY_LENGTH, rig, 0.0)
     rest, level = pull_of(shape, rig), float(shape.y[-1])
     assert (rest, curve.tension[0]) == pytest.approx([other.pull(resting)] * 2, rel=1e-4)
@@ -87,8 +87,10 @@ def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> 
         found = other.loaded(resting, float(shape.y[-1]), found)
         wanted = other.pull(found) - other.pull(resting)
         assert pull_of(shape, rig) - rest == pytest.approx(wanted, rel=1e-4)
-        assert force_at(curve, np.array([deflection]))[0][0] == pytest.approx(wanted, rel=2e-4)
-        at = loading_states(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
+        assert interpolate_force(curve, np.array([deflection]))[0][0] == pytest.approx(
+            wanted, rel=2e-4
+        )
+        at = find_loading_states(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
         assert at.moment[0, 0] == pytest.approx(shape.moment[0], rel=1e-4, abs=2e-8)
 
 
@@ -100,7 +102,7 @@ def test_it_is_that_of_the_path_station_by_station() -> None:
     """`wire.cantilever` shares only the law with the first integral."""
     wire = wire_of("A2")
     law = law_of(wire)
-    shape = bend_to_travel(law, straight(law), 0.085, rig_of(0.085), DEEPEST)
+    shape = bend_to_travel(law, make_straight(law), 0.085, rig_of(0.085), DEEPEST)
     curves = [replace(each, deflection=np.clip(each.deflection, 0.0, None)) for each in measured()]
     deepest = max(float(curve.deflection.max()) for curve in curves)
     found = curvature_of(wire, TRUTH, curves)
@@ -117,14 +119,14 @@ def test_first_loading_ends_where_the_tip_unloads(weight: float) -> None:
     with pytest.raises(
         ValueError, match=r"deflection=0.11 m: the curve ends at 0.0[78]\d+ m, where"
     ):
-        force_at(curve, np.array([0.01, 0.11]))
+        interpolate_force(curve, np.array([0.01, 0.11]))
     with np.errstate(all="ignore"), pytest.raises(ValueError, match="length=nan m: no"):
         load_cantilever(table, np.nan, None, weight, 0.1)
 
 
 def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
     for table, rig, weight in ((TABLE, RIG, WEIGHT), (LoadingTable.of_plays(A2), RIG, 0.0)):
-        at = loading_states(table, HEAVY_LENGTH, rig, weight, np.array([0.0099, 0.01, 0.0101]))
+        at = find_loading_states(table, HEAVY_LENGTH, rig, weight, np.array([0.0099, 0.01, 0.0101]))
         slope = (at.tension[2] - at.tension[0]) / 2e-4
         assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)
 
@@ -135,7 +137,7 @@ def test_first_loading_is_that_of_the_path_by_stations(
     law: MomentLaw, rig: StringRig | None
 ) -> None:
     """Its 64 stations straddle a corner of the law: they are good to 4e-5 of a small load."""
-    state, rest = straight(law), rig.weight if rig else 0.0
+    state, rest = make_straight(law), rig.weight if rig else 0.0
     assert curve_of(law, rig).tension[0] == rest
     for goal in GOALS:
         if rig is None:
@@ -145,7 +147,7 @@ def test_first_loading_is_that_of_the_path_by_stations(
             shape = bend_to_travel(law, state, LENGTH, rig, goal)
             load = shape.tension - rig.weight
         state = shape.state
-        at = loading_states(LoadingTable.of_plays(law), LENGTH, rig, 0.0, shape.y[-1:])
+        at = find_loading_states(LoadingTable.of_plays(law), LENGTH, rig, 0.0, shape.y[-1:])
         assert at.tension[0] - rest == pytest.approx(load, rel=5e-5)
         found = at.tip_angle[0], at.moment[0, 0]
         assert found == pytest.approx((shape.angle[-1], shape.moment[0]), rel=2e-4)
@@ -159,7 +161,7 @@ def test_the_elastica_of_the_textbooks() -> None:
         (10.0, (0.810609, 0.554996, 1.430286)),
     ):
         table = LoadingTable.of_plays(LinearLaw(3.0))
-        at = loading_states(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
+        at = find_loading_states(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
         assert at.tension[0] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
         assert (1.0 - at.x[0] / 2.0, at.tip_angle[0]) == pytest.approx(printed[1:], abs=2e-6)
 
@@ -167,6 +169,8 @@ def test_the_elastica_of_the_textbooks() -> None:
 def test_a_weightless_wire_without_first_integral_is_solved_by_stations() -> None:
     """A string that leans far pulls a soft wire straight: parts near its tip unload."""
     table, length = LoadingTable.of_plays(bilinear_law(1.2e-4, 4e-5, 1e-4)), 0.45
-    at = loading_states(table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67]))
+    at = find_loading_states(
+        table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67])
+    )
     assert at.moment.shape[1] > 1
     assert at.count_loading() < 3

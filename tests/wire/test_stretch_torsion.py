@@ -9,10 +9,10 @@ from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
-    concentric,
-    stretch_torsion,
+    compute_stretch_torsion,
+    place_rings,
 )
-from labpipe.mechanics.wire.materials import Elastic
+from tests.builders.stranded_wires import elastic
 
 MODULUS, DIAMETER = 1e11, 1e-3
 
@@ -20,19 +20,19 @@ AREA, SECOND = np.pi * DIAMETER**2 / 4.0, np.pi * DIAMETER**4 / 64.0
 
 
 def rope(angle: float, tube: Insulation | None = None) -> CrossSection:
-    copper = Elastic(MODULUS)
-    return concentric((Layer(1, DIAMETER, 0.0, copper), Layer(6, DIAMETER, angle, copper)), tube)
+    copper = elastic(MODULUS)
+    return place_rings((Layer(1, DIAMETER, 0.0, copper), Layer(6, DIAMETER, angle, copper)), tube)
 
 
 def test_a_solid_rod_in_a_tube() -> None:
     tube = Insulation(0.5e-3, 0.3e-3, 1e9, 0.45)
-    found = stretch_torsion(concentric((Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),), tube))
+    found = compute_stretch_torsion(place_rings((Layer(1, DIAMETER, 0.0, elastic(MODULUS)),), tube))
     rod = MODULUS / 2.68 * np.pi * DIAMETER**4 / 32.0
     wall = 1e9 / 2.9 * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
     assert found.torsional == pytest.approx(rod + wall)
     assert found.axial == pytest.approx(MODULUS * AREA + 1e9 * np.pi * (0.8e-3**2 - 0.5e-3**2))
     assert found.coupling == 0.0
-    straight = stretch_torsion(rope(0.0))
+    straight = compute_stretch_torsion(rope(0.0))
     assert straight.axial == pytest.approx(7.0 * MODULUS * AREA)
     assert straight.torsional == pytest.approx(7.0 * MODULUS * SECOND / 1.34)
     assert (straight.coupling, straight.torsional_free) == (0.0, straight.torsional)
@@ -53,7 +53,7 @@ def test_helices_by_their_strain_energy(angle: float) -> None:
         corners = [(a, b) for a in (1.0, -1.0) for b in (1.0, -1.0)]
         return sum(a * b * stored(angle, a * strain, b * twist) for a, b in corners)
 
-    found, straight = stretch_torsion(rope(angle)), MODULUS * AREA
+    found, straight = compute_stretch_torsion(rope(angle)), MODULUS * AREA
     pull = (stored(angle, e, 0.0) + stored(angle, -e, 0.0)) / e**2
     assert found.axial == pytest.approx(straight + pull, rel=1e-5)
     assert found.coupling == pytest.approx(mixed(e, t) / (4.0 * e * t), rel=1e-4)

@@ -11,29 +11,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import concave_law
-from labpipe.mechanics.law.sliders import slider_moment
+from labpipe.mechanics.law.plays import make_concave_law
+from labpipe.mechanics.law.sliders import compute_slider_moment
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.bending_law import moment_curvature, stick_stiffness
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, held_level
-from labpipe.mechanics.wire.end_load_path import end_load_path, force_at
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
+from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
     LawFamily,
-    family_of,
-    with_values,
+    apply_values,
+    make_law_family,
 )
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
     WireError,
-    build,
-    curvature_grid,
-    layers_of,
-    material_of,
-    range_of,
+    build_wire,
+    find_range,
+    make_curvature_grid,
+    make_layers,
+    make_material,
     wire_table,
 )
 from labpipe.records.wire import WireSpec, WireTable
@@ -63,7 +63,7 @@ HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
 @pytest.fixture(scope="module")
 def examples() -> dict[str, WireTable]:
     sheet = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
-    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet)}
+    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet).specs}
 
 
 def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, WireTable]) -> None:
@@ -87,15 +87,15 @@ def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, Wire
         assert np.all(np.diff(table.tip_force) > 0.0)
     # straight lines between the points of a table are within 0.1 % of the law
     table = examples["C4"]
-    built = build(table.spec)
+    built = build_wire(table.spec)
     between = (table.curvature[1:-1] + table.curvature[2:]) / 2.0
-    moment = moment_curvature(built.section, built.contacts, between).moment
+    moment = compute_moment_curve(built.section, built.contacts, between).moment
     assert np.interp(between, table.curvature, table.moment) == pytest.approx(moment, rel=1e-3)
 
 
 def test_the_grid_gives_way_to_the_onsets() -> None:
     onsets = np.array([1e-3, 0.02])
-    grid = curvature_grid(100.0, onsets)
+    grid = make_curvature_grid(100.0, onsets)
     assert np.isin(onsets, grid).all()
     assert grid[0] == 0.0
     assert grid[-1] == 100.0
@@ -112,11 +112,11 @@ SOFT = ((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None:
     """From 0.2 % of the length on; with even points a wire of 1 m was 38 % off at 5 mm."""
     table = wire_table(replace(LEVEL, length=length))
-    law = concave_law(table.curvature[1:], table.moment[1:])
+    law = make_concave_law(table.curvature[1:], table.moment[1:])
     weight = 0.0 if table.rest is None else GRAVITY * table.mass_per_length
     for deflection in (0.002 * length, 5e-3, 10e-3, 0.3 * length):
-        path = end_load_path(law, length, np.array([deflection]), self_weight=weight)
-        assert force_at(table, deflection) == pytest.approx(path.load[0], rel=1e-3)
+        path = compute_end_load_path(law, length, np.array([deflection]), self_weight=weight)
+        assert interpolate_end_load(table, deflection) == pytest.approx(path.load[0], rel=1e-3)
 
 
 NAMES = ("A2", "C5")
@@ -124,7 +124,7 @@ NAMES = ("A2", "C5")
 
 @pytest.fixture(scope="module", params=NAMES)
 def family(request: pytest.FixtureRequest) -> LawFamily:
-    return family_of(table_of(request.param).spec)
+    return make_law_family(table_of(request.param).spec)
 
 
 def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
@@ -149,26 +149,26 @@ def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
     law = family.at({name: float(np.log(value)) for name, value in values.items()}).law
     assert law.slip_curvatures == pytest.approx(family.base.slip_curvatures, rel=0.0)
-    table = wire_table(with_values(family.spec, values))
+    table = wire_table(apply_values(family.spec, values))
     inside = table.curvature > 1.0
-    moment = slider_moment(law, table.curvature[inside])
+    moment = compute_slider_moment(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
 
 
 def test_contacts_materials_and_layers() -> None:
     """Inner rings touch strands, the outermost the insulation."""
-    insulation = build(A2).section.insulation
+    insulation = build_wire(A2).section.insulation
     assert insulation is not None
     assert insulation.bore_radius == pytest.approx(0.5e-3)
-    assert build(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
-    assert build(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
-    assert material_of(A2) == RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
-    table = material_of(replace(A2, stress_table=TABLE))
+    assert build_wire(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
+    assert build_wire(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
+    assert make_material(A2) == RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
+    table = make_material(replace(A2, stress_table=TABLE))
     assert isinstance(table, StressTable)
     assert table.modulus == 110e9
-    assert [layer.lay_angle for layer in layers_of(C3)] == [0.0, *LAYS]
+    assert [layer.lay_angle for layer in make_layers(C3)] == [0.0, *LAYS]
     strand = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,))
-    assert layers_of(strand)[0].lay_angle == LAYS[0]
+    assert make_layers(strand)[0].lay_angle == LAYS[0]
     assert wire_table(A2).mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
     assert wire_table(replace(A2, mass_per_length=8e-3)).mass_per_length == 8e-3
 
@@ -207,24 +207,24 @@ def test_notes_of_wires(approved: Approve) -> None:
 
 
 def test_the_range_of_the_law() -> None:
-    assert range_of(A2)[0] == pytest.approx(125.0)
-    assert range_of(A2)[1] == ()
-    assert range_of(replace(A2, largest_curvature=60.0)) == (60.0, ())
-    assert range_of(replace(A2, stress_table=((0.001, 0.5), (110e6, 150e6))))[1] == ()
+    assert find_range(A2)[0] == pytest.approx(125.0)
+    assert find_range(A2)[1] == ()
+    assert find_range(replace(A2, largest_curvature=60.0)) == (60.0, ())
+    assert find_range(replace(A2, stress_table=((0.001, 0.5), (110e6, 150e6))))[1] == ()
     soft = replace(A2, stress_table=TABLE)
-    assert range_of(soft)[0] == pytest.approx(2.0 * 0.01 / 0.32e-3)
-    assert range_of(soft, strain=0.002)[0] == pytest.approx(2.0 * 0.008 / 0.32e-3)
+    assert find_range(soft)[0] == pytest.approx(2.0 * 0.01 / 0.32e-3)
+    assert find_range(soft, strain=0.002)[0] == pytest.approx(2.0 * 0.008 / 0.32e-3)
     table = wire_table(NOTED["insulation's table"][0])
     assert table.curvature[-1] == pytest.approx(62.5)
 
 
 def test_numbers_that_the_notes_name() -> None:
     spec = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,), layout="packed")
-    built = build(spec)
+    built = build_wire(spec)
     assert [note.code for note in built.notes] == ["layout_eccentric"]
     off = np.hypot(built.section.x.mean(), built.section.y.mean())
     turns = np.linspace(0.0, np.pi, 7)
-    stiffness = [stick_stiffness(built.section, orientation=turn) for turn in turns]
+    stiffness = [compute_stick_stiffness(built.section, orientation=turn) for turn in turns]
     pattern = r"is (\S+) mm off the axis, (\S+) %.* is (\S+) to (\S+) N"
     numbers = re.findall(pattern, built.notes[0].message)[0]
     distance, share, least, most = map(float, numbers)
@@ -232,9 +232,9 @@ def test_numbers_that_the_notes_name() -> None:
     assert least <= min(stiffness) * 1.001
     assert most >= max(stiffness) * 0.999
     assert most > 1.2 * least
-    around = build(replace(A2, wire_diameter=1.56e-3, layout="packed"))
+    around = build_wire(replace(A2, wire_diameter=1.56e-3, layout="packed"))
     assert "layout_eccentric" not in [note.code for note in around.notes]
-    assert build(replace(NOTED["stress table"][0], tension=1.0)).notes == ()
+    assert build_wire(replace(NOTED["stress table"][0], tension=1.0)).notes == ()
     assert wire_table(replace(A2, tension=20.0)).moment[100] > wire_table(A2).moment[100]
 
 
@@ -255,18 +255,18 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
 
     def changed(rise: float) -> Callable[..., object]:
         def curve_of(*arguments: Any, **options: Any) -> object:
-            curve = moment_curvature(*arguments, **options)
+            curve = compute_moment_curve(*arguments, **options)
             return replace(curve, insulation=curve.insulation + rise * (curve.curvature > 10.0))
 
         return curve_of
 
-    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.moment_curvature", changed(-1e-3))
+    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.compute_moment_curve", changed(-1e-3))
     message = (
         r"the law softens: the moment falls from (\S+) N m at 9\.\d+ 1/m to (\S+) N m at 10\.\d+ "
     )
     with pytest.raises(WireError, match=message):
         wire_table(A2)
-    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.moment_curvature", changed(1e-2))
+    monkeypatch.setattr("labpipe.mechanics.wire.wire_table.compute_moment_curve", changed(1e-2))
     table = wire_table(A2)
     assert codes(table) == ["cantilever_cut"]
     assert told(table)[0].message.startswith("no curve of the cantilever: the law stiffens at")
@@ -282,8 +282,8 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
     np.testing.assert_array_equal(table.is_doubtful, table.curvature > 37.5)
     shares = np.interp([1.0, 10.0, 125.0], table.curvature, table.insulation_share)
     assert shares == pytest.approx([0.50, 0.76, 0.93], abs=0.01)
-    law = concave_law(table.curvature[1:], table.moment[1:])
-    rest = held_level(law, A2.length, GRAVITY * table.mass_per_length).state
+    law = make_concave_law(table.curvature[1:], table.moment[1:])
+    rest = hold_level(law, A2.length, GRAVITY * table.mass_per_length).state
     shape = bend_to_deflection(law, rest, A2.length, table.doubtful_deflection)
     assert shape.curvature[0] == pytest.approx(37.5, rel=3e-3)
     assert not wire_table(replace(A2, insulation_strain=0.2)).notes
@@ -295,7 +295,7 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
 
 
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
-    family = family_of(table_of("A2").spec)
+    family = make_law_family(table_of("A2").spec)
     plain = family.at({})
     made = family.at({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
     assert made.law.stiffnesses == pytest.approx(np.exp(0.1) * plain.law.stiffnesses)
@@ -303,9 +303,9 @@ def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)
     assert made.mass_per_length == pytest.approx(np.exp(0.05) * plain.mass_per_length)
     spec = replace(table_of("A2").spec, insulation_table=((0.01, 0.1), (10e6, 50e6)))
-    grown = with_values(spec, {INSULATION_MODULUS: 2e9}).insulation_table
+    grown = apply_values(spec, {INSULATION_MODULUS: 2e9}).insulation_table
     assert np.array(grown) == pytest.approx(np.array([[0.01, 0.1], [20e6, 100e6]]))
-    assert with_values(spec, {RADIAL_FRICTION: np.nan}) == spec
+    assert apply_values(spec, {RADIAL_FRICTION: np.nan}) == spec
 
 
 def test_one_strand_and_a_wire_at_rest() -> None:
@@ -331,8 +331,8 @@ def test_one_strand_and_a_wire_at_rest() -> None:
 def test_the_cantilever_ends_where_the_law_does_or_at_its_length() -> None:
     short = wire_table(replace(LEVEL, largest_curvature=20.0))
     assert 0.1 < short.tip_deflection[-1] / LEVEL.length < 0.8
-    law = concave_law(short.curvature[1:], short.moment[1:])
-    rest = held_level(law, LEVEL.length, GRAVITY * short.mass_per_length).state
+    law = make_concave_law(short.curvature[1:], short.moment[1:])
+    rest = hold_level(law, LEVEL.length, GRAVITY * short.mass_per_length).state
     end = bend_to_deflection(law, rest, LEVEL.length, float(short.tip_deflection[-1]))
     assert end.moment[0] == pytest.approx(short.moment[-1], rel=1e-3)
     for length, largest in ((0.3, None), (0.085, 1000.0), (3.0, None)):

@@ -5,28 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from labpipe.mechanics.decks.beam_sections import abaqus_deck, ansys_deck
-from labpipe.mechanics.decks.calculix import calculix_deck
-from labpipe.mechanics.decks.deck_law import file_stem
-from labpipe.mechanics.decks.lookup import lookup_csv, lookup_json, sliders_csv, sliders_json
-from labpipe.mechanics.decks.mujoco import mujoco_deck
-from labpipe.mechanics.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.mechanics.decks.beam_sections import write_abaqus_deck, write_ansys_deck
+from labpipe.mechanics.decks.calculix import write_calculix_deck
+from labpipe.mechanics.decks.deck_law import make_file_stem
+from labpipe.mechanics.decks.lookup import (
+    write_lookup_csv,
+    write_lookup_json,
+    write_sliders_csv,
+    write_sliders_json,
+)
+from labpipe.mechanics.decks.mujoco import write_mujoco_deck
+from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
 from labpipe.records.wire import WireTable
 
 FOLDER = "decks"
 """Folder of the decks, below that of the results."""
 
 DECKS: Mapping[str, Callable[[WireTable], str]] = {
-    "csv": lookup_csv,
-    "json": lookup_json,
-    "abaqus.inp": abaqus_deck,
-    "ansys.inp": ansys_deck,
-    "calculix.inp": calculix_deck,
-    "mujoco.xml": mujoco_deck,
-    "mujoco-plane.xml": mujoco_plane_deck,
-    "mujoco-space.xml": mujoco_space_deck,
-    "sliders.csv": sliders_csv,
-    "sliders.json": sliders_json,
+    "csv": write_lookup_csv,
+    "json": write_lookup_json,
+    "abaqus.inp": write_abaqus_deck,
+    "ansys.inp": write_ansys_deck,
+    "calculix.inp": write_calculix_deck,
+    "mujoco.xml": write_mujoco_deck,
+    "mujoco-plane.xml": write_mujoco_plane_deck,
+    "mujoco-space.xml": write_mujoco_space_deck,
+    "sliders.csv": write_sliders_csv,
+    "sliders.json": write_sliders_json,
 }
 """Ending of the file, and the function that returns its text."""
 
@@ -104,4 +109,4 @@ def deck_paths(name: str, folder: Path) -> list[Path]:
     name : of the wire
     folder : of the results
     """
-    return [folder / FOLDER / f"{file_stem(name)}.{ending}" for ending in DECKS]
+    return [folder / FOLDER / f"{make_file_stem(name)}.{ending}" for ending in DECKS]

@@ -20,23 +20,23 @@ strain the stiffness vanishes. ``GENB`` is a type of its own, beside ``BEAM``, a
 from __future__ import annotations
 
 from labpipe.mechanics.decks.deck_law import (
-    abaqus_label,
-    ansys_name,
-    deck_losses,
-    facts,
-    isotropic_loss,
-    mass_of,
-    on_one_line,
-    second_moment,
-    skew_bending_error,
-    solid_area,
+    compute_second_moment,
+    compute_skew_bending_error,
+    compute_solid_area,
+    describe_deck_losses,
+    describe_isotropic_loss,
+    find_mass,
+    list_facts,
+    make_abaqus_label,
+    make_ansys_name,
+    shorten_name,
 )
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 
-def abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str:
+def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str:
     """Write the beam section of a wire; the element set has the wire's label.
 
     Parameters
@@ -60,15 +60,17 @@ def abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str
     """
     max_points = len(table.curvature) if max_table_points is None else max_table_points
     law = thin(table.curvature, table.moment, max_points=max_points)
-    label = abaqus_label(table.name)
+    label = make_abaqus_label(table.name)
     lines = [f"** {line}" for line in _abaqus_comments(table, law, label)]
     # a keyword line that ends with a comma is continued
     lines += [
         f"*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL, ELSET={label},",
-        f"DENSITY={mass_of(table) / solid_area(table):.9g}",
+        f"DENSITY={find_mass(table) / compute_solid_area(table):.9g}",
     ]
-    second = second_moment(table)  # I11 and I22; half of J
-    lines += [f"{solid_area(table):.9g}, {second:.9g}, 0., {second:.9g}, {2.0 * second:.9g}"]
+    second = compute_second_moment(table)  # I11 and I22; half of J
+    lines += [
+        f"{compute_solid_area(table):.9g}, {second:.9g}, 0., {second:.9g}, {2.0 * second:.9g}"
+    ]
     lines += ["0., 0., -1."]
     lines += ["*AXIAL, LINEAR", f"{table.axial_stiffness:.9g}"]
     pairs = [
@@ -82,14 +84,16 @@ def abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str
 
 def _abaqus_comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
     return (
-        *facts(table, on_one_line(table.name)),
+        *list_facts(table, shorten_name(table.name)),
         f"*M1, *M2: {len(law.curvature)} points; the straight lines between them are within "
         f"{law.error:.2g} of the wire's moment.",
         "Without ELASTIC and LINEAR: elastic-plastic, unloads with the first slope. No cycles.",
-        *deck_losses(table, isotropic_loss(table, law.error, "assuming isotropic hardening")),
+        *describe_deck_losses(
+            table, describe_isotropic_loss(table, law.error, "assuming isotropic hardening")
+        ),
         "The response beyond the last point is not documented: compare SK1, SK2 with the range.",
         f"M1 and M2 are uncoupled: in skew bending the wire is up to "
-        f"{100.0 * skew_bending_error(table):.2g} % too stiff.",
+        f"{100.0 * compute_skew_bending_error(table):.2g} % too stiff.",
         "*AXIAL: at constant twist. *TORQUE: at constant length. Both are linear; their",
         f"coupling, {table.stretch_twist_coupling:.6g} N m, has no place in the section. The",
         f"torsional stiffness at zero tension is {table.free_torsional_stiffness:.6g} N m^2.",
@@ -107,7 +111,7 @@ _MAX_TWIST = 100.0
 """End of the torsion table, rad/m."""
 
 
-def ansys_deck(table: WireTable, *, section: int = 1) -> str:
+def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     """Write the beam section of a wire as commands of the preprocessor.
 
     Parameters
@@ -133,7 +137,7 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     require("section", section, "a whole number >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
     lines = [f"! {line}" for line in _ansys_comments(table, law)]
-    lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]
+    lines += [f"SECTYPE,{section},GENB,PLASTIC,{make_ansys_name(table.name)}"]
     lines += _linear("BSAX", _MAX_STRAIN, table.axial_stiffness)
     points = [
         f"{curvature:.12g},{moment:.12g}"
@@ -142,13 +146,13 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     lines += [f"{command},{point}" for command in ("BSM1", "BSM2") for point in points]
     lines += _linear("BSTQ", _MAX_TWIST, table.torsional_stiffness)
     for command in ("BSS1", "BSS2"):
-        lines += _linear(command, 0.1, shear_stiffness(table))  # to a shear strain of 0.1
-    lines += [f"BSMD,{mass_of(table):.9g}"]
+        lines += _linear(command, 0.1, compute_shear_stiffness(table))  # to a shear strain of 0.1
+    lines += [f"BSMD,{find_mass(table):.9g}"]
     return "\n".join(lines) + "\n"
 
 
-def shear_stiffness(table: WireTable) -> float:
-    """Return a transverse shear stiffness, N, that hardly adds to bending (see `ansys_deck`)."""
+def compute_shear_stiffness(table: WireTable) -> float:
+    """Return a transverse shear stiffness, N, that adds little (see `write_ansys_deck`)."""
     # shortest free length, in wire diameters
     min_length_in_diameters = 10.0
     max_shear_share = 1e-3  # of the tip deflection
@@ -158,18 +162,18 @@ def shear_stiffness(table: WireTable) -> float:
 
 def _ansys_comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
     line_width = 76  # lines of the deck end at 80 characters, those of comments begin with "! "
-    loss = isotropic_loss(table, law.error, "isotropic hardening")
+    loss = describe_isotropic_loss(table, law.error, "isotropic hardening")
     return (
-        *facts(table, on_one_line(table.name, 32)),
+        *list_facts(table, shorten_name(table.name, 32)),
         "Beyond the last point the stiffness is zero: check the curvatures.",
         f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MAX_POINTS} "
         f"allowed;",
         f"the lines between them are within {law.error:.2g} of the wire's moment.",
         "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",
         "where a wire follows Masing's rule. Not for cycles.",
-        *deck_losses(table, loss, wide=line_width),
+        *describe_deck_losses(table, loss, wide=line_width),
         "BSM1 and BSM2 are uncoupled: in skew bending the wire is",
-        f"up to {100.0 * skew_bending_error(table):.2g} % too stiff.",
+        f"up to {100.0 * compute_skew_bending_error(table):.2g} % too stiff.",
         f"BSAX: at constant twist, to a strain of {_MAX_STRAIN:g}.",
         f"BSTQ: at constant length, to {_MAX_TWIST:g} rad/m. The section cannot",
         f"represent their coupling, {table.stretch_twist_coupling:.4g} N m. The torsional",

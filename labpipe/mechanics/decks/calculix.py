@@ -22,8 +22,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.mechanics.decks.deck_law import deck_losses, facts, mass_of, on_one_line, percent
-from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, equivalent_material
+from labpipe.mechanics.decks.deck_law import (
+    describe_deck_losses,
+    find_mass,
+    format_percent,
+    list_facts,
+    shorten_name,
+)
+from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
 from labpipe.records.wire import WireTable
@@ -70,7 +76,7 @@ class BarMesh:
         return self.nodes[:, 2] < _PLANE_TOLERANCE * self.radius
 
 
-def half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
+def mesh_half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
     """Mesh half a round bar.
 
     Parameters
@@ -163,7 +169,7 @@ N_ALONG = 8
 """Bricks along the bar."""
 
 
-def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80) -> str:
+def write_calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80) -> str:
     """Write the cantilever of a wire, of the length in its sheet, which CalculiX runs as it is.
 
     Parameters
@@ -180,7 +186,7 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     Raises
     ------
     ValueError
-        As `equivalent_material`, or if there is not one brick or one step.
+        As `fit_equivalent_material`, or if there is not one brick or one step.
 
     Notes
     -----
@@ -191,25 +197,25 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80
     """
     require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
-    material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
+    material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_tip_share = 0.6  # of the length; less if the range of the law ends before
     reach = min(max_tip_share * table.spec.length, float(table.tip_deflection[-1]))
     lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
     if reach > 0.0:
-        mesh = half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
-        density = mass_of(table) / (np.pi / 4.0 * diameter**2)
+        mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
+        density = find_mass(table) / (np.pi / 4.0 * diameter**2)
         lines += [*_model(mesh), *_material(material, density), *_step(reach, n_steps)]
     return "\n".join(lines) + "\n"
 
 
 def _facts(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
     return (
-        *facts(table, on_one_line(table.name, 60)),
+        *list_facts(table, shorten_name(table.name, 60)),
         "The wire is a solid round bar, its elastic-plastic material fitted to the wire's law.",
         f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
         *_closeness(material),
         "On unloading the bar follows its first slope, unlike a wire. Not for cycles.",
-        *deck_losses(table, _own_loss(material)),
+        *describe_deck_losses(table, _own_loss(material)),
     )
 
 
@@ -217,7 +223,7 @@ def _loading(table: WireTable, reach: float) -> tuple[str, ...]:
     """Describe the loading of the bar, or give the reason why there is none."""
     if reach == 0.0:
         cut = (note.message for note in table.notes if note.code == "cantilever_cut")
-        why = on_one_line(next(cut, "the table has no cantilever"), 120)
+        why = shorten_name(next(cut, "the table has no cantilever"), 120)
         return ("No model:", why)
     return (
         "Computed, not measured: a cantilever clamped at x = 0, its tip pushed along y.",
@@ -248,9 +254,9 @@ def _closeness(material: EquivalentMaterial) -> Iterator[str]:
 def _own_loss(material: EquivalentMaterial) -> str:
     off, linear = np.abs(material.error), material.curvature <= material.elastic_curvature
     return (
-        f"This deck: error on first loading up to {percent(float(off[~linear].max()))} of the "
-        f"moment from {material.elastic_curvature:.4g} 1/m, up to {percent(float(off.max()))} "
-        f"below."
+        f"This deck: error on first loading up to {format_percent(float(off[~linear].max()))} of "
+        f"the moment from {material.elastic_curvature:.4g} 1/m, up to "
+        f"{format_percent(float(off.max()))} below."
     )
 
 

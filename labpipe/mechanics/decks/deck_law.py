@@ -12,15 +12,15 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe import __version__
-from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, table_card, turn_loss
+from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, compute_turn_loss, make_table_card
 from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
-FIRST_LOADING = "The law is that of the first loading of a wire that was never bent before."
+FIRST_LOADING_TEXT = "The law is that of the first loading of a wire that was never bent before."
 
 
-def facts(table: WireTable, name: str) -> tuple[str, ...]:
+def list_facts(table: WireTable, name: str) -> tuple[str, ...]:
     """Return the sentences at the head of every deck.
 
     Parameters
@@ -38,11 +38,11 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
         f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
         "The deck is not valid beyond this range.",
         *((doubt,) if limit < end else ()),
-        FIRST_LOADING,
+        FIRST_LOADING_TEXT,
     )
 
 
-def mass_of(table: WireTable) -> float:
+def find_mass(table: WireTable) -> float:
     """Return the mass per length of a wire, kg/m, for a deck that needs one.
 
     Parameters
@@ -58,7 +58,7 @@ def mass_of(table: WireTable) -> float:
     return table.mass_per_length
 
 
-def first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
+def compute_first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
     """Return the first angular frequency of a clamped wire, rad/s.
 
     Parameters
@@ -70,12 +70,12 @@ def first_frequency(stiffness: float, mass_per_length: float, length: float) -> 
     return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
 
 
-def xml_comment(line: str) -> str:
+def write_xml_comment(line: str) -> str:
     """Return an XML comment, in which two hyphens are not allowed."""
     return f"  <!-- {line.replace('--', '- -')} -->"
 
 
-def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
+def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
     """Find the range of curvature in which a constant stiffness represents the law.
 
     Parameters
@@ -118,7 +118,7 @@ def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
     return crossing[(crossing > first) & (crossing < second)]
 
 
-def skew_bending_error(table: WireTable) -> float:
+def compute_skew_bending_error(table: WireTable) -> float:
     """Return how much too stiff skew bending is where the two axes are uncoupled.
 
     Parameters
@@ -135,14 +135,14 @@ def skew_bending_error(table: WireTable) -> float:
     return float(np.max(np.sqrt(2.0) * part / table.moment[1:] - 1.0))
 
 
-def solid_area(table: WireTable) -> float:
+def compute_solid_area(table: WireTable) -> float:
     """Return the area of strands and insulation across the wire, m^2."""
     layout = table.layout
     tube = np.pi * (layout.wire_radius**2 - layout.bore_radius**2)
     return float(np.sum(np.pi / 4.0 * layout.diameter**2) + tube)
 
 
-def second_moment(table: WireTable) -> float:
+def compute_second_moment(table: WireTable) -> float:
     """Return the second moment of that area, m^4: the mean over all axes through the centre."""
     layout = table.layout
     tube = np.pi / 4.0 * (layout.wire_radius**4 - layout.bore_radius**4)
@@ -151,7 +151,7 @@ def second_moment(table: WireTable) -> float:
     return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
 
 
-def abaqus_label(name: str) -> str:
+def make_abaqus_label(name: str) -> str:
     """Return the label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
 
     Parameters
@@ -175,7 +175,7 @@ def abaqus_label(name: str) -> str:
     return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
 
 
-def ansys_name(name: str) -> str:
+def make_ansys_name(name: str) -> str:
     """Return the name of a section: at most eight letters and digits, the first a letter.
 
     Parameters
@@ -196,7 +196,7 @@ def ansys_name(name: str) -> str:
     return (remainder if remainder[:1].isalpha() else f"W{remainder}")[:8]
 
 
-def file_stem(name: str) -> str:
+def make_file_stem(name: str) -> str:
     """Return the name of a file without its ending, for every common file system.
 
     Parameters
@@ -220,7 +220,7 @@ def file_stem(name: str) -> str:
     )
 
 
-def on_one_line(name: str, max_length: int = 100) -> str:
+def shorten_name(name: str, max_length: int = 100) -> str:
     """Convert a name for a comment: printable ASCII on one line, shortened with dots.
 
     Parameters
@@ -260,22 +260,22 @@ def _without_accents(name: str) -> str:
     return "".join(part for part in parts if not unicodedata.combining(part))
 
 
-def loss_text(card: LossCard) -> str:
+def describe_losses(card: LossCard) -> str:
     """Describe in one line the errors of a law in forms that programs can represent.
 
     Parameters
     ----------
     card : of the law
     """
-    sliders = ", ".join(f"{number} sliders {percent(lost)}" for number, lost in card.sliders)
+    sliders = ", ".join(f"{number} sliders {format_percent(lost)}" for number, lost in card.sliders)
     return (
         f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
-        f"each form at its best: constant stiffness {percent(card.constant)}, Dahl "
-        f"{percent(card.dahl.error)}, {sliders}."
+        f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
+        f"{format_percent(card.dahl.error)}, {sliders}."
     )
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """Format a share in per cent with two digits; 100 % and more with all digits."""
     min_share = 1e-6
     if share >= 0.995:
@@ -283,7 +283,7 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
 
 
-def deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
+def describe_deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
     """Describe in one line the error of the form of law of a deck.
 
     Parameters
@@ -294,20 +294,20 @@ def deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
     why : what the program does on unloading
     """
     return (
-        f"This deck: error on first loading up to {percent(first)} of the moment; on unloading "
-        f"from bends up to half of the range up to {percent(way_back)} of the moment at the "
-        f"reversal (from {turn:.2g} 1/m): {why}."
+        f"This deck: error on first loading up to {format_percent(first)} of the moment; on "
+        f"unloading from bends up to half of the range up to {format_percent(way_back)} of the "
+        f"moment at the reversal (from {turn:.2g} 1/m): {why}."
     )
 
 
-def memoryless_loss(table: WireTable) -> str:
+def describe_memoryless_loss(table: WireTable) -> str:
     """Describe in one line the error of a curve without memory."""
-    turn = table_turn(table)
+    turn = compute_table_turn(table)
     why = "a curve has no memory, a wire follows Masing's rule"
-    return deck_loss(0.0, turn.curve, turn.curve_at, why)
+    return describe_deck_loss(0.0, turn.curve, turn.curve_at, why)
 
 
-def isotropic_loss(table: WireTable, first: float, why: str) -> str:
+def describe_isotropic_loss(table: WireTable, first: float, why: str) -> str:
     """Describe in one line the error of isotropic hardening.
 
     Parameters
@@ -316,11 +316,11 @@ def isotropic_loss(table: WireTable, first: float, why: str) -> str:
     first : error of the deck's points on first loading, as a share of the moment
     why : what the program does on unloading
     """
-    turn = table_turn(table)
-    return deck_loss(first, turn.isotropic, turn.isotropic_at, why)
+    turn = compute_table_turn(table)
+    return describe_deck_loss(first, turn.isotropic, turn.isotropic_at, why)
 
 
-def deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, ...]:
+def describe_deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, ...]:
     """Return the loss card for the head of a deck: its own error, then those of other forms.
 
     Parameters
@@ -330,7 +330,7 @@ def deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, .
     wide : characters of a line
     """
     try:
-        other_forms = loss_text(table_card(table))
+        other_forms = describe_losses(make_table_card(table))
     except ValueError as error:
         other_forms = f"No loss card of other forms: {error}."
     return tuple(
@@ -341,26 +341,26 @@ def deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, .
 
 
 @lru_cache(maxsize=4)
-def table_turn(table: WireTable) -> TurnLoss:
+def compute_table_turn(table: WireTable) -> TurnLoss:
     """Return the errors on unloading of forms without the memory of a wire, over its table."""
-    return turn_loss(table.curvature, table.moment)
+    return compute_turn_loss(table.curvature, table.moment)
 
 
-def constant_loss(table: WireTable, stiffness: float) -> float:
+def compute_constant_loss(table: WireTable, stiffness: float) -> float:
     """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
-def card_numbers(table: WireTable) -> dict[str, object]:
+def collect_card_numbers(table: WireTable) -> dict[str, object]:
     """Return the loss card for a JSON deck.
 
     Parameters
     ----------
     table : law of the wire; without a fit by sliders, the reason and the errors on unloading
     """
-    way_back = asdict(table_turn(table))
+    way_back = asdict(compute_table_turn(table))
     try:
-        card = table_card(table)
+        card = make_table_card(table)
     except ValueError as error:
         return {"reason": f"{error}", "way_back": way_back}
     return {

@@ -7,17 +7,17 @@ from dataclasses import asdict
 
 from labpipe import __version__
 from labpipe.mechanics.decks.deck_law import (
-    FIRST_LOADING,
-    card_numbers,
-    deck_losses,
-    facts,
-    loss_text,
-    mass_of,
-    memoryless_loss,
-    on_one_line,
+    FIRST_LOADING_TEXT,
+    collect_card_numbers,
+    describe_deck_losses,
+    describe_losses,
+    describe_memoryless_loss,
+    find_mass,
+    list_facts,
+    shorten_name,
 )
-from labpipe.mechanics.law.loss_card import sliders_of, table_card
-from labpipe.mechanics.law.sliders import in_directions, slip_moments
+from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
+from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
 from labpipe.records.wire import WireTable
 
 SCHEMA = 2
@@ -56,7 +56,7 @@ _UNITS = {
 }
 
 
-def lookup_csv(table: WireTable) -> str:
+def write_lookup_csv(table: WireTable) -> str:
     """Write the whole table, one row for each curvature.
 
     Parameters
@@ -67,15 +67,18 @@ def lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    lines = [f"# {line}" for line in facts(table, on_one_line(table.name))]
+    lines = [f"# {line}" for line in list_facts(table, shorten_name(table.name))]
     lines += [
         f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
-        f"{table.slip_stiffness:.9g} N m^2, mass {mass_of(table):.9g} kg/m.",
+        f"{table.slip_stiffness:.9g} N m^2, mass {find_mass(table):.9g} kg/m.",
         f"# Axial stiffness EA {table.axial_stiffness:.9g} N (constant twist), torsional stiffness "
         f"GJ {table.torsional_stiffness:.9g} N m^2",
         f"# (constant length; {table.free_torsional_stiffness:.9g} at zero tension), coupling C "
         f"{table.stretch_twist_coupling:.9g} N m.",
-        *(f"# {line}" for line in deck_losses(table, memoryless_loss(table), wide=1000)),
+        *(
+            f"# {line}"
+            for line in describe_deck_losses(table, describe_memoryless_loss(table), wide=1000)
+        ),
         "# moment = stick + slip + bending + plastic + insulation; lowest and highest over all "
         "directions of bending.",
         "# insulation_share: of the moment. is_doubtful: 1 beyond the range of the insulation's "
@@ -90,7 +93,7 @@ def lookup_csv(table: WireTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def lookup_json(table: WireTable) -> str:
+def write_lookup_json(table: WireTable) -> str:
     """Write pairs of curvature and moment, and the constant stiffnesses.
 
     Parameters
@@ -106,7 +109,7 @@ def lookup_json(table: WireTable) -> str:
         "moment": table.moment.tolist(),
         "diameter": 2.0 * table.layout.wire_radius,
         "length": table.spec.length,
-        "mass_per_length": mass_of(table),
+        "mass_per_length": find_mass(table),
     }
     numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS}
     document = {
@@ -115,14 +118,14 @@ def lookup_json(table: WireTable) -> str:
         "wire": table.name,
         "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
-        "law": FIRST_LOADING,
+        "law": FIRST_LOADING_TEXT,
         "torsion": (
             "tension and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is "
             "at constant twist, torsional_stiffness GJ at constant length, "
             "free_torsional_stiffness GJ - C^2 / EA at zero tension"
         ),
         **numbers,
-        "loss_card": card_numbers(table),
+        "loss_card": collect_card_numbers(table),
         "units": _UNITS,
     }
     return json.dumps(document, indent=1) + "\n"
@@ -130,8 +133,6 @@ def lookup_json(table: WireTable) -> str:
 
 SLIDERS_SCHEMA = 1
 """Version of the JSON."""
-DIRECTIONS = 4
-"""Directions of scalar sliders in space."""
 
 _MEANING = (
     "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
@@ -154,7 +155,7 @@ _SLIDER_UNITS = {
 }
 
 
-def no_sliders_text(error: ValueError) -> str:
+def describe_missing_sliders(error: ValueError) -> str:
     """Return the sentence of a deck that has no sliders.
 
     Parameters
@@ -164,34 +165,34 @@ def no_sliders_text(error: ValueError) -> str:
     return f"No sliders, and nothing to run: {error}."
 
 
-def sliders_csv(table: WireTable) -> str:
+def write_sliders_csv(table: WireTable) -> str:
     """Write a row for each slider, the spring first, which never slides.
 
     Parameters
     ----------
     table : law of the wire; one that cannot be fitted by sliders gets the reason and no rows
     """
-    lines = [f"# {line}" for line in facts(table, on_one_line(table.name))]
+    lines = [f"# {line}" for line in list_facts(table, shorten_name(table.name))]
     try:
-        law = sliders_of(table)
+        law = fit_wire_sliders(table)
     except ValueError as error:
-        return "\n".join([*lines, f"# {no_sliders_text(error)}"]) + "\n"
+        return "\n".join([*lines, f"# {describe_missing_sliders(error)}"]) + "\n"
     lines += [
-        f"# Mass {mass_of(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
+        f"# Mass {find_mass(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
         "N m^2.",
         f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
-        f"# {loss_text(table_card(table))}",
+        f"# {describe_losses(make_table_card(table))}",
         "# The first row is the spring, which never slides. On reversal a slider slips after twice "
         "its slip curvature (Masing).",
         "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
         f"{law.stiffness!r},inf,inf",
     ]
-    columns = (law.stiffnesses, law.slip_curvatures, slip_moments(law))
+    columns = (law.stiffnesses, law.slip_curvatures, compute_slip_moments(law))
     lines += [",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns), strict=True)]
     return "\n".join(lines) + "\n"
 
 
-def sliders_json(table: WireTable) -> str:
+def write_sliders_json(table: WireTable) -> str:
     """Write sliders, scalar sliders in four directions, a Dahl law, and the loss card.
 
     Parameters
@@ -200,10 +201,10 @@ def sliders_json(table: WireTable) -> str:
     """
     about = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
     try:
-        law, card = sliders_of(table), table_card(table)
+        law, card = fit_wire_sliders(table), make_table_card(table)
     except ValueError as error:
-        return json.dumps({**about, "reason": no_sliders_text(error)}, indent=1) + "\n"
-    space = in_directions(law, DIRECTIONS)
+        return json.dumps({**about, "reason": describe_missing_sliders(error)}, indent=1) + "\n"
+    space = fit_directions(law, N_DIRECTIONS)
     document = {
         **about,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
@@ -212,7 +213,7 @@ def sliders_json(table: WireTable) -> str:
         "stiffness": law.stiffness,
         "stiffnesses": law.stiffnesses.tolist(),
         "slip_curvatures": law.slip_curvatures.tolist(),
-        "slip_moments": slip_moments(law).tolist(),
+        "slip_moments": compute_slip_moments(law).tolist(),
         "error": law.error,
         "scalar_sliders": {
             "directions": space.directions,
@@ -224,8 +225,8 @@ def sliders_json(table: WireTable) -> str:
             "sideways": space.sideways,
         },
         "dahl": {"meaning": _DAHL, **asdict(card.dahl)},
-        "loss_card": card_numbers(table),
-        "mass_per_length": mass_of(table),
+        "loss_card": collect_card_numbers(table),
+        "mass_per_length": find_mass(table),
         "torsional_stiffness": table.torsional_stiffness,
         "units": _SLIDER_UNITS,
     }

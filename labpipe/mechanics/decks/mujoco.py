@@ -25,15 +25,15 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
-    constant_loss,
-    deck_losses,
-    facts,
-    first_frequency,
-    linear_range,
-    mass_of,
-    on_one_line,
-    percent,
-    xml_comment,
+    compute_constant_loss,
+    compute_first_frequency,
+    describe_deck_losses,
+    find_linear_range,
+    find_mass,
+    format_percent,
+    list_facts,
+    shorten_name,
+    write_xml_comment,
 )
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
@@ -59,7 +59,7 @@ class _Cable:
     @property
     def first_frequency(self) -> float:
         """First angular frequency of the clamped cable, rad/s."""
-        return first_frequency(self.stiffness, self.mass_per_length, self.length)
+        return compute_first_frequency(self.stiffness, self.mass_per_length, self.length)
 
     @property
     def step(self) -> float:
@@ -68,7 +68,7 @@ class _Cable:
         return 0.05 / self.first_frequency * min(1.0, 40 / self.edges)
 
 
-def mujoco_deck(
+def write_mujoco_deck(
     table: WireTable,
     *,
     stiffness: float | None = None,
@@ -98,7 +98,7 @@ def mujoco_deck(
     Notes
     -----
     The deck states at which curvatures the constant stiffness is within 5 % of the wire's law
-    (`linear_range`).
+    (`find_linear_range`).
     """
     min_edges = 3
     origin = "as given"
@@ -108,8 +108,8 @@ def mujoco_deck(
     require_positive("stiffness", stiffness)
     require_positive("length", length)
     require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
-    cable = _Cable(stiffness, length, mass_of(table), edges)
-    comments = "\n".join(map(xml_comment, _comments(table, cable, origin)))
+    cable = _Cable(stiffness, length, find_mass(table), edges)
+    comments = "\n".join(map(write_xml_comment, _comments(table, cable, origin)))
     radius = table.layout.wire_radius
     circle = np.pi / 4.0 * radius**4
     mass = cable.mass_per_length * cable.spacing * (edges + 1)
@@ -117,7 +117,7 @@ def mujoco_deck(
     points = "  ".join(f"{place:.9g} 0 0" for place in places)
     elements = "  ".join(f"{edge} {edge + 1}" for edge in range(edges))
     return f"""\
-<mujoco model={quoteattr(on_one_line(table.name))}>
+<mujoco model={quoteattr(shorten_name(table.name))}>
 {comments}
   <option timestep="{cable.step:.6g}" integrator="discrete" gravity="0 0 0" />
   <worldbody>
@@ -149,7 +149,7 @@ def _slope_at_zero(table: WireTable) -> tuple[float, str]:
 def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
     settling_time = 35.0  # over 1 / (first angular frequency)
     steps_to_rest = math.ceil(settling_time / cable.first_frequency / cable.step)
-    close = linear_range(table, cable.stiffness)
+    close = find_linear_range(table, cable.stiffness)
     if close is None:
         validity = "nowhere within 5 % of the wire's law"
     else:
@@ -157,14 +157,14 @@ def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
             f"within 5 % of the wire's law at curvatures from {close[0]:.4g} to {close[1]:.4g} 1/m"
         )
     loss = (
-        f"This deck: error up to {percent(constant_loss(table, cable.stiffness))} of the moment "
-        f"over its range, and no memory of bends."
+        f"This deck: error up to {format_percent(compute_constant_loss(table, cable.stiffness))} "
+        f"of the moment over its range, and no memory of bends."
     )
     return (
-        *facts(table, on_one_line(table.name)),
+        *list_facts(table, shorten_name(table.name)),
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
         f"{validity}. The model has no limit there.",
-        *deck_losses(table, loss, wide=1000),
+        *describe_deck_losses(table, loss, wide=1000),
         f"Torsional stiffness {table.torsional_stiffness:.6g} N m2, at constant "
         f"length: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",

@@ -19,14 +19,14 @@ from labpipe.mechanics.decks.mujoco_sliders import (
     REST,
     Chain,
     Hinges,
-    model_text,
-    node_lines,
-    space_hinges,
-    tendon_lines,
+    make_space_hinges,
+    write_model,
+    write_node,
+    write_tendons,
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.records.arrays import Floats
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
@@ -34,7 +34,7 @@ _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
 _DIGITS = ".7g"
 
 
-def line_deck(
+def write_line_deck(
     line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = DEFAULT_NODES
 ) -> str:
     """Write a line with all that holds, moves and loads it.
@@ -58,7 +58,7 @@ def line_deck(
         *(section.law, line.length, max(0.5 * section.diameter, 1e-6 * line.length)),
         *(section.mass_per_length or default_mass, section.torsional_stiffness, nodes),
     )
-    hinges, sentences = space_hinges(chain)
+    hinges, sentences = make_space_hinges(chain)
     every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
     base = next((boundary for boundary in every if _is_base(boundary)), None)
     held = [boundary for boundary in every if boundary is not base]
@@ -74,11 +74,11 @@ def line_deck(
             *_mocap_bodies(held, strings),
         ],
         "equality": _equalities(held, 2.0 * chain.unit_time),
-        "tendon": [*tendon_lines(chain, hinges), *_strings(strings)],
+        "tendon": [*write_tendons(chain, hinges), *_strings(strings)],
         "actuator": _loads(loads),
     }
     comments = (*_comments(chain, boundaries), *sentences)
-    return model_text(title, comments, chain, hinges, sections, gravity=_joined(gravity))
+    return write_model(title, comments, chain, hinges, sections, gravity=_joined(gravity))
 
 
 def _is_base(held: rod.Held) -> bool:
@@ -193,7 +193,7 @@ def _chain_bodies(
             begin = 0.5 * h if node == 1 else h
             place = f'pos="{begin:{_DIGITS}} 0 0" quat="{_joined(turn)}"'
             yield f'    <body name="{prefix}_{node}" {place}>'
-        yield from node_lines(chain, hinges, node)
+        yield from write_node(chain, hinges, node)
         for name, along in sites[node]:
             yield f'      <site name={quoteattr(f"at_{name}")} pos="{along:{_DIGITS}} 0 0" />'
     yield "    " + "</body>" * (last + 1)
@@ -224,6 +224,6 @@ def _frames_at(line: Line, chain: Chain) -> Floats:
     """Return the frames of the bodies at the start, (nodes + 1, 4): those of the elements there."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)
-    steps = rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
+    steps = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
     is_straight = not np.any(np.abs(steps) > 1e-12)
     return np.asarray(line.frames[np.zeros_like(element) if is_straight else element])

@@ -23,26 +23,26 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
-    facts,
-    first_frequency,
-    loss_text,
-    mass_of,
-    on_one_line,
-    percent,
-    xml_comment,
+    compute_first_frequency,
+    describe_losses,
+    find_mass,
+    format_percent,
+    list_facts,
+    shorten_name,
+    write_xml_comment,
 )
-from labpipe.mechanics.decks.lookup import DIRECTIONS, no_sliders_text
-from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of, table_card
+from labpipe.mechanics.decks.lookup import describe_missing_sliders
+from labpipe.mechanics.law.loss_card import N_DIRECTIONS, SLIDERS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
     MAX_SLIDERS,
     TURNS,
     SliderLaw,
-    as_plays,
-    in_directions,
-    turned,
+    convert_to_plays,
+    fit_directions,
+    turn_directions,
 )
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
@@ -85,7 +85,7 @@ class Chain:
     def unit_time(self) -> float:
         """Time step, s: one over the first angular frequency while nothing slides."""
         stiffness = self.law.first_stiffness
-        return 1.0 / first_frequency(stiffness, self.mass_per_length, self.length)
+        return 1.0 / compute_first_frequency(stiffness, self.mass_per_length, self.length)
 
     @property
     def damping(self) -> float:
@@ -111,7 +111,7 @@ class Hinges:
     slip_curvatures: Floats
 
 
-def mujoco_plane_deck(
+def write_mujoco_plane_deck(
     table: WireTable,
     *,
     sliders: int = SLIDERS,
@@ -158,11 +158,11 @@ def mujoco_plane_deck(
     return _deck(table, chain, hinges, lines, pulls="y")
 
 
-def mujoco_space_deck(
+def write_mujoco_space_deck(
     table: WireTable,
     *,
     sliders: int = SLIDERS,
-    directions: int = DIRECTIONS,
+    directions: int = N_DIRECTIONS,
     length: float | None = None,
     nodes: int = DEFAULT_NODES,
 ) -> str:
@@ -173,7 +173,7 @@ def mujoco_space_deck(
     table : law of the wire
     sliders : of the law that the scalar sliders come close to
     directions : in which each node has scalar sliders
-    length, nodes : as for `mujoco_plane_deck`
+    length, nodes : as for `write_mujoco_plane_deck`
 
     Returns
     -------
@@ -182,17 +182,19 @@ def mujoco_space_deck(
     Raises
     ------
     ValueError
-        As `mujoco_plane_deck`.
+        As `write_mujoco_plane_deck`.
     """
     law = _law(table, sliders)
     if isinstance(law, str):
         return law
     chain = _chain(table, law, length, nodes)
-    hinges, lines = space_hinges(chain, directions)
+    hinges, lines = make_space_hinges(chain, directions)
     return _deck(table, chain, hinges, lines, pulls="yz")
 
 
-def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tuple[str, str]]:
+def make_space_hinges(
+    chain: Chain, directions: int = N_DIRECTIONS
+) -> tuple[Hinges, tuple[str, str]]:
     """Return the hinges of a chain that bends in every plane and twists, with their comments.
 
     Parameters
@@ -205,18 +207,19 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, max_sliders=8)
+    few = fit_directions(chain.law, directions, max_sliders=8)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
-    mean = turned(chain.law, few)
+    mean = turn_directions(chain.law, few)
     angles = ", ".join(f"{180.0 / directions * share:.4g}" for share in TURNS)
     lines = (
         f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of "
         f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
         f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
-        f"error of {percent(mean.error)} and a lateral part of {percent(mean.sideways)} (one node: "
-        f"{percent(few.error)}, {percent(few.sideways)}).",
+        f"error of {format_percent(mean.error)} and a lateral part of "
+        f"{format_percent(mean.sideways)} (one node: {format_percent(few.error)}, "
+        f"{format_percent(few.sideways)}).",
         twist,
     )
     return hinges, lines
@@ -233,10 +236,12 @@ def _law(table: WireTable, sliders: int) -> SliderLaw | str:
     allowed = f"from 1 to {MAX_SLIDERS}"
     require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
     try:
-        return sliders_of(table, sliders)
+        return fit_wire_sliders(table, sliders)
     except ValueError as error:
-        name = on_one_line(table.name)
-        lines = "\n".join(map(xml_comment, (*facts(table, name), no_sliders_text(error))))
+        name = shorten_name(table.name)
+        lines = "\n".join(
+            map(write_xml_comment, (*list_facts(table, name), describe_missing_sliders(error)))
+        )
         return f"<mujoco model={quoteattr(name)}>\n{lines}\n</mujoco>\n"
 
 
@@ -249,7 +254,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
         law,
         length,
         table.layout.wire_radius,
-        mass_of(table),
+        find_mass(table),
         table.torsional_stiffness,
         nodes,
     )
@@ -266,14 +271,14 @@ def _deck(
     ]
     sections = {
         "worldbody": ['    <site name="clamp" />', *_bodies(chain, hinges)],
-        "tendon": tendon_lines(chain, hinges),
+        "tendon": write_tendons(chain, hinges),
         "actuator": motors,
         "sensor": ['    <framepos name="tip" objtype="site" objname="tip" />'],
     }
-    return model_text(table.name, [*_comments(table, chain), *lines], chain, hinges, sections)
+    return write_model(table.name, [*_comments(table, chain), *lines], chain, hinges, sections)
 
 
-def model_text(
+def write_model(
     name: str,
     comments: Iterable[str],
     chain: Chain,
@@ -292,8 +297,8 @@ def model_text(
     gravity : m/s^2
     """
     text = [
-        f"<mujoco model={quoteattr(on_one_line(name))}>",
-        *map(xml_comment, comments),
+        f"<mujoco model={quoteattr(shorten_name(name))}>",
+        *map(write_xml_comment, comments),
         '  <compiler angle="radian" />',
         f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
         f'gravity="{gravity}"><flag contact="disable" /></option>',
@@ -328,10 +333,10 @@ def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
 
 def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
     return (
-        *facts(table, on_one_line(table.name)),
+        *list_facts(table, shorten_name(table.name)),
         "Unloading and cycles follow Masing's rule: the springs yield and keep their plastic "
         "displacement.",
-        loss_text(table_card(table)),
+        describe_losses(make_table_card(table)),
         f"Ramp every load over {RAMP} steps or more and let it settle for {REST} steps: springs "
         "that yield keep the effect of an overshoot. A stepped load with a tenth of this damping "
         "leaves 5 to 17 % too much.",
@@ -348,10 +353,13 @@ def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
 @lru_cache(maxsize=4)  # a law is known by its identity
 def _check(law: SliderLaw, length: float) -> tuple[str, ...]:
     """Return a load and its tip deflection, to detect an engine that ignores springyield."""
-    plays, share = as_plays(law), 0.3  # deflection over length, halved for a law that ends before
+    plays, share = (
+        convert_to_plays(law),
+        0.3,
+    )  # deflection over length, halved for a law that ends before
     max_halvings = 6
     for _ in range(max_halvings):
-        path = end_load_path(plays, length, np.array([share * length]))
+        path = compute_end_load_path(plays, length, np.array([share * length]))
         if len(path.load):
             load = float(path.load[0])
             stuck = load * length**3 / (3.0 * law.first_stiffness)
@@ -369,12 +377,12 @@ def _bodies(chain: Chain, hinges: Hinges) -> Iterator[str]:
     for node in range(1, last + 1):
         place = 0.5 * h if node == 1 else h
         yield f'    <body name="node_{node}" pos="{place:{_DIGITS}} 0 0">'
-        yield from node_lines(chain, hinges, node)
+        yield from write_node(chain, hinges, node)
     yield f'      <site name="tip" pos="{0.5 * h:{_DIGITS}} 0 0" />'
     yield "    " + "</body>" * last
 
 
-def node_lines(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
+def write_node(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
     """Return hinges and geometry of a body; the ends of the chain are half as long.
 
     Parameters
@@ -396,7 +404,7 @@ def node_lines(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
     )
 
 
-def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
+def write_tendons(chain: Chain, hinges: Hinges) -> Iterator[str]:
     """Return the sliders of all nodes, each a tendon on the hinges of its node.
 
     Parameters

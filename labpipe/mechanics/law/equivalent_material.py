@@ -73,7 +73,7 @@ class EquivalentMaterial(ArrayRecord):
         return float(self.curvature[first]) if first < len(self.curvature) else None
 
 
-def equivalent_material(
+def fit_equivalent_material(
     curvature: Floats,
     moment: Floats,
     diameter: float,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import PPoly
 
-from labpipe.mechanics.law.plays import MomentLaw, corners_of
+from labpipe.mechanics.law.plays import MomentLaw, find_corners
 from labpipe.records.arrays import Floats
 
 CurvatureAndSlope: TypeAlias = tuple[Floats, Floats]
@@ -41,7 +41,7 @@ class LoadingTable:
     def of_plays(cls, law: MomentLaw) -> LoadingTable:
         """Return the table of a law of plays, which is linear between its corners."""
         last_step_factor = 1.0
-        moment, curvature, slopes = corners_of(law)
+        moment, curvature, slopes = find_corners(law)
         step = last_step_factor * (moment[-1] or law.stiffness)
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + slopes[-1] * step)

@@ -14,18 +14,18 @@ import numpy as np
 
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
+    cut_to_range,
+    fit_directions,
     fit_sliders,
-    in_directions,
-    turned,
-    within_range,
+    turn_directions,
 )
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
 
-COUNTS = (4, 6, 8, 12)
+SLIDER_COUNTS = (4, 6, 8, 12)
 """Numbers of sliders on a card."""
-DIRECTIONS = 4
-"""Directions of scalar sliders on a card."""
+N_DIRECTIONS = 4
+"""Directions of scalar sliders, on a card and in decks."""
 
 _N_DECAYS = 60
 
@@ -64,7 +64,7 @@ class LossCard:
         has fewer corners
     directions : number of directions of scalar sliders in three dimensions, and the largest
         difference of the moment along the curvature from that of vector sliders, in the worst
-        direction: for one node, and for nodes with turned directions (`turned`)
+        direction: for one node, and for nodes with turned directions (`turn_directions`)
     """
 
     first: float
@@ -76,7 +76,7 @@ class LossCard:
     directions: tuple[tuple[int, float], ...]
 
 
-def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:
+def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:
     """Compute the loss card of a law from the sliders fitted to it.
 
     Parameters
@@ -84,11 +84,11 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
     curvature, moment : as for `fit_sliders`
     laws : fits of it over one range, at least one
     """
-    x, y, start = within_range(curvature, moment, laws[0].first, laws[0].last)
+    x, y, start = cut_to_range(curvature, moment, laws[0].first, laws[0].last)
     secant = y[1:] / x[1:]
     low, high = float(secant.min()), float(secant.max())
     best_law = laws[int(np.argmin([law.error for law in laws]))]
-    scalar_law = in_directions(best_law, DIRECTIONS)
+    scalar_law = fit_directions(best_law, N_DIRECTIONS)
     return LossCard(
         first=start,
         last=float(x[-1]),
@@ -98,7 +98,7 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
         directions=tuple(
             (directional.directions, directional.error)
-            for directional in (scalar_law, turned(best_law, scalar_law))
+            for directional in (scalar_law, turn_directions(best_law, scalar_law))
         ),
     )
 
@@ -130,7 +130,7 @@ class TurnLoss:
     isotropic_at: float
 
 
-def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
+def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     """Compute the errors for a wire that is bent and straightened again.
 
     Parameters
@@ -233,7 +233,7 @@ SLIDERS = 12
 """With fewer, the error of the residual curvature after unloading exceeds 2 %."""
 
 
-def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
+def fit_wire_sliders(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
     """Fit sliders to a wire over its whole table.
 
     Parameters
@@ -255,7 +255,7 @@ def _fitted(table: WireTable, sliders: int) -> SliderLaw:
 
 
 @lru_cache(maxsize=4)
-def table_card(table: WireTable) -> LossCard:
+def make_table_card(table: WireTable) -> LossCard:
     """Compute the loss card of a wire over its table.
 
     Parameters
@@ -267,4 +267,6 @@ def table_card(table: WireTable) -> LossCard:
     ValueError
         As `fit_sliders`.
     """
-    return card_of(table.curvature, table.moment, [sliders_of(table, most) for most in COUNTS])
+    return make_loss_card(
+        table.curvature, table.moment, [fit_wire_sliders(table, most) for most in SLIDER_COUNTS]
+    )

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.mechanics.law.growing_slider import grow_from
 from labpipe.mechanics.law.plays import PlayLaw, Response
-from labpipe.mechanics.law.sliders import SliderLaw, slide, unbent_rests
+from labpipe.mechanics.law.sliders import SliderLaw, make_unbent_rests, slide
 from labpipe.records.arrays import Floats
 
 _MAX_ITERATIONS = 60
@@ -54,7 +54,7 @@ class MixedLaw:
 
     def unbent(self, n_stations: int) -> Floats:
         """Return the history of a wire that was never bent: curvature, then rests, 1/m."""
-        rests = unbent_rests(self.sliders, n_stations)
+        rests = make_unbent_rests(self.sliders, n_stations)
         return np.concatenate([np.zeros((n_stations, 1)), rests], axis=1)
 
     def respond(self, moment: Floats, history: Floats) -> Response:

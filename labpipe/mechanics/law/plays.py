@@ -150,7 +150,7 @@ class PlayLaw(ArrayRecord, _Plays):
         require("compliances", compliances.tolist(), "finite and >= 0", holds=are_valid)
 
 
-def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
+def make_unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
     """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
     return law.unbent(n_stations)
 
@@ -175,7 +175,7 @@ def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
     return law.respond(moment, plays)
 
 
-def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
+def find_corners(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
     """Return the corners of a law on first loading, from zero, each of shape (plays + 1,).
 
     Parameters
@@ -191,7 +191,7 @@ def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
     return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
 
 
-def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
+def compute_first_curvature(law: MomentLaw, moment: Floats) -> Floats:
     """Return the curvature of first loading at moments, 1/m.
 
     Parameters
@@ -199,7 +199,7 @@ def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
     law : the law; beyond its end the last slope is taken
     moment : shape (n,), N m, not negative
     """
-    corner, reached, slopes = corners_of(law)
+    corner, reached, slopes = find_corners(law)
     last = np.searchsorted(corner, moment, side="right") - 1
     return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
 
@@ -227,7 +227,7 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     largest = float(np.max(np.abs(moment), initial=0.0))
     if is_within(law, largest):
         return
-    bent, last = first_curvature(law, np.array([largest, law.largest_moment]))
+    bent, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
         f"{what}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
         f"found {bent:.4g} 1/m"
@@ -294,7 +294,7 @@ def require_finite(name: str, values: Floats | float) -> None:
     require(name, np.asarray(values).tolist(), "finite", holds=holds)
 
 
-def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
+def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     """Return the plays of a polygon through the origin and points of a first loading.
 
     Parameters
@@ -322,11 +322,11 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
 
 
-def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
+def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     """Return the plays of the concave hull of points of a first loading.
 
     Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
-    corners; elsewhere it is that of `polygon_law`.
+    corners; elsewhere it is that of `make_polygon_law`.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
             f"{100.0 * excess[at]:.2g} % above it; expected at most {limit}"
         )
         raise ValueError(message)
-    return polygon_law(curvature[hull], moment[hull])
+    return make_polygon_law(curvature[hull], moment[hull])
 
 
 def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
@@ -367,7 +367,7 @@ def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
     return corners
 
 
-def stick_slip_law(
+def make_stick_slip_law(
     *,
     stick_stiffness: float,
     stick_moment: float,

@@ -38,7 +38,7 @@ from scipy.optimize import nnls
 from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.plays import (
     PlayLaw,
-    polygon_law,
+    make_polygon_law,
     require,
     require_not_negative,
     require_positive,
@@ -152,7 +152,7 @@ def present_sliders(law: SliderLaw, rests: Floats) -> PresentSliders:
     return PresentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., places, :])
 
 
-def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
+def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     """Return the moment of first loading, N m.
 
     Parameters
@@ -167,7 +167,7 @@ def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     return moment
 
 
-def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
+def make_unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
     """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
     return np.zeros((n_stations, law.history_size, *((2,) if is_vector else ())))
 
@@ -238,7 +238,7 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
 
 
-def as_plays(law: SliderLaw) -> PlayLaw:
+def convert_to_plays(law: SliderLaw) -> PlayLaw:
     """Return the law as plays, up to the end of its range.
 
     Parameters
@@ -251,7 +251,7 @@ def as_plays(law: SliderLaw) -> PlayLaw:
     """
     corners = np.append(law.slip_curvatures[law.slip_curvatures < law.last], law.last)
     corners = np.append(0.5 * corners[0], corners) if len(corners) == 1 else corners
-    return polygon_law(corners, slider_moment(law, corners))
+    return make_polygon_law(corners, compute_slider_moment(law, corners))
 
 
 def fit_sliders(
@@ -290,14 +290,14 @@ def fit_sliders(
         f"from 1 to {MAX_SLIDERS}",
         holds=1 <= n_sliders <= MAX_SLIDERS,
     )
-    return _fit(*within_range(curvature, moment, first, last), n_sliders)
+    return _fit(*cut_to_range(curvature, moment, first, last), n_sliders)
 
 
 def _require_range(first: float, last: float) -> None:
     require("range", (first, last), ">= 0 and increasing", holds=0.0 <= first < last < np.inf)
 
 
-def within_range(
+def cut_to_range(
     curvature: Floats, moment: Floats, first: float, last: float
 ) -> tuple[Floats, Floats, float]:
     """Return the points of a law inside a range, with zero before them.
@@ -367,7 +367,7 @@ def _fit(x: Floats, y: Floats, start: float, n_sliders: int) -> SliderLaw:
     )
 
 
-def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
+def make_linear_law(stiffness: float, last: float) -> SliderLaw:
     """Return a constant stiffness as a law without sliders.
 
     Parameters
@@ -379,7 +379,7 @@ def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
     return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, last)
 
 
-def slip_moments(law: SliderLaw) -> Vector:
+def compute_slip_moments(law: SliderLaw) -> Vector:
     """Return the moments at which the sliders slide, K_j kappa_j, N m."""
     return np.asarray(law.stiffnesses * law.slip_curvatures)
 
@@ -426,7 +426,7 @@ class DirectionalLaw(ArrayRecord):
 
 
 @lru_cache(maxsize=16)  # laws are hashed by identity
-def in_directions(
+def fit_directions(
     law: SliderLaw, directions: int, *, max_sliders: int = MAX_SCALAR_SLIDERS
 ) -> DirectionalLaw:
     """Fit scalar sliders in a few directions to vector sliders.
@@ -453,7 +453,7 @@ def in_directions(
     require("directions", directions, ">= 2", holds=directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
     size = _curvatures(law)
-    target = slider_moment(law, size)
+    target = compute_slider_moment(law, size)
     if not law.stiffnesses.size:
         slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
     else:
@@ -468,7 +468,7 @@ def in_directions(
     return _with_errors(law, scalar_law)
 
 
-def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
+def turn_directions(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
     """Return the mean of neighbouring nodes whose directions are turned by `TURNS`.
 
     Parameters
@@ -498,7 +498,7 @@ def _curvatures(law: SliderLaw) -> Floats:
 def _with_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
     """Return the law with its largest errors."""
     size = _curvatures(law)
-    target = slider_moment(law, size)
+    target = compute_slider_moment(law, size)
     along, aside = _components(scalar_law, size)
     return replace(
         scalar_law,

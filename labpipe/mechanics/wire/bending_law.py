@@ -6,7 +6,7 @@ forces:
     M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
 
 The axial forces F are those of `wire.friction`, the strands' own moments m those of
-`wire.materials`. The strands' axial stiffness stays elastic, as in the source.
+`wire.materials`. The strands' axial stiffness stays elastic, as in the dissertation.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import PlayLaw, polygon_law, require_positive
-from labpipe.mechanics.wire.cross_section import CrossSection, tube_moment
+from labpipe.mechanics.law.plays import PlayLaw, make_polygon_law, require_positive
+from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_moment
 from labpipe.mechanics.wire.friction import (
     Bundle,
     Contacts,
-    arrange,
-    axial_forces,
-    sines,
-    slip_onsets,
+    arrange_rings,
+    compute_axial_forces,
+    compute_sines,
+    find_slip_onsets,
 )
-from labpipe.mechanics.wire.materials import helix_factor, strand_moment
+from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 
@@ -76,28 +76,28 @@ class MomentCurve(ArrayRecord):
         return np.where(is_zero, self.tangent_stiffness, ratio)
 
 
-def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
+def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
     """Return the bending stiffness while nothing slips or yields, N m^2.
 
     Parameters
     ----------
     section : strands in place
-    orientation : rad, as for `moment_curvature`
+    orientation : rad, as for `compute_moment_curve`
 
     Notes
     -----
-    The slope of `moment_curvature` at zero curvature:
+    The slope of `compute_moment_curve` at zero curvature:
     slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). With at least three evenly spread
     strands in every ring it does not depend on the orientation; with two strands it varies by a
     fifth, and in a packing by a few per cent.
     """
-    sine = sines(section, orientation)
-    return slip_stiffness(section) + float(
-        _axial_rigidity(section) @ (section_arms(section) * sine) ** 2
+    sine = compute_sines(section, orientation)
+    return compute_slip_stiffness(section) + float(
+        _axial_rigidity(section) @ (find_section_arms(section) * sine) ** 2
     )
 
 
-def section_arms(section: CrossSection) -> Floats:
+def find_section_arms(section: CrossSection) -> Floats:
     """Return the distance of the strands outside the core from the axis, shape (strands,), m."""
     return section.radius[section.layer >= int(section.has_core)]
 
@@ -112,7 +112,7 @@ def _axial_rigidity(section: CrossSection) -> Floats:
     return np.repeat(values, [layer.count for layer in section.layers[first:]])
 
 
-def slip_stiffness(section: CrossSection) -> float:
+def compute_slip_stiffness(section: CrossSection) -> float:
     """Return the bending stiffness of frictionless, elastic strands with the insulation, N m^2.
 
     Notes
@@ -121,7 +121,7 @@ def slip_stiffness(section: CrossSection) -> float:
     """
     strands = sum(
         layer.count
-        * helix_factor(layer.lay_angle, layer.poisson)
+        * compute_helix_factor(layer.lay_angle, layer.poisson)
         * layer.material.modulus
         * np.pi
         * layer.diameter**4
@@ -132,7 +132,7 @@ def slip_stiffness(section: CrossSection) -> float:
     return float(strands + tube)
 
 
-def moment_curvature(
+def compute_moment_curve(
     section: CrossSection,
     contacts: Contacts,
     curvature: Floats,
@@ -168,7 +168,7 @@ def moment_curvature(
     stick, slip, axial_slope = _axial_parts(section, contacts, curvatures, tension, orientation)
     elastic_stiffness, strand_moment_sum, bending_slope = sum_strand_moments(section, curvatures)
     zeros = np.zeros_like(curvatures)
-    tube = tube_moment(section.insulation, curvatures) if section.insulation else None
+    tube = compute_tube_moment(section.insulation, curvatures) if section.insulation else None
     return MomentCurve(
         curvature=curvatures,
         stick=stick,
@@ -177,8 +177,8 @@ def moment_curvature(
         plastic=strand_moment_sum - elastic_stiffness * curvatures,
         insulation=zeros if tube is None else tube.moment,
         tangent_stiffness=axial_slope + bending_slope + (zeros if tube is None else tube.tangent),
-        stick_stiffness=stick_stiffness(section, orientation=orientation),
-        slip_stiffness=slip_stiffness(section),
+        stick_stiffness=compute_stick_stiffness(section, orientation=orientation),
+        slip_stiffness=compute_slip_stiffness(section),
     )
 
 
@@ -189,8 +189,8 @@ def _axial_parts(
     stick, slip, slope = np.full((3, len(curvature)), np.nan)
     for side, turn, sign in ((curvature >= 0.0, 0.0, 1.0), (curvature < 0.0, np.pi, -1.0)):
         if side.any():
-            sine = sines(section, orientation + turn)
-            bundle = arrange(section, contacts, sine, tension=tension)
+            sine = compute_sines(section, orientation + turn)
+            bundle = arrange_rings(section, contacts, sine, tension=tension)
             parts = _axial_moments(bundle, np.abs(curvature[side]))
             stick[side], slip[side], slope[side] = sign * parts[0], sign * parts[1], parts[2]
     return stick, slip, slope
@@ -202,7 +202,7 @@ def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, F
     stick, total, slope = np.empty((3, len(curvature)))
     for start in range(0, len(curvature), chunk):
         part = slice(start, start + chunk)
-        axial = axial_forces(bundle, curvature[part, None])
+        axial = compute_axial_forces(bundle, curvature[part, None])
         total[part] = axial.force @ bundle.lever
         stick[part] = np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
         slope[part] = axial.slope @ bundle.lever
@@ -225,18 +225,18 @@ def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float,
     moment, slope = np.zeros((2, len(curvature)))
     strand_types = {(layer.material, layer.diameter) for layer in section.layers}
     for material, diameter in strand_types:
-        straight = strand_moment(material, diameter, curvature)
+        straight = compute_strand_moment(material, diameter, curvature)
         weight = sum(
-            layer.count * helix_factor(layer.lay_angle, layer.poisson)
+            layer.count * compute_helix_factor(layer.lay_angle, layer.poisson)
             for layer in section.layers
             if (layer.material, layer.diameter) == (material, diameter)
         )
         moment += weight * straight.moment
         slope += weight * straight.tangent
-    return slip_stiffness(section) - tube, moment, slope
+    return compute_slip_stiffness(section) - tube, moment, slope
 
 
-def orientation_range(
+def find_orientation_range(
     section: CrossSection,
     contacts: Contacts,
     curve: MomentCurve,
@@ -248,7 +248,7 @@ def orientation_range(
 
     Parameters
     ----------
-    section, contacts, tension : as for `moment_curvature`
+    section, contacts, tension : as for `compute_moment_curve`
     curve : the law at any orientation
     n_orientations : evenly spread over the full turn, the first at 0
     """
@@ -264,11 +264,11 @@ def _distinct_turns(section: CrossSection, count: int) -> list[float]:
     """Return orientations, rad, without those that only swap equal strands."""
     turns = 2.0 * np.pi * np.arange(count) / count
     layer = section.layer[section.layer >= int(section.has_core)]
-    arms = section_arms(section) / (float(section.radius.max()) or 1.0)
+    arms = find_section_arms(section) / (float(section.radius.max()) or 1.0)
     groups = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
 
     # Heights lie in [-1, 1]; an offset of 4 per group keeps the groups apart when sorted.
-    heights = 4.0 * groups.ravel() + (arms * sines(section, turns[:, None])).round(9)
+    heights = 4.0 * groups.ravel() + (arms * compute_sines(section, turns[:, None])).round(9)
     sorted_heights = np.sort(heights, axis=1)
     # Reversed, so that the smallest of equal turns is kept.
     distinct = {
@@ -277,7 +277,7 @@ def _distinct_turns(section: CrossSection, count: int) -> list[float]:
     return sorted(map(float, distinct.values()))
 
 
-def play_law(
+def fit_play_law(
     section: CrossSection,
     contacts: Contacts,
     *,
@@ -290,7 +290,7 @@ def play_law(
 
     Parameters
     ----------
-    section, contacts, tension, orientation : as for `moment_curvature`
+    section, contacts, tension, orientation : as for `compute_moment_curve`
     largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
     n_plays : corners, evenly spread in the logarithm of the curvature over four decades; each slip
         onset of a strand adds one
@@ -304,7 +304,7 @@ def play_law(
     ------
     ValueError
         If the moment falls, or its slope rises, with curvature, which plays cannot represent; the
-        message states the curvature. Also as `moment_curvature`.
+        message states the curvature. Also as `compute_moment_curve`.
 
     Notes
     -----
@@ -315,11 +315,11 @@ def play_law(
     min_spacing = 1e-6  # relative; closer corners are one
     require_positive("largest_curvature", largest_curvature)
     even = np.geomspace(10.0**-decades, 1.0, n_plays + 1) * largest_curvature
-    onsets = slip_onsets(section, contacts, tension=tension, orientation=orientation)
+    onsets = find_slip_onsets(section, contacts, tension=tension, orientation=orientation)
     inside = onsets[(onsets > even[0]) & (onsets < even[-1])]
     knots = np.union1d(even, inside)
     knots = knots[np.diff(knots, prepend=0.0) > min_spacing * knots]
-    moment = moment_curvature(
+    moment = compute_moment_curve(
         section, contacts, knots, tension=tension, orientation=orientation
     ).moment
-    return polygon_law(knots, moment)
+    return make_polygon_law(knots, moment)

@@ -29,8 +29,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from labpipe.mechanics.law.plays import PlayLaw, concave_law
-from labpipe.mechanics.wire.end_load_path import end_load_path
+from labpipe.mechanics.law.plays import PlayLaw, make_concave_law
+from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.harness_bundle import BundleLoop, BundleModel, FrictionFit
 from labpipe.records.wire import WireTable
@@ -71,7 +71,7 @@ class Friction:
                 raise ValueError(message)
 
 
-def friction_moment(
+def compute_friction_moment(
     curvature: Floats, model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> Floats:
     """Return the moment of first loading of a bundle with friction, N m.
@@ -97,12 +97,14 @@ def friction_moment(
     return np.asarray(wire_moment + share * ((1.0 - held) * sliding + held * gluing))
 
 
-def friction_law(model: BundleModel, tables: Sequence[WireTable], friction: Friction) -> PlayLaw:
+def fit_friction_law(
+    model: BundleModel, tables: Sequence[WireTable], friction: Friction
+) -> PlayLaw:
     """Fit plays to a bundle with friction; its loops follow Masing's rule.
 
     Parameters
     ----------
-    model, tables, friction : as for `friction_moment`
+    model, tables, friction : as for `compute_friction_moment`
 
     Returns
     -------
@@ -122,7 +124,7 @@ def friction_law(model: BundleModel, tables: Sequence[WireTable], friction: Fric
         ]
     )
     curvature = np.unique(corners[corners <= last])
-    return concave_law(curvature, friction_moment(curvature, model, tables, friction))
+    return make_concave_law(curvature, compute_friction_moment(curvature, model, tables, friction))
 
 
 def _wire_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
@@ -179,8 +181,8 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     def loads(held: float, count: int | None = None) -> Floats | None:
         """Return predicted forces, or None where the wires would be bent beyond their laws."""
-        law = friction_law(model, tables, friction(held))
-        path = end_load_path(
+        law = fit_friction_law(model, tables, friction(held))
+        path = compute_end_load_path(
             *(law, loop.length, loop.deflection[:count]),
             n_stations=n_stations,
             self_weight=loop.self_weight,

@@ -14,7 +14,7 @@ from itertools import combinations, islice
 import numpy as np
 
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.wire.bundle_packing import densest_heap, holding_circle
+from labpipe.mechanics.wire.bundle_packing import find_densest_heap, find_holding_circle
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 
@@ -22,7 +22,7 @@ _MAX_SEARCHED_WIRES = 100
 """Most wires for which many starts are tried; larger heaps are densest as lattices."""
 
 
-def arrange(
+def arrange_wires(
     bundle: Bundle, diameters: Sequence[float], stiffness: Sequence[float], *, seed: int = 0
 ) -> BundleLayout:
     """Lay out the wires of a bundle.
@@ -46,7 +46,7 @@ def arrange(
 
     Notes
     -----
-    The kinds are spread over sites of equal wires, see `sites`. Wires of unequal
+    The kinds are spread over sites of equal wires, see `place_sites`. Wires of unequal
     diameters are then drawn together from there until they touch, see `wire.bundle_packing`.
     """
     wire_type = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
@@ -82,7 +82,7 @@ def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
 def _lay_out(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int) -> Floats:
     """Return the centres of the wires, kind by kind, m."""
     equal_diameter_share = 1e-9
-    places = sites(bundle.number, seed=seed)
+    places = place_sites(bundle.number, seed=seed)
     counts = [wire.number for wire in bundle.wires]
     if len(counts) == 1 or np.ptp(diameters) <= equal_diameter_share * diameters.max():
         wire_type = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)[0]
@@ -94,7 +94,7 @@ def _lay_out(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed
         for wire_type in kinds
         for width in _start_pitches(wire_diameters, kinds)
     ]
-    return densest_heap(starts, wire_diameters)
+    return find_densest_heap(starts, wire_diameters)
 
 
 def _kinds_on_sites(
@@ -104,13 +104,13 @@ def _kinds_on_sites(
     n_shuffles = 8  # shuffles of the kinds of a packed bundle, of which the densest is kept
     match arrangement:
         case "asymmetric":
-            return [on_one_side(places, counts, stiffness)]
+            return [stack_kinds(places, counts, stiffness)]
         case "symmetric":
-            return [evenly(places, counts, seed=seed)]
+            return [spread_evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
             shuffles = n_shuffles if len(places) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-            return [by_chance(counts, rng) for _ in range(shuffles)]
+            return [shuffle_kinds(counts, rng) for _ in range(shuffles)]
 
 
 def _start_pitches(wire_diameters: Floats, kinds: Sequence[Ints]) -> list[float]:
@@ -136,7 +136,7 @@ def _layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> B
 _MERIT_DIGITS = 9
 
 
-def by_chance(counts: Sequence[int], rng: np.random.Generator) -> Ints:
+def shuffle_kinds(counts: Sequence[int], rng: np.random.Generator) -> Ints:
     """Shuffle the kinds of wires.
 
     Parameters
@@ -151,7 +151,7 @@ def by_chance(counts: Sequence[int], rng: np.random.Generator) -> Ints:
     return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
 
-def on_one_side(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
+def stack_kinds(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
     """Lay the kinds one above the other, the stiffest on top.
 
     Parameters
@@ -190,7 +190,7 @@ def _topmost(sites: Floats, free: Ints, count: int) -> Ints:
     return np.concatenate([above, np.array(min(choices, key=unbalance), dtype=np.int64)])
 
 
-def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
+def spread_evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
     """Spread every kind evenly over the bundle.
 
     Parameters
@@ -216,7 +216,7 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
     n_spread_starts = 12  # seeded starts of the search for an even spread
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (by_chance(counts, rng) for _ in range(n_spread_starts))
+    starts = (shuffle_kinds(counts, rng) for _ in range(n_spread_starts))
     spreads = [_exchange_wires(start, traits, near) for start in starts]
     return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, near))
 
@@ -285,7 +285,7 @@ _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
 _WIDTH_ROUND = 1e-9
 
 
-def sites(number: int, *, seed: int = 0) -> Floats:
+def place_sites(number: int, *, seed: int = 0) -> Floats:
     """Find positions of equal wires that touch.
 
     Parameters
@@ -357,8 +357,8 @@ def _densest_heap(number: int, seed: int) -> Floats:
         angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_heap_starts, number))
         starts = [_lattice_heap(number, core) for core in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
-        heaps = [*heaps, densest_heap(starts, diameters)]
-    widths = np.array([holding_circle(heap, diameters)[1] for heap in heaps])
+        heaps = [*heaps, find_densest_heap(starts, diameters)]
+    widths = np.array([find_holding_circle(heap, diameters)[1] for heap in heaps])
     return heaps[int(np.argmax(widths < widths.min() + _WIDTH_ROUND))]  # of equal ones, the first
 
 

@@ -16,16 +16,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.mechanics.wire.bundle_layout import arrange
-from labpipe.mechanics.wire.bundle_packing import fits, holding_circle, packing_fraction
-from labpipe.mechanics.wire.wire_table import build
+from labpipe.mechanics.wire.bundle_layout import arrange_wires
+from labpipe.mechanics.wire.bundle_packing import (
+    compute_packing_fraction,
+    find_holding_circle,
+    fits_bore,
+)
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel, BundleWire
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireTable
 
 
-def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0) -> BundleModel:
+def compute_bundle_model(
+    bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0
+) -> BundleModel:
     """Compute the bounds of the bending of a bundle.
 
     Parameters
@@ -52,8 +58,8 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
     the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
     without and with the moment of their stretching and shortening, in which copper yields (see
-    `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
-    With friction between wires and compliant tape, a bundle lies between the two.
+    `compute_stretching_moment`). The interaction of bending and stretching in one wire is
+    neglected. With friction between wires and compliant tape, a bundle lies between the two.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
     if missing:
@@ -64,11 +70,11 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     counts = [wire.number for wire in bundle.wires]
     diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
     axial = np.array([table.axial_stiffness for table in kinds])
-    layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
+    layout = arrange_wires(bundle, diameters, axial.tolist(), seed=seed)
     stick_stiffness = np.array([table.stick_stiffness for table in kinds])
-    stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
+    stuck = compute_sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
     curvature, range_notes = _common_range(kinds, layout)
-    slip = slipping_moment(curvature, kinds, counts)
+    slip = compute_slipping_moment(curvature, kinds, counts)
     straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
     middle, smallest = _conduit_circle(bundle, layout)
     bore = bundle.conduit_bore
@@ -85,10 +91,10 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         axial_stiffness=float(axial[layout.kind].sum()),
         smallest_bore=smallest,
         middle=middle,
-        packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
+        packing_fraction=None if bore is None else compute_packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=slip,
-        moment_stick=slip + stretching_moment(curvature, layout.y, layout.kind, kinds),
+        moment_stick=slip + compute_stretching_moment(curvature, layout.y, layout.kind, kinds),
         doubtful_curvature=straight_ranges[0],
         doubtful_curvature_stick=straight_ranges[1],
     )
@@ -115,14 +121,14 @@ def _diameter(wire: BundleWire, table: WireTable) -> float:
 def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
     """Return centre and diameter of the circle around the wires, which must fit the conduit."""
     centres = np.column_stack([layout.x, layout.y])
-    middle, radius = holding_circle(centres, layout.diameter)
+    middle, radius = find_holding_circle(centres, layout.diameter)
     smallest = 2.0 * radius
     bore = bundle.conduit_bore
-    if bore is not None and not fits(smallest, bore):
+    if bore is not None and not fits_bore(smallest, bore):
         message = (
             f"the {bundle.number} wires in this layout need a bore of {1e3 * smallest:.4g} mm, "
             f"the conduit has {1e3 * bore:.4g} mm "
-            f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
+            f"(packing fraction {compute_packing_fraction(layout.diameter, bore):.3g})"
         )
         raise ValueError(message)
     return (float(middle[0]), float(middle[1])), smallest
@@ -133,21 +139,22 @@ def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[Qual
     for wire, table in zip(bundle.wires, kinds, strict=True):
         nominal = 2.0 * table.layout.wire_radius
         if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
-            message = (
-                f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, "
-                f"used to place the wires; the law is for a wire of "
-                f"{1e3 * nominal:.4g} mm"
+            yield QualityNote.of(
+                "mechanics.wire.diameter_differs",
+                "bundle",
+                wire=wire.type,
+                diameter=1e3 * wire.diameter,
+                nominal=1e3 * nominal,
             )
-            yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
 
 
 def _common_range(
     kinds: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
     """Return the curvatures covered by all laws, and a note where one of them goes further."""
-    curvature = common_curvature(kinds)
+    curvature = find_common_curvatures(kinds)
     depth = float(np.ptp(layout.y))
-    last_known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    last_known = min(find_largest_stretch(table) for table in kinds) / depth if depth else np.inf
     if last_known < curvature[-1]:
         curvature = np.append(curvature[curvature < last_known], last_known)
         reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
@@ -156,11 +163,15 @@ def _common_range(
     longest = max(kinds, key=lambda table: float(table.curvature[-1]))
     if longest.curvature[-1] <= curvature[-1]:
         return curvature, ()
-    message = (
-        f"moments are given up to {curvature[-1]:.4g} 1/m, where {reason}; the law of "
-        f"{longest.name} goes to {longest.curvature[-1]:.4g} 1/m"
+    note = QualityNote.of(
+        "mechanics.wire.bundle_range_shortened",
+        "bundle",
+        end=curvature[-1],
+        reason=reason,
+        longest=longest.name,
+        last=longest.curvature[-1],
     )
-    return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
+    return curvature, (note,)
 
 
 def _straight_ranges(
@@ -184,32 +195,34 @@ def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
     (across, mixed), (_, along) = model.tensor
     lost = mixed**2 / (across * along)
     if lost > max_lost_share:
-        message = (
-            f"the principal axes are oblique ({np.degrees(model.principal_angle):.3g} deg from x "
-            f"to the stiffest direction): bent along y, a sticking bundle free to move aside is "
-            f"{100.0 * lost:.2g} % less stiff than the {_stiffness_text(along)} of one kept in its "
-            f"plane"
+        yield QualityNote.of(
+            "mechanics.wire.oblique_axes",
+            "bundle",
+            degrees=np.degrees(model.principal_angle),
+            percent=100.0 * lost,
+            stiffness=_stiffness_text(along),
         )
-        yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
     curvature = model.curvature
     below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
     # with less stretching, the stiffness that it loses is that of slipping strands
     if len(below) and model.high >= min_stretching_factor * model.free:
-        message = (
-            f"stretched copper yields: a sticking bundle, bent along y, has less than half "
-            f"of its {_stiffness_text(model.high)} beyond {curvature[below[0]]:.3g} 1/m"
+        yield QualityNote.of(
+            "mechanics.wire.copper_yields",
+            "bundle",
+            stiffness=_stiffness_text(model.high),
+            curvature=curvature[below[0]],
         )
-        yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
     slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
     if curvature[-1] > stick:
         condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
-        addition = f", and beyond {slip:.4g} 1/m if they slip" if curvature[-1] > slip else ""
-        message = (
-            f"where the rim of an insulation is strained beyond its linear range, its modulus does "
-            f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}"
-            f"{addition if condition else ''} (lighter in the figure)"
+        if condition and curvature[-1] > slip:
+            condition += f", and beyond {slip:.4g} 1/m if they slip"
+        yield QualityNote.of(
+            "mechanics.wire.bundle_insulation_doubtful",
+            "bundle",
+            stick=stick,
+            condition=condition,
         )
-        yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
 
 
 def _stiffness_text(value: float) -> str:
@@ -240,7 +253,9 @@ class Sticking:
     angle: float
 
 
-def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats) -> Sticking:
+def compute_sticking(
+    x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats
+) -> Sticking:
     """Compute the bending stiffness of wires that stick to each other, in all directions.
 
     Parameters
@@ -275,7 +290,7 @@ def _axis_angle(axis: Floats) -> float:
     return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
 
 
-def common_curvature(tables: Sequence[WireTable]) -> Floats:
+def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
     """Return the curvatures of all tables up to the end of the shortest, 1/m.
 
     Parameters
@@ -287,7 +302,7 @@ def common_curvature(tables: Sequence[WireTable]) -> Floats:
     return np.asarray(curvature[curvature <= end])
 
 
-def slipping_moment(
+def compute_slipping_moment(
     curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
 ) -> Floats:
     """Return the moment of wires that slip without friction, the sum of their laws, N m.
@@ -305,7 +320,7 @@ def slipping_moment(
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
-def share_of_bounds(value: float, low: float, high: float) -> float:
+def compute_bounds_share(value: float, low: float, high: float) -> float:
     """Return the position of a stiffness between the bounds: 0 at the lower, 1 at the upper.
 
     Parameters
@@ -333,13 +348,13 @@ def share_of_bounds(value: float, low: float, high: float) -> float:
     return (value - low) / (high - low)
 
 
-def axial_force(table: WireTable, strain: Floats) -> Floats:
+def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     """Return the force along a stretched wire that does not turn about its axis, N.
 
     Parameters
     ----------
     table : of the wire
-    strain : shape (n,), along the wire, not negative; up to `largest_stretch`
+    strain : shape (n,), along the wire, not negative; up to `find_largest_stretch`
 
     Notes
     -----
@@ -348,7 +363,7 @@ def axial_force(table: WireTable, strain: Floats) -> Floats:
     its force (Costello, *Theory of Wire Rope*, 1997). Its slope at zero is the axial stiffness of
     the table.
     """
-    section = build(table.spec).section
+    section = build_wire(table.spec).section
     tube = section.insulation.axial_stiffness if section.insulation else 0.0
     force = tube * strain
     for layer in section.layers:
@@ -358,14 +373,14 @@ def axial_force(table: WireTable, strain: Floats) -> Floats:
     return np.asarray(force)
 
 
-def largest_stretch(table: WireTable) -> float:
+def find_largest_stretch(table: WireTable) -> float:
     """Return the strain up to which the stress of all strands is known; may be infinite."""
-    layers = build(table.spec).section.layers
+    layers = build_wire(table.spec).section.layers
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
 
 
-def stretching_moment(
+def compute_stretching_moment(
     curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
     """Return the moment of the stretching and shortening of sticking wires, N m.
@@ -387,7 +402,7 @@ def stretching_moment(
     halvings = 60
     reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
     strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * reach)
-    laws = [axial_force(table, strain) for table in tables]
+    laws = [compute_axial_force(table, strain) for table in tables]
 
     def forces(neutral: Floats) -> Floats:
         stretch = curvature[:, None] * (y - neutral[:, None])

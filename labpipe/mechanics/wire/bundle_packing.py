@@ -44,7 +44,7 @@ class Contacts:
     force: Floats
 
 
-def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Draw wires together from several starts, and keep the heap in the smallest circle.
 
     Parameters
@@ -89,7 +89,10 @@ def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     width_tolerance = 1e-2  # relative, while wires are soft
     heaps = [_relax_soft(start, diameters) for start in starts]
     widths = np.array(
-        [holding_circle(heap * _scale_apart(heap, diameters), diameters)[1] for heap, _ in heaps]
+        [
+            find_holding_circle(heap * _scale_apart(heap, diameters), diameters)[1]
+            for heap, _ in heaps
+        ]
     )
     heap, contacts = heaps[int(np.argmax(widths <= (1.0 + width_tolerance) * widths.min()))]
     heap = _harden(heap, diameters, contacts)
@@ -98,8 +101,8 @@ def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
 def _filled_share(centres: Floats, diameters: Floats) -> float:
     """Return the filled share of the smallest circle around all wires; 0 for unknown positions."""
-    radius = holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
-    return packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
+    radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
+    return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
 
 def require_dense(centres: Floats, diameters: Floats) -> None:
@@ -187,7 +190,7 @@ def _relax(
     longest = 1.0 / np.sqrt(6.0 * stiffness)
     step, steering, downhill, speed = longest, steering_start, 0, np.zeros_like(begin)
     for _ in range(max_steps):
-        force = -gradient_of_heap(centres, diameters, contacts, stiffness)
+        force = -compute_heap_gradient(centres, diameters, contacts, stiffness)
         if np.max(np.abs(force)) < tolerance / len(diameters):
             break
         if np.sum(force * speed) > 0.0:
@@ -278,7 +281,7 @@ def _turn_back(centres: Floats, begin: Floats, diameters: Floats) -> Floats:
     return np.asarray(centres @ turn)
 
 
-def gradient_of_heap(
+def compute_heap_gradient(
     centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
 ) -> Floats:
     """Return the energy gradient of wires that repel each other and are pulled to the origin.
@@ -319,7 +322,7 @@ def _scale_apart(centres: Floats, diameters: Floats) -> float:
     return float(np.max(contacts.touching / distance, initial=1.0))
 
 
-def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
+def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
     """Find the smallest circle that holds all wires.
 
     Parameters
@@ -384,7 +387,7 @@ WANTED_FRACTION = 0.7
 """Packing fraction for which the dissertation chooses conduits."""
 
 
-def packing_fraction(diameters: Floats, bore: float) -> float:
+def compute_packing_fraction(diameters: Floats, bore: float) -> float:
     """Return the area of the wires over that of the bore.
 
     Parameters
@@ -396,7 +399,7 @@ def packing_fraction(diameters: Floats, bore: float) -> float:
     return float(np.sum(diameters**2) / bore**2)
 
 
-def bore_for(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
+def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
     """Return the bore that the wires fill by a wanted share, m.
 
     Parameters
@@ -429,7 +432,7 @@ def choose_bore(
     ValueError
         If the wires fit none of them.
     """
-    fitting = [bore for bore in bores if fits(smallest, bore)]
+    fitting = [bore for bore in bores if fits_bore(smallest, bore)]
     if not fitting:
         offered = ", ".join(f"{1e3 * bore:.4g}" for bore in bores)
         message = (
@@ -437,9 +440,11 @@ def choose_bore(
             f"and the conduits have {offered or 'none'} mm"
         )
         raise ValueError(message)
-    return min(fitting, key=lambda bore: (abs(packing_fraction(diameters, bore) - fraction), -bore))
+    return min(
+        fitting, key=lambda bore: (abs(compute_packing_fraction(diameters, bore) - fraction), -bore)
+    )
 
 
-def fits(smallest: float, bore: float) -> bool:
+def fits_bore(smallest: float, bore: float) -> bool:
     """Return whether a circle of wires fits a bore, both m, within a tolerance of one millionth."""
     return smallest <= bore * (1.0 + 1e-6)

@@ -9,7 +9,7 @@ tip and the wire's own weight w per length,
 
 at the stations of `wire.newton`; the load (an end load or the tension of the string) is one more
 unknown, fixed by one more condition. A path is followed in steps that are halved where Newton's
-method fails. Unlike the source it uses no series and no single stiffness for the whole wire.
+method fails. Unlike the dissertation it uses no series and no single stiffness for the whole wire.
 
 The clamp is driven down, which in its own frame lifts the anchor of the string. The string is taut
 or slack; the counterweight always hangs at the tip.
@@ -30,19 +30,19 @@ import numpy as np
 from labpipe.mechanics.law.loading_table import CurvatureAndSlope
 from labpipe.mechanics.law.plays import (
     MomentLaw,
+    make_unbent_plays,
     require_finite,
     require_not_negative,
     require_positive,
     require_within,
     respond,
-    unbent_plays,
 )
 from labpipe.mechanics.wire.newton import (
     Condition,
     Demand,
     Wire,
     bend_wire,
-    chebyshev_stations,
+    make_stations,
     solve,
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
@@ -194,7 +194,7 @@ class Pull:
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
 
 
-def straight(
+def make_straight(
     law: MomentLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
     """Return the state of a straight wire that was never bent.
@@ -206,11 +206,11 @@ def straight(
     self_weight : N/m, of the wire; acts from the first step on
     """
     require_not_negative("self_weight", self_weight)
-    unbent = unbent_plays(law, n_stations)
+    unbent = make_unbent_plays(law, n_stations)
     return WireState(np.zeros(n_stations), unbent, np.zeros(2), self_weight=self_weight)
 
 
-def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
+def hold_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
     """Find the initial equilibrium of a level wire whose tip a normal force holds.
 
     Parameters
@@ -229,7 +229,7 @@ def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverS
     ValueError
         As `bend_to_deflection`.
     """
-    return bend_to_deflection(law, straight(law, self_weight=self_weight), length, 0.0)
+    return bend_to_deflection(law, make_straight(law, self_weight=self_weight), length, 0.0)
 
 
 def bend_under_force(
@@ -291,11 +291,23 @@ def bend_to_deflection(
     return _within_law(law, reached, length, f"deflection={deflection!r}")
 
 
-def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
-    """Bend a wire to a deflection without checking the range of its law."""
+def deflect(
+    law: MomentLaw,
+    state: WireState,
+    length: float,
+    deflection: float,
+    rig: StringRig | None = None,
+) -> WireState:
+    """Bend a wire to a deflection without checking the range of its law.
+
+    Parameters
+    ----------
+    law, state, length, deflection : as for `bend_to_deflection`
+    rig : string that pulls; None for a force normal to the clamped axis
+    """
 
     def step(present: WireState, travel: float) -> WireState | None:
-        return settle(law, present, length, AtDeflection(np.array([travel])), travel=travel)
+        return settle(law, present, length, AtDeflection(np.array([travel]), rig), travel=travel)
 
     return _walk_to(step, state, deflection, f"deflection={deflection!r}")
 
@@ -335,7 +347,7 @@ def bend_to_travel(
         bent = settle(law, present, length, weight, travel=travel)
         if bent is None:
             return None
-        tip = shape_of(law, bent, length)
+        tip = compute_shape(law, bent, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
         return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
@@ -353,12 +365,12 @@ def bend_to_travel(
 
 def _within_law(law: MomentLaw, state: WireState, length: float, place: str) -> CantileverShape:
     require_within(law, state.moment, place)
-    return shape_of(law, state, length)
+    return compute_shape(law, state, length)
 
 
-def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
+def compute_shape(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
     """Compute the shape of a state in equilibrium."""
-    stations = chebyshev_stations(len(state.moment), length)
+    stations = make_stations(len(state.moment), length)
     curvature = respond(law, state.moment, state.plays).curvature
     angle = stations.from_clamp @ curvature
     x, y = (stations.from_clamp @ part for part in (np.cos(angle), np.sin(angle)))
@@ -393,7 +405,7 @@ def settle(
     max_turn = 1.0  # rad, of any part of the wire in one step
     floor_share = 1e-9  # of the moment that bends the wire by a radian
     moment, load = (state.moment, state.load) if guess is None else guess
-    stations = chebyshev_stations(len(moment), length)
+    stations = make_stations(len(moment), length)
     bend = partial(_bend_plays, law, state.plays)
     wire = Wire(bend, stations, state.self_weight, condition)
     floor = floor_share * law.stiffness / length

@@ -1,10 +1,10 @@
 """The cross-section of a wire: layers of strands in a bore, and the insulation around them.
 
-The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
-A layout places the strands and refuses what does not fit, with the overlap. Layers are
-defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
-0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
-Lengths in m, angles in rad.
+The layouts `place_hexagon`, `place_rings` and `place_sectors` are here; `pack_strands` is in
+`wire.packing`. A layout places the strands and refuses what does not fit, with the overlap. Layers
+are defined by their counts, not by gaps in the radius. The first strand of the first ring lies at
+angle 0, on the neutral axis of the dissertation; `wire.bending_law` turns the section for other
+orientations. Lengths in m, angles in rad.
 
 Stretch and torsion of a wire, and their coupling (PHYSICS 9).
 
@@ -34,7 +34,7 @@ from labpipe.mechanics.wire.materials import (
     Material,
     StrandMoment,
     StressTable,
-    strand_moment,
+    compute_strand_moment,
 )
 from labpipe.records.arrays import Floats, Ints, freeze
 
@@ -134,7 +134,7 @@ class Insulation:
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
-def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
+def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     """Return the bending moment of the insulation, and its slope, on first loading.
 
     Parameters
@@ -149,7 +149,7 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     Raises
     ------
     ValueError
-        If the rim is strained beyond the tube's curve; the message says the curvature.
+        If the rim is strained beyond the tube's curve; the message states the curvature.
 
     Notes
     -----
@@ -159,7 +159,7 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
         stiffness = tube.bending_stiffness
         return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
     bars = [
-        strand_moment(tube.curve, 2.0 * radius, curvature)
+        compute_strand_moment(tube.curve, 2.0 * radius, curvature)
         for radius in (tube.outer_radius, tube.bore_radius)
     ]
     return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
@@ -228,7 +228,7 @@ class CrossSection:
         return float(conductor * strands + insulation * tube)
 
 
-def strand_diameter(conductor_area: float, n_strands: int) -> float:
+def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
     """Return the diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
     require_positive("conductor_area", conductor_area)
     return float(np.sqrt(4.0 * conductor_area / (np.pi * n_strands)))
@@ -257,7 +257,7 @@ def lay_up(
     )
 
 
-def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
     """Place equal strands on a triangular lattice: 1, 6, 12, 18 ...
 
     Raises
@@ -274,7 +274,9 @@ def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -
         message = f"diameters={sorted(diameters)}: the strands of a hexagon are equal"
         raise ValueError(message)
     rings = [_hexagon_ring(ring) for ring in range(len(layers))]
-    return place("hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation)
+    return place_strands(
+        "hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation
+    )
 
 
 def _hexagon_ring(ring: int) -> Floats:
@@ -287,7 +289,7 @@ def _hexagon_ring(ring: int) -> Floats:
     return np.column_stack([points.real, points.imag])
 
 
-def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
     """Place touching rings, each at the radius where its strands lie on the ring inside.
 
     Notes
@@ -304,7 +306,7 @@ def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) 
     radii = [0.0 if n == 1 else float(touching)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
-    return place("concentric", layers, _rings(layers, radii), insulation)
+    return place_strands("concentric", layers, _rings(layers, radii), insulation)
 
 
 def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
@@ -315,7 +317,7 @@ def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
-def compressed(
+def place_sectors(
     layers: tuple[Layer, ...],
     insulation: Insulation | None = None,
     *,
@@ -370,7 +372,7 @@ def _require_bore(insulation: Insulation | None, needed: float) -> None:
     raise ValueError(message)
 
 
-def place(
+def place_strands(
     kind: str, layers: tuple[Layer, ...], centres: Floats, insulation: Insulation | None
 ) -> CrossSection:
     """Place round strands at given centres, if they fit.
@@ -389,7 +391,7 @@ def place(
         message states the overlap.
     """
     radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
-    strands = largest_overlap(centres, radii)
+    strands = find_largest_overlap(centres, radii)
     reach = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else reach
     wall = max(reach - bore, 0.0)
@@ -408,7 +410,7 @@ def _layer_index(layers: tuple[Layer, ...]) -> Ints:
     return np.repeat(np.arange(len(layers)), [layer.count for layer in layers])
 
 
-def largest_overlap(centres: Floats, radii: Floats) -> float:
+def find_largest_overlap(centres: Floats, radii: Floats) -> float:
     """Return the deepest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
@@ -444,7 +446,7 @@ class StretchTorsion:
         return self.torsional - self.coupling**2 / self.axial
 
 
-def stretch_torsion(section: CrossSection) -> StretchTorsion:
+def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
     """Compute stretch and torsion of elastic strands in their tube.
 
     Parameters
@@ -455,8 +457,8 @@ def stretch_torsion(section: CrossSection) -> StretchTorsion:
     -----
     own = sum E I cos(a) (cos^2 a / (1 + nu) + sin^2 a), I = pi d^4 / 64: a turn of the wire twists
     a strand by its part along the strand (G J = E I / (1 + nu)) and bends it by the part across
-    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the source). The tube
-    has G = E / (2 (1 + nu)).
+    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the dissertation). The
+    tube has G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
     square = section.radius**2

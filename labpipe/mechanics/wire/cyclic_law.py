@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.mechanics.law.mixed_law import MixedLaw, mix_hardening
-from labpipe.mechanics.law.plays import PlayLaw, first_curvature
-from labpipe.mechanics.wire.bending_law import play_law, sum_strand_moments
+from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature
+from labpipe.mechanics.wire.bending_law import fit_play_law, sum_strand_moments
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
@@ -33,31 +33,45 @@ def cyclic_law(
 
     Parameters
     ----------
-    section, contacts, tension, orientation : as for `wire.bending_law.moment_curvature`
-    isotropic_share : m, from 0 (Masing's rule, the plays of `play_law`) to 1
+    section, contacts, tension, orientation : as for `wire.bending_law.compute_moment_curve`
+    isotropic_share : m, from 0 (Masing's rule, the plays of `fit_play_law`) to 1
     largest_curvature : 1/m, end of the range of the law
 
     Raises
     ------
     ValueError
-        If the share is not between 0 and 1; also as `play_law`.
+        If the share is not between 0 and 1; also as `fit_play_law`.
 
     Notes
     -----
     Loops slide farther than the range: the strands' curve is continued to eight times the range, or
     as far as their material is known, and straight from there.
     """
-    plays = play_law(
+    plays = fit_play_law(
         section,
         contacts,
         largest_curvature=largest_curvature,
         tension=tension,
         orientation=orientation,
     )
-    if isotropic_share == 0.0:
-        return plays
-    curvature = first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    return mix_hardening(plays, *continue_strands(section, curvature), isotropic_share)
+    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
+
+
+def harden(
+    plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
+) -> MixedLaw:
+    """Give a law of first loading the hardening of its strands.
+
+    Parameters
+    ----------
+    plays : of the section
+    section : with the materials of its strands
+    isotropic_share : above 0 and at most 1
+    factor : on the moments of the strands, as of `plays`
+    """
+    curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
+    bent, strands = continue_strands(section, curvature)
+    return mix_hardening(plays, bent, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:

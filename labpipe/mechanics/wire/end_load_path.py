@@ -16,8 +16,8 @@ from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.plays import (
     MomentLaw,
     PlayLaw,
-    concave_law,
     is_within,
+    make_concave_law,
     require_finite,
     require_not_negative,
     require_positive,
@@ -28,14 +28,19 @@ from labpipe.mechanics.wire.cantilever import (
     AtDeflection,
     CantileverShape,
     WireState,
+    compute_shape,
     deflect,
+    make_straight,
     settle,
-    shape_of,
-    straight,
 )
-from labpipe.mechanics.wire.first_loading import FIRST_LOADING, LoadingStates, loading_states
+from labpipe.mechanics.wire.first_loading import (
+    END_OF_FIRST_LOADING,
+    LoadingStates,
+    find_loading_states,
+)
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 PATH_STATIONS = 48
@@ -58,7 +63,7 @@ class EndLoadPath:
     rest: CantileverShape | None = None
 
 
-def end_load_path(
+def compute_end_load_path(
     law: MomentLaw,
     length: float,
     deflections: Floats,
@@ -95,12 +100,12 @@ def end_load_path(
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
     goes_on = np.diff(deflections, prepend=0.0) > 0.0
-    goes_on &= deflections <= FIRST_LOADING * length
+    goes_on &= deflections <= END_OF_FIRST_LOADING * length
     growing = deflections[: len(goes_on) if goes_on.all() else int(np.argmin(goes_on))]
     by_stations = n_stations if self_weight > 0.0 else None
     cantilever = LoadingTable.of_plays(law), length, None, self_weight
-    at = loading_states(*cantilever, growing, n_stations=by_stations)
-    rest = straight(law, n_stations, self_weight=self_weight)
+    at = find_loading_states(*cantilever, growing, n_stations=by_stations)
+    rest = make_straight(law, n_stations, self_weight=self_weight)
     if self_weight > 0.0:
         rest = _state(law, rest, at, None)
     shape = _shape_at_rest(law, rest, length) if self_weight > 0.0 else None
@@ -111,12 +116,14 @@ def end_load_path(
         done = outside[0]
     elif done < len(deflections):
         way = growing[:done][-2:]
-        start, end = np.append(0.0, way)[-1], min(deflections[done], FIRST_LOADING * length)
+        start, end = np.append(0.0, way)[-1], min(deflections[done], END_OF_FIRST_LOADING * length)
         if end > start:
             search = np.linspace(start, end, search_points + 1)[1:]
-            loaded = loading_states(*cantilever, search, n_stations=by_stations).count_loading()
+            loaded = find_loading_states(
+                *cantilever, search, n_stations=by_stations
+            ).count_loading()
             way = np.append(way, search[:loaded])[-2:]
-        last = loading_states(*cantilever, way, n_stations=n_stations)
+        last = find_loading_states(*cantilever, way, n_stations=n_stations)
         states = [rest, rest, *(_state(law, rest, last, row) for row in range(len(way)))][-2:]
         further = list(_continue_path(law, states, length, deflections[done:]))
     load = np.append(at.tension[:done], [state.force[1] for state in further])
@@ -139,12 +146,11 @@ def _state(law: MomentLaw, before: WireState, at: LoadingStates, row: int | None
 def _shape_at_rest(law: MomentLaw, rest: WireState, length: float) -> CantileverShape:
     """Return the shape that the wire's own weight gives it."""
     max_lean = 1.0  # rad: a steeper wire has other equilibria, too
-    shape = shape_of(law, rest, length)
+    shape = compute_shape(law, rest, length)
     lean = float(np.max(np.abs(shape.angle)))
     if lean > max_lean:
-        where = "deg between clamp and tip"
-        message = f"by its weight the wire is inclined by {np.degrees(lean):.3g} {where}"
-        raise ValueError(message)
+        degrees = np.degrees(lean)
+        raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
     return shape
 
 
@@ -186,10 +192,10 @@ def _extrapolated(states: list[WireState], travel: float) -> tuple[Floats, float
     return moment, sum(n * state.load for n, state in zip(shares, states, strict=True))
 
 
-DEFLECTIONS = 49
-"""Points of the curve, including zero."""
-FARTHEST = 0.8
-"""Tip deflection at its end, as a share of the length."""
+N_CURVE_POINTS = 49
+"""Of the curve, including zero."""
+END_DEFLECTION = 0.8
+"""Tip deflection at the end of the curve, as a share of the length."""
 SPACING_POWER = 3
 """Of its points: the first lies at 1e-5 of the last, before strands slip."""
 
@@ -222,7 +228,7 @@ class CantileverCurve:
         return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
 
 
-def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
+def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
     """Bend the cantilever of a wire up to the end of its law.
 
     Parameters
@@ -232,39 +238,46 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     self_weight : N/m
     """
     try:
-        law = concave_law(curve.curvature[1:], curve.moment[1:])
+        law = make_concave_law(curve.curvature[1:], curve.moment[1:])
     except ValueError as error:
-        message = f"no curve of the cantilever: {error}"
-        note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
+        note = QualityNote.of("mechanics.wire.no_cantilever", spec.place, error=error)
         return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
-    notes = []
+    notes, length = [], 1e3 * spec.length
     try:
         bent = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
-        message = (
-            f"the curve of the cantilever of {spec.length * 1e3:.4g} mm is without the wire's own "
-            f"weight, {1e3 * self_weight * spec.length:.4g} mN: {error}"
+        note = QualityNote.of(
+            "mechanics.wire.weight_left_out",
+            spec.place,
+            length=length,
+            weight=self_weight * length,
+            error=error,
         )
-        notes.append(QualityNote("weight_left_out", Severity.WARNING, spec.place, message))
+        notes.append(note)
         bent = _bend_to_end(law, spec.length, 0.0)
-    wanted = FARTHEST * spec.length
+    wanted = END_DEFLECTION * spec.length
     if bent.deflection[-1] < wanted:
-        message = (
-            f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
-            f"{bent.deflection[-1] * 1e3:.4g} mm, not {wanted * 1e3:.4g} mm: beyond, the curvature "
-            f"at the clamp leaves the range of the law, {curve.curvature[-1]:.4g} 1/m"
+        last = curve.curvature[-1]
+        notes.append(
+            QualityNote.of(
+                "mechanics.wire.cantilever_cut",
+                spec.place,
+                length=length,
+                reached=1e3 * bent.deflection[-1],
+                wanted=1e3 * wanted,
+                last=last,
+            )
         )
-        notes.append(QualityNote("cantilever_cut", Severity.WARNING, spec.place, message))
     return replace(bent, notes=tuple(notes))
 
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
     """Compute the curve up to its farthest deflection, or to the end of the law."""
     end_share = 0.9999  # of the law's last moment, so that rounding stays within
-    endless, end = replace(law, largest_moment=np.inf), FARTHEST * length
+    endless, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
     for _ in range(2):
-        deflection = end * np.linspace(0.0, 1.0, DEFLECTIONS) ** SPACING_POWER
-        path = end_load_path(endless, length, deflection[1:], self_weight=self_weight)
+        deflection = end * np.linspace(0.0, 1.0, N_CURVE_POINTS) ** SPACING_POWER
+        path = compute_end_load_path(endless, length, deflection[1:], self_weight=self_weight)
         rest = None if path.rest is None else _rest_record(path.rest)
         clamp = np.append(rest.moment if rest else 0.0, path.clamp_moment)
         if clamp[-1] <= law.largest_moment:
@@ -278,7 +291,7 @@ def _rest_record(shape: CantileverShape) -> WireAtRest:
     return WireAtRest(*rest, -float(np.min(shape.y)))
 
 
-def force_at(table: WireTable, deflection: float) -> float:
+def interpolate_end_load(table: WireTable, deflection: float) -> float:
     """Interpolate the end load at a tip deflection, N, in a table.
 
     Parameters

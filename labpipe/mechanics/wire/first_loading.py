@@ -20,15 +20,15 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
 from labpipe.mechanics.wire.first_integral import solve_weightless
-from labpipe.mechanics.wire.newton import Wire, bend_wire, chebyshev_stations, sensitivity, solve
+from labpipe.mechanics.wire.newton import Wire, bend_wire, compute_sensitivity, make_stations, solve
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
-N_STATIONS = 24
-"""Along the wire: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-TOLERANCE = 1e-5
+N_LOADING_STATIONS = 24
+"""Along a wire with weight: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
+MOMENT_TOLERANCE = 1e-5
 """Last change of the moments, as a share of the largest; the next would be 1e-9."""
-FIRST_LOADING = 0.7
-"""Deflection over length at which about something begins to unload."""
+END_OF_FIRST_LOADING = 0.7
+"""Deflection over length at which parts near the tip begin to unload, about."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,9 +142,9 @@ def load_cantilever(
     """
     n_points = 32 if self_weight > 0.0 else 44
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
-    farthest = min(deflection, FIRST_LOADING * length)
+    farthest = min(deflection, END_OF_FIRST_LOADING * length)
     wanted = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
-    states = loading_states(table, length, rig, self_weight, wanted, near=near)
+    states = find_loading_states(table, length, rig, self_weight, wanted, near=near)
     stop = states.count_loading()
     rise = states.tension[0] - states.rest_tension
     rest_slope = float(rise / states.deflection[0])  # before slip
@@ -167,7 +167,7 @@ def load_cantilever(
     )
 
 
-def loading_states(
+def find_loading_states(
     table: LoadingTable,
     length: float,
     rig: StringRig | None,
@@ -197,7 +197,7 @@ def loading_states(
         if states is not None:
             return states
         near = None
-    stations = chebyshev_stations(n_stations or N_STATIONS, length)
+    stations = make_stations(n_stations or N_LOADING_STATIONS, length)
     from_tip = length - stations.position
     tip_force = 0.375 * self_weight * length
     level = Wire(table.bend, stations, self_weight, at_rest)
@@ -213,9 +213,9 @@ def loading_states(
         solution = _solve_all(loaded, at, np.append(rest, tension), guess)
     moment, tensions = solution
     bent = bend_wire(loaded, moment, tensions)
-    rest_change = sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
+    rest_change = compute_sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
     changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
-    tension_change = sensitivity(loaded, bent, changes)[:, :, -1]
+    tension_change = compute_sensitivity(loaded, bent, changes)[:, :, -1]
     tension_change[1:] -= rest_change[1:, :, -1]
     cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
     return LoadingStates(
@@ -235,7 +235,7 @@ def _weightless_states(
 
     None where there is no convergence, such as where parts near the tip unload.
     """
-    min_excess = 0.1  # of the force over the least that can hold the moment
+    min_excess = 0.1  # of the force over the smallest that can hold the moment
     weight, solution = 0.0 if at.rig is None else at.rig.weight, None
     if near is not None:
         clamp = _moments_at(table, near.curvature)
@@ -263,7 +263,7 @@ def _weightless_states(
 def _solve_near(wire: Wire, near: LoadingStates) -> tuple[Floats, Floats] | None:
     """Solve from states of a similar law; None where that leads far away, such as to a curl."""
     max_change_share = 0.3  # of the largest moment
-    solution = solve(wire, near.moment, near.tension, tolerance=TOLERANCE)
+    solution = solve(wire, near.moment, near.tension, tolerance=MOMENT_TOLERANCE)
     if solution is None:
         return None
     change = np.abs(solution[0] - near.moment).max(axis=1)
@@ -308,7 +308,7 @@ def _solve_all(
 
 def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
     wire = replace(wire, condition=at)
-    solution = solve(wire, moment, tension, tolerance=TOLERANCE)
+    solution = solve(wire, moment, tension, tolerance=MOMENT_TOLERANCE)
     if solution is None:
         farthest = at.deflection[-1]
         where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
@@ -317,7 +317,7 @@ def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tup
     return solution
 
 
-def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
+def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
     """Interpolate force above that at rest, and its derivatives, at given deflections.
 
     Parameters

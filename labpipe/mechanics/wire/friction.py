@@ -6,9 +6,9 @@ tension. Slip (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner
     S = (c + k F0) theta_e expm1(k theta_e) / (k theta_e),   theta_e = arcsin(sin theta),
 
 which is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The
-force is the smaller of the two by absolute value, with the sign of T (3.16). The source uses theta
-raw, so that strands with the same sine get different friction; and the smaller of the two with
-their signs, which is never friction on the side in compression.
+force is the smaller of the two by absolute value, with the sign of T (3.16). The dissertation uses
+theta raw, so that strands with the same sine get different friction; and the smaller of the two
+with their signs, which is never friction on the side in compression.
 
 Pressure on a strand of layer q, per radian of its lay (3.11), never negative:
 
@@ -43,7 +43,7 @@ class Contacts:
     outer : of each ring with what lies outside it; for the outermost ring, the insulation
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
     lay_lengths : whether the pressure on inner rings accounts for the rings' own lay lengths; the
-        source assumes equal ones
+        dissertation assumes equal ones
     """
 
     inner: tuple[float, ...]
@@ -67,7 +67,9 @@ class Contacts:
             raise ValueError(message)
 
 
-def insulated(n_rings: int, *, strand: float, insulation: float, radial_force: float) -> Contacts:
+def make_contacts(
+    n_rings: int, *, strand: float, insulation: float, radial_force: float
+) -> Contacts:
     """Return the contacts of an insulated wire: mu_s between strands, mu_p with the insulation.
 
     A single strand has no rings and no contacts.
@@ -136,7 +138,7 @@ class AxialForces:
     stuck: Flags
 
 
-def axial_strain(section: CrossSection, tension: float) -> float:
+def compute_axial_strain(section: CrossSection, tension: float) -> float:
     """Return the axial strain of a straight elastic wire that does not turn about its axis.
 
     Parameters
@@ -162,7 +164,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
     return float(tension / (strands + tube))
 
 
-def sines(section: CrossSection, orientation: float | Floats) -> Floats:
+def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
     """Return the sine of each strand's angle from the neutral axis, without the core.
 
     Shape (strands,); for a column of orientations one row each.
@@ -173,7 +175,7 @@ def sines(section: CrossSection, orientation: float | Floats) -> Floats:
     return np.where(np.abs(sine) < min_sine, 0.0, sine)
 
 
-def arrange(
+def arrange_rings(
     section: CrossSection, contacts: Contacts, sine: Floats, *, tension: float = 0.0
 ) -> Bundle:
     """Compute what does not depend on the curvature.
@@ -182,7 +184,7 @@ def arrange(
     ----------
     section : strands in place
     contacts : of each ring of the section
-    sine : shape (strands,), see `sines`
+    sine : shape (strands,), see `compute_sines`
     tension : of the whole wire, N
 
     Raises
@@ -203,7 +205,7 @@ def arrange(
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
     means = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
-    strain = axial_strain(section, tension)
+    strain = compute_axial_strain(section, tension)
     shares = _shares(layers, means, uses_lay_lengths=contacts.lay_lengths)
     rings = []
     for q in range(len(layers)):
@@ -232,7 +234,7 @@ def _ring(
     end = sum(layer.count for layer in layers[: q + 1])
     rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
     k = inner * abs(np.sin(layer.lay_angle))
-    friction_reach = np.abs(friction_angle(k, np.arcsin(sine[:end])))
+    friction_reach = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
     return Ring(
         end - layer.count,
         end,
@@ -245,7 +247,7 @@ def _ring(
     )
 
 
-def friction_angle(k: float, angle: Floats) -> Floats:
+def compute_friction_angle(k: float, angle: Floats) -> Floats:
     """Return expm1(k angle) / k, rad: the angle weighted by friction of the strand's tension."""
     return np.expm1(k * angle) / k if k > 0.0 else angle
 
@@ -268,12 +270,12 @@ def _shares(
     return [tuple(share(q, k) for k in range(len(layers))) for q in range(len(layers))]
 
 
-def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
+def compute_axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     """Compute the axial forces of all strands on first loading, from the outermost ring inwards.
 
     Parameters
     ----------
-    bundle : see `arrange`
+    bundle : see `arrange_rings`
     curvature : shape (curvatures, 1), or (n, strands) with its own for each strand; 1/m, not
         negative; for bending the other way turn the section by half a turn
 
@@ -288,7 +290,7 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     rises: list[Floats] = []
     for q in reversed(range(len(bundle.rings))):
         ring, sign = bundle.rings[q], bundle.sign[: bundle.rings[q].end]
-        pressure = ring_pressure(bundle, q, outer)
+        pressure = compute_ring_pressure(bundle, q, outer)
         outer_rises = enumerate(rises, start=q + 1)
         slopes = [ring.shares[k] * rise[:, : ring.end] for k, rise in outer_rises]
         pressure_slope = np.where(pressure > 0.0, np.sum(slopes, axis=0), 0.0)  # 0: lifted off
@@ -305,12 +307,12 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     return AxialForces(force, slope, stuck)
 
 
-def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
+def compute_ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
     """Return the pressure H on a ring at each of its angles, N per radian of lay, not negative.
 
     Parameters
     ----------
-    bundle : see `arrange`
+    bundle : see `arrange_rings`
     q : number of the ring
     outer : forces from bending of each ring outside it, next first, N, shape (n, ring.end) each,
         at least as many columns as the ring `q` has angles
@@ -326,7 +328,7 @@ def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
     return np.asarray(np.maximum(pressure, 0.0))
 
 
-def slip_onsets(
+def find_slip_onsets(
     section: CrossSection, contacts: Contacts, *, tension: float = 0.0, orientation: float = 0.0
 ) -> Floats:
     """Return the curvature at which each strand outside the core first slips, 1/m.
@@ -349,18 +351,18 @@ def slip_onsets(
     """
     min_sine = 1e-9
     rounds = 8  # each to a 128th: to rounding
-    sine = sines(section, orientation)
+    sine = compute_sines(section, orientation)
     near_sine = np.where(sine == 0.0, min_sine, sine)
-    bundle = arrange(section, contacts, near_sine, tension=tension)
+    bundle = arrange_rings(section, contacts, near_sine, tension=tension)
 
     guesses = np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine)))
-    slips = ~axial_forces(bundle, guesses).stuck
+    slips = ~compute_axial_forces(bundle, guesses).stuck
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
     upper = _SLIP_GUESSES[first, 0]
     lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
     for _ in range(rounds):
         curvatures = lower + (upper - lower) * _BRACKET_SHARES
-        slips = ~axial_forces(bundle, curvatures[1:-1]).stuck
+        slips = ~compute_axial_forces(bundle, curvatures[1:-1]).stuck
         first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_BRACKET_SHARES) - 1)
         strand = np.arange(len(near_sine))
         lower, upper = curvatures[first - 1, strand], curvatures[first, strand]

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
-from labpipe.mechanics.law.loss_card import SLIDERS, sliders_of
+from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.law.thinning import thin
-from labpipe.mechanics.wire.bending_law import moment_curvature
-from labpipe.mechanics.wire.cross_section import StretchTorsion, stretch_torsion
+from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.cross_section import StretchTorsion, compute_stretch_torsion
 from labpipe.mechanics.wire.cyclic_law import continue_strands
-from labpipe.mechanics.wire.wire_table import build, mass_per_length, wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length, wire_table
 from labpipe.records.arrays import Floats, Vector
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
@@ -43,7 +43,7 @@ MASS_FACTOR = "mass_factor"
 """Logarithm of the factor on the mass per length."""
 
 
-def with_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
+def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     """Return a wire with calibrated values in place of those of its sheet.
 
     Parameters
@@ -129,10 +129,10 @@ class LawFamily:
         # of the first stiffness, for a slider that a changed law does not use
         min_slider_share = 1e-9
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = with_values(self.spec, {**self.values, **changed})
-        built = build(spec)
+        spec = apply_values(self.spec, {**self.values, **changed})
+        built = build_wire(spec)
         corners = self.corners
-        curve = moment_curvature(
+        curve = compute_moment_curve(
             *(built.section, built.contacts, corners),
             tension=spec.tension,
             orientation=spec.orientation,
@@ -140,7 +140,7 @@ class LawFamily:
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
         slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
         least = min_slider_share * slopes[0]
-        share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
+        share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
         growing: tuple[GrowingSlider, ...] = ()
         if share > 0.0:
             bent, strands = continue_strands(built.section, corners[1:])
@@ -153,7 +153,7 @@ class LawFamily:
             stiffnesses=np.maximum(-np.diff(slopes), least),
             growing=growing,
         )
-        pair: StretchTorsion = stretch_torsion(built.section)
+        pair: StretchTorsion = compute_stretch_torsion(built.section)
         return WireLaw(
             law,
             pair.torsional * float(np.exp(inputs.get(TORSION_FACTOR, 0.0))),
@@ -168,7 +168,7 @@ class LawFamily:
         return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
 
 
-def family_of(
+def make_law_family(
     spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
 ) -> LawFamily:
     """Choose slip curvatures for a wire, and return its family of laws.
@@ -188,8 +188,8 @@ def family_of(
         As `wire_table`.
     """
     chosen_values = dict(values or {})
-    table = wire_table(with_values(spec, chosen_values))
-    base = sliders_of(table, sliders)
+    table = wire_table(apply_values(spec, chosen_values))
+    base = fit_wire_sliders(table, sliders)
     family = LawFamily(spec, chosen_values, base, 1.0)
     moment = np.interp(family.corners, table.curvature, table.moment)
     plain = _falling_slopes(family.corners, moment)

@@ -1,4 +1,4 @@
-"""Stress-strain curves of strands: Ramberg-Osgood, a table, elastic-perfectly-plastic, elastic.
+"""Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
 
 Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
 states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
@@ -12,7 +12,7 @@ A round strand of radius a at curvature kappa has the strain y kappa at height y
 
 taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
 strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
-yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
+yielded. The sum of 11 laminae in the dissertation's appendix, up to and with the rim, is 4.6 % low.
 
 A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
 a closed form: with sin q = e / (a kappa),
@@ -57,65 +57,6 @@ class Material(Protocol):
 
     def __hash__(self) -> int:
         """Return the hash, which is the same for equal curves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Elastic:
-    """Hooke's law without limit.
-
-    Parameters
-    ----------
-    modulus : Pa
-    source : where the number comes from
-    """
-
-    modulus: float
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        require_positive("modulus", self.modulus)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
-
-    def stress(self, strain: Floats) -> Floats:
-        """Return E times strain, Pa; NaN stays NaN."""
-        return self.modulus * strain
-
-
-@dataclass(frozen=True, slots=True)
-class ElasticPerfectlyPlastic:
-    """Hooke's law up to the yield stress, constant beyond.
-
-    Parameters
-    ----------
-    modulus, yield_stress : Pa
-    source : where the numbers come from
-    """
-
-    modulus: float
-    yield_stress: float
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        require_positive("modulus", self.modulus)
-        require_positive("yield_stress", self.yield_stress)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
-
-    def stress(self, strain: Floats) -> Floats:
-        """Return E times strain, limited to the yield stress, Pa; NaN stays NaN."""
-        return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
-
-    @property
-    def corners(self) -> tuple[Floats, Floats]:
-        """Return the yield strain and the loss of slope there, as a share of the modulus."""
-        return np.array([self.yield_stress / self.modulus]), np.ones(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +115,7 @@ class RambergOsgood:
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Straight lines between measured points, from zero on.
+    """Straight lines between points, from zero on; one point makes it elastic.
 
     Parameters
     ----------
@@ -243,13 +184,13 @@ class StressTable:
 
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the source's wires."""
+"""Copper of the dissertation's wires."""
 
 
 LAMINAE = 64
-_DECADES = (-14.0, -6.0, 0.0)
+_STRAIN_DECADES = (-14.0, -6.0, 0.0)
 """Powers of ten of the rim's strain: nearly elastic, then plastic."""
-_ROUNDING = 1e-12  # of the last strain of a curve
+_STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,7 +207,7 @@ class StrandMoment:
     tangent: Floats
 
 
-def helix_factor(lay_angle: float, poisson: float) -> float:
+def compute_helix_factor(lay_angle: float, poisson: float) -> float:
     """Return the bending stiffness of a helical strand as a share of that of a straight one.
 
     Parameters
@@ -280,14 +221,16 @@ def helix_factor(lay_angle: float, poisson: float) -> float:
 
     Notes
     -----
-    Eq. (3.18) of the source prints sin for sin^2, which is not even in the lay angle. This is the
-    energy average over one turn: the strand bends about its normal and binormal and twists.
+    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. This is
+    the energy average over one turn: the strand bends about its normal and binormal and twists.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
 
 
-def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMINAE) -> Floats:
+def compute_elastic_share(
+    material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
+) -> Floats:
     """Return the moment of a round strand over its elastic moment.
 
     Parameters
@@ -302,9 +245,10 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
 
     Notes
     -----
-    Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
+    Eqs. (3.20)-(3.22) of the dissertation with the secant modulus; the integral is the same with
+    stress.
     """
-    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+    if isinstance(material, StressTable):
         return _polygon_share(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
@@ -314,13 +258,13 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _polygon_share(
-    material: ElasticPerfectlyPlastic | StressTable, rim_strain: Floats
-) -> tuple[Floats, Floats]:
+def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    strain = np.where(
+        rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
+    )
     sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
@@ -330,7 +274,7 @@ def _polygon_share(
     return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
-def strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
+def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
     """Return the bending moment of a straight round strand, and its slope, on first loading.
 
     Parameters
@@ -346,20 +290,18 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
     Raises
     ------
     ValueError
-        If the rim is strained beyond the material's curve; the message says the curvature.
+        If the rim is strained beyond the material's curve; the message states the curvature.
 
     Notes
     -----
-    For a smooth curve `elastic_share` is kept per material on a grid of strains, 64 knots to the
-    decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of straight
-    lines it is exact.
+    For a smooth curve `compute_elastic_share` is kept per material on a grid of strains, 64 knots
+    to the decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of
+    straight lines it is exact.
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
-    if isinstance(material, Elastic):
-        return StrandMoment(stiffness * curvature, np.full(rim.shape, stiffness))
-    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+    if isinstance(material, StressTable):
         part, tangent = (part.reshape(rim.shape) for part in _polygon_share(material, rim.ravel()))
     else:
         first, share, slope = _share_table(material)
@@ -370,8 +312,8 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
-    last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + _ROUNDING)):
+    last = min(material.largest_strain, 10.0 ** _STRAIN_DECADES[-1])
+    if np.any(rim > last * (1.0 + _STRAIN_TOLERANCE)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
@@ -386,10 +328,12 @@ def _share_table(
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Return the first strain, and splines of elastic share and slope against log strain."""
     knots_per_decade = (12, 64)
-    end = min(np.log10(material.largest_strain), _DECADES[-1])
-    stretches = zip(_DECADES, (min(_DECADES[1], end), end), knots_per_decade, strict=False)
+    end = min(np.log10(material.largest_strain), _STRAIN_DECADES[-1])
+    stretches = zip(
+        _STRAIN_DECADES, (min(_STRAIN_DECADES[1], end), end), knots_per_decade, strict=False
+    )
     powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
     strain = np.unique(10.0 ** np.concatenate(powers))
     strain[-1] = min(strain[-1], material.largest_strain)
-    spline = CubicSpline(np.log(strain), elastic_share(material, strain))
+    spline = CubicSpline(np.log(strain), compute_elastic_share(material, strain))
     return float(strain[0]), spline, spline.derivative()

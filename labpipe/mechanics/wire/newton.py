@@ -152,10 +152,10 @@ def solve(
     left, length = np.arange(len(load)), wire.stations.position[-1]
     for _ in range(max_iterations):
         bent = bend_wire(wire, moment[left], load[left], left)
-        missing = residual(wire, bent, moment[left])
+        missing = compute_residual(wire, bent, moment[left])
         if not np.isfinite(missing).all():
             return None
-        step = -np.linalg.solve(jacobian(wire, bent), missing[:, :, None])[:, :, 0]
+        step = -np.linalg.solve(compute_jacobian(wire, bent), missing[:, :, None])[:, :, 0]
         turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
         step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
         moment[left] += step[:, :-1]
@@ -167,15 +167,15 @@ def solve(
     return None
 
 
-def residual(wire: Wire, bent: BentWire, moment: Floats) -> Floats:
+def compute_residual(wire: Wire, bent: BentWire, moment: Floats) -> Floats:
     """Return what the moments, N m, and the condition, m, miss: shape (n, stations + 1)."""
     bending = (bent.levers @ bent.wanted.force[:, :, None])[:, :, 0]
     bending -= (wire.beyond * bent.cos) @ wire.stations.to_tip.T
     return np.column_stack([moment - bending, bent.wanted.gap])
 
 
-def jacobian(wire: Wire, bent: BentWire) -> Floats:
-    """Return the derivatives of `residual` by moments and load, (n, stations + 1, stations + 1)."""
+def compute_jacobian(wire: Wire, bent: BentWire) -> Floats:
+    """Return the derivatives of `compute_residual`, shape (n, stations + 1, stations + 1)."""
     stations, wanted, n = wire.stations, bent.wanted, len(wire.stations.position)
     turning = stations.from_clamp * bent.slope[:, None, :]
     across = np.stack([-stations.weights * bent.sin, stations.weights * bent.cos], axis=1)
@@ -192,7 +192,7 @@ def jacobian(wire: Wire, bent: BentWire) -> Floats:
     return derivatives
 
 
-def sensitivity(wire: Wire, bent: BentWire, curvature_changes: Floats) -> Floats:
+def compute_sensitivity(wire: Wire, bent: BentWire, curvature_changes: Floats) -> Floats:
     """Return the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
 
     First by the gap of the condition, then by each parameter.
@@ -214,7 +214,7 @@ def sensitivity(wire: Wire, bent: BentWire, curvature_changes: Floats) -> Floats
     missing[0, :, n] = -1.0
     missing[1:, :, :n] = -bending
     missing[1:, :, n] = np.sum(wanted.gap_by_tip * tip, axis=-1)
-    solution = -np.linalg.solve(jacobian(wire, bent), np.moveaxis(missing, 0, 2))
+    solution = -np.linalg.solve(compute_jacobian(wire, bent), np.moveaxis(missing, 0, 2))
     return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
@@ -241,7 +241,7 @@ class Stations:
 
 
 @lru_cache(maxsize=16)
-def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
+def make_stations(count: int, length: float = 1.0) -> Stations:
     """Build `count` Chebyshev-Lobatto stations; exact for polynomials of degree count - 1.
 
     Raises
@@ -250,7 +250,7 @@ def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
         If there are fewer than four.
     """
     if length != 1.0:
-        unit = chebyshev_stations(count)
+        unit = make_stations(count)
         return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
     require("count", count, ">= 4", holds=count >= 4)
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
@@ -265,7 +265,7 @@ def chebyshev_stations(count: int, length: float = 1.0) -> Stations:
     return Stations(0.5 * (nodes + 1.0), from_clamp, to_tip)
 
 
-def interpolation_matrix(count: int, positions: Floats) -> Floats:
+def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     """Return the matrix from values at the stations to values at `positions` in [0, 1].
 
     Parameters
@@ -285,7 +285,7 @@ def interpolation_matrix(count: int, positions: Floats) -> Floats:
     if np.any((positions < 0.0) | (positions > 1.0)):
         message = f"positions={positions}: must be between 0 and 1"
         raise ValueError(message)
-    nodes = 2.0 * chebyshev_stations(count).position - 1.0
+    nodes = 2.0 * make_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)
     wanted = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
     matrix: Floats = np.linalg.solve(basis.T, wanted.T).T.astype(np.float64)

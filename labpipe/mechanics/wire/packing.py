@@ -20,17 +20,19 @@ from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
-    compressed,
-    concentric,
-    hexagonal,
-    place,
+    place_hexagon,
+    place_rings,
+    place_sectors,
+    place_strands,
 )
 from labpipe.records.arrays import Floats
 
 Kind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
 
 
-def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tuple[float, Floats]:
+def compute_overlap_energy(
+    flat: Floats, strand_radius: float, bore_radius: float
+) -> tuple[float, Floats]:
     """Return the energy of equal strands in a bore, and its gradient.
 
     Parameters
@@ -43,7 +45,7 @@ def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tu
     Sum over strands of squared overlaps, m^2, eq. (3.4); gradient, shape (2 n,), m.
     """
     centres = flat.reshape(-1, 2)
-    pairs, push = squared_overlaps(centres, 2.0 * strand_radius)
+    pairs, push = compute_squared_overlaps(centres, 2.0 * strand_radius)
     radius = np.hypot(*centres.T)
     beyond = np.maximum(radius + strand_radius - bore_radius, 0.0)
     pull = 2.0 * beyond / np.where(radius == 0.0, 1.0, radius)
@@ -51,7 +53,7 @@ def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tu
     return float(2.0 * pairs + np.sum(beyond**2)), gradient.ravel()
 
 
-def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, Floats]:
+def compute_squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, Floats]:
     """Return the sum of squared overlaps of circles, each pair once, and its gradient.
 
     Parameters
@@ -72,7 +74,7 @@ def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, 
     return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, offsets)
 
 
-def packed(
+def pack_strands(
     layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
 ) -> CrossSection:
     """Pack equal strands with the least overlap energy of several seeded starts.
@@ -98,7 +100,7 @@ def packed(
         message = f"diameters={sorted(diameters)}: only equal strands are packed"
         raise ValueError(message)
     if sum(layer.count for layer in layers) == 1:  # a single strand lies on the axis
-        return place("packed", layers, np.zeros((1, 2)), insulation)
+        return place_strands("packed", layers, np.zeros((1, 2)), insulation)
     strand, bore = layers[0].diameter / 2.0, insulation.bore_radius
     rng = np.random.default_rng(seed)
     best, least = np.zeros(0), np.inf
@@ -110,7 +112,7 @@ def packed(
             best, least = centres * strand, energy
         if least < min_energy:
             break
-    return place("packed", layers, _ordered_strands(best, layers), insulation)
+    return place_strands("packed", layers, _ordered_strands(best, layers), insulation)
 
 
 def _minimise_overlap(begin: Floats, bore: float, has_core: bool) -> tuple[Floats, float]:
@@ -118,7 +120,7 @@ def _minimise_overlap(begin: Floats, bore: float, has_core: bool) -> tuple[Float
     core = np.zeros(2 * int(has_core))
 
     def energy(free: Floats) -> tuple[float, Floats]:
-        value, gradient = overlap_energy(np.concatenate([core, free]), 1.0, bore)
+        value, gradient = compute_overlap_energy(np.concatenate([core, free]), 1.0, bore)
         return value, gradient[len(core) :]
 
     optimum = minimize(
@@ -179,22 +181,24 @@ def lay_out(
     """
     match kind:
         case "hexagonal":
-            return hexagonal(layers, insulation)
+            return place_hexagon(layers, insulation)
         case "concentric":
-            return concentric(layers, insulation)
+            return place_rings(layers, insulation)
         case "packed":
-            return packed(layers, insulation, seed=seed)
+            return pack_strands(layers, insulation, seed=seed)
         case "compressed":
-            return compressed(layers, insulation)
-    for symmetric in (hexagonal, concentric):
+            return place_sectors(layers, insulation)
+    for symmetric in (place_hexagon, place_rings):
         with suppress(ValueError):  # does not fit: try the next one
             return symmetric(layers, insulation)
     is_equal = len({layer.diameter for layer in layers}) == 1
     # unequal strands: concentric raises with its reason
-    return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)
+    return (
+        pack_strands(layers, insulation, seed=seed) if is_equal else place_rings(layers, insulation)
+    )
 
 
-def helix_overlap(section: CrossSection) -> float:
+def find_helix_overlap(section: CrossSection) -> float:
     """Return the deepest overlap of helices of one layer, over their diameter.
 
     Circles that touch in the section are helices that overlap: across its own axis a strand has

@@ -11,25 +11,31 @@ import numpy as np
 from labpipe.mechanics.law.plays import require_finite, require_positive
 from labpipe.mechanics.wire.bending_law import (
     MomentCurve,
-    moment_curvature,
-    orientation_range,
-    stick_stiffness,
+    compute_moment_curve,
+    compute_stick_stiffness,
+    find_orientation_range,
 )
 from labpipe.mechanics.wire.cross_section import (
     MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
-    compressed,
-    hexagonal,
-    stretch_torsion,
+    compute_stretch_torsion,
+    place_hexagon,
+    place_sectors,
 )
-from labpipe.mechanics.wire.end_load_path import cantilever_of
-from labpipe.mechanics.wire.friction import Contacts, axial_strain, insulated, slip_onsets
+from labpipe.mechanics.wire.end_load_path import compute_cantilever
+from labpipe.mechanics.wire.friction import (
+    Contacts,
+    compute_axial_strain,
+    find_slip_onsets,
+    make_contacts,
+)
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.mechanics.wire.packing import Kind, helix_overlap, lay_out
+from labpipe.mechanics.wire.packing import Kind, find_helix_overlap, lay_out
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
 from labpipe.units import GRAVITY
 
@@ -47,9 +53,9 @@ def wire_table(spec: WireSpec) -> WireTable:
     -------
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
-    the range is reported as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
-    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``,
-    ``weight_left_out``.
+    the range is reported as zero. Notes: ``defaults_taken``, those of `build_wire`,
+    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``,
+    ``cantilever_cut``, ``weight_left_out``.
 
     Raises
     ------
@@ -63,19 +69,21 @@ def wire_table(spec: WireSpec) -> WireTable:
     load normal to the clamped axis; it starts from rest, level under its own weight with its
     tip held.
     """
-    built = build(spec)
-    largest, shortened = range_of(spec, strain=built.axial_strain)
+    built = build_wire(spec)
+    largest, shortened = find_range(spec, strain=built.axial_strain)
     onsets = _slip_onsets(built, spec, largest)
-    curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
-    limit = straight_range(spec)
-    lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
-    mass, pair = mass_per_length(spec, built.section), stretch_torsion(built.section)
-    bent = cantilever_of(spec, curve, GRAVITY * mass)
+    curve = _curve(built, spec, make_curvature_grid(largest, onsets[onsets > 0.0]))
+    limit = find_linear_range(spec)
+    lowest, highest = find_orientation_range(
+        built.section, built.contacts, curve, tension=spec.tension
+    )
+    mass, pair = mass_per_length(spec, built.section), compute_stretch_torsion(built.section)
+    bent = compute_cantilever(spec, curve, GRAVITY * mass)
     notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *bent.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
-        layout=layout_of(built.section),
+        layout=make_layout(built.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
         axial_stiffness=pair.axial,
@@ -96,7 +104,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     )
 
 
-def layout_of(section: CrossSection) -> WireLayout:
+def make_layout(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
     if tube is None:
@@ -116,7 +124,7 @@ def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
     return section.mass_per_length(spec.conductor_density, spec.insulation_density)
 
 
-def curvature_grid(largest: float, onsets: Floats) -> Floats:
+def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     """Return the curvatures of a table, 1/m: zero, four decades up to the largest, the slip onsets.
 
     Parameters
@@ -137,7 +145,7 @@ def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
     """Return the distinct curvatures at which strands begin to slip; 0 for immediate slip."""
     min_onset_share = 1e-6  # of the largest curvature: strands that slip earlier never stick
     curvatures = np.sort(
-        slip_onsets(
+        find_slip_onsets(
             built.section, built.contacts, tension=spec.tension, orientation=spec.orientation
         )
     )
@@ -149,7 +157,7 @@ def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
 
 def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
     try:
-        curve = moment_curvature(
+        curve = compute_moment_curve(
             built.section,
             built.contacts,
             curvature,
@@ -170,7 +178,7 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
     return curve
 
 
-def straight_range(spec: WireSpec) -> float:
+def find_linear_range(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
     Infinite for a wire with a stress table of its insulation: the range of its law ends with the
@@ -185,28 +193,20 @@ def _law_notes(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
     if spec.tension:
-        message = (
-            f"the law holds for a tension of {spec.tension:.4g} N applied before bending; the "
-            f"cantilever uses that law without the effect of the tension on its shape"
-        )
-        yield QualityNote("tension", Severity.INFO, spec.place, message)
+        yield QualityNote.of("mechanics.wire.tension", spec.place, tension=spec.tension)
     if np.any(onsets == 0.0):
-        slope = float(curve.secant_stiffness[1])
-        message = (
-            f"strands slip as soon as the wire bends (radial force {spec.radial_force:.3g} N, "
-            f"friction {spec.friction_strand:.3g} and {spec.friction_insulation:.3g}): the slope "
-            f"of the law at zero is {slope:.4g} N m^2, not the stick stiffness, "
-            f"{curve.stick_stiffness:.4g} N m^2"
+        yield QualityNote.of(
+            "mechanics.wire.slips_at_once",
+            spec.place,
+            force=spec.radial_force,
+            strand=spec.friction_strand,
+            insulation=spec.friction_insulation,
+            slope=curve.secant_stiffness[1],
+            stick=curve.stick_stiffness,
         )
-        yield QualityNote("slips_at_once", Severity.WARNING, spec.place, message)
     if curve.curvature[-1] > limit:
-        strain = 100.0 * spec.insulation_strain
-        message = (
-            f"where the rim of the insulation is strained by more than {strain:.3g} %, its modulus "
-            f"does not apply: moments beyond are doubtful (lighter in figures, 'doubtful' in "
-            f"tables); a stress table of the insulation extends the range"
-        )
-        yield QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message)
+        percent = 100.0 * spec.insulation_strain
+        yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
 
 
 class WireError(ValueError):
@@ -231,7 +231,7 @@ class BuiltWire:
     notes: tuple[QualityNote, ...]
 
 
-def build(spec: WireSpec) -> BuiltWire:
+def build_wire(spec: WireSpec) -> BuiltWire:
     """Lay out the strands of a wire and give them their materials and contacts.
 
     Parameters
@@ -253,9 +253,8 @@ def build(spec: WireSpec) -> BuiltWire:
     """
     notes = []
     if spec.defaults:
-        left_out = ", ".join(spec.defaults.values())
-        message = f"the sheet leaves these out; defaults used: {left_out}"
-        notes.append(QualityNote("defaults_taken", Severity.INFO, spec.place, message))
+        names = ", ".join(spec.defaults.values())
+        notes.append(QualityNote.of("mechanics.wire.defaults_taken", spec.place, names=names))
     try:
         require_positive("length", spec.length)
         require_finite("orientation", spec.orientation)
@@ -263,21 +262,21 @@ def build(spec: WireSpec) -> BuiltWire:
             require_positive("largest_curvature", spec.largest_curvature)
         section, layout_notes = _section(spec)
         notes += [*layout_notes, *_helix_notes(section, spec)]
-        contacts = insulated(
+        contacts = make_contacts(
             len(section.layers) - int(section.has_core),
             strand=spec.friction_strand,
             insulation=spec.friction_insulation,
             radial_force=spec.radial_force,
         )
-        strain = axial_strain(section, spec.tension)  # refuses a negative tension
+        strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     except ValueError as error:
         raise WireError(str(error)) from error
-    range_of(spec, strain=strain)  # refuses a tension beyond the stress table
+    find_range(spec, strain=strain)  # refuses a tension beyond the stress table
     notes += _section_notes(section, spec, strain)
     return BuiltWire(section, contacts, strain, tuple(notes))
 
 
-def material_of(spec: WireSpec) -> Material:
+def make_material(spec: WireSpec) -> Material:
     """Return the strands' stress-strain curve: the table if there is one, else Ramberg-Osgood.
 
     Raises
@@ -292,7 +291,7 @@ def material_of(spec: WireSpec) -> Material:
     )
 
 
-def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
+def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     """Return the layers from the axis outwards; a core has no lay angle.
 
     Raises
@@ -300,7 +299,7 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
     ValueError
         If there is not one lay angle per ring and one strand diameter per layer.
     """
-    material = material_of(spec)
+    material = make_material(spec)
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     if not len(angles) == len(spec.layer_counts) == len(spec.strand_diameters):
         message = (
@@ -325,17 +324,20 @@ def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
         curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
     modulus = spec.insulation_modulus if curve is None else curve.modulus
     tube = Insulation(bore, spec.insulation_thickness, modulus, spec.insulation_poisson, curve)
-    layers = layers_of(spec)
+    layers = make_layers(spec)
     if spec.layout == "compressed":
-        return compressed(layers, tube, radii=spec.layer_radii), []
+        return place_sectors(layers, tube, radii=spec.layer_radii), []
     if spec.layout != AUTO:
         return lay_out(layers, tube, kind=cast("Kind", spec.layout)), []
     try:
-        return hexagonal(layers, tube), []
+        return place_hexagon(layers, tube), []
     except ValueError as error:
         section, reason = lay_out(layers, tube), str(error)
-    message = f"the layout is {section.kind}, not a hexagon ({reason})"
-    return section, [QualityNote("layout_fallback", Severity.WARNING, spec.place, message)]
+    return section, [
+        QualityNote.of(
+            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=reason
+        )
+    ]
 
 
 def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
@@ -351,31 +353,35 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if section.kind == "packed" and offset > max_silent_offset * bore:
         turns = np.linspace(0.0, np.pi, 180, endpoint=False)
-        stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
-        message = (
-            f"the strands lie to one side of the bore: their centroid is {offset * 1e3:.3g} mm off "
-            f"the axis, {100.0 * offset / bore:.2g} % of the bore's radius. Bent about the axis, "
-            f"the stick stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by "
-            f"orientation"
+        stiffness = [compute_stick_stiffness(section, orientation=turn) for turn in turns]
+        yield QualityNote.of(
+            "mechanics.wire.layout_eccentric",
+            spec.place,
+            offset=1e3 * offset,
+            percent=100.0 * offset / bore,
+            lowest=min(stiffness),
+            highest=max(stiffness),
         )
-        yield QualityNote("layout_eccentric", Severity.WARNING, spec.place, message)
     if section.overlap > touch_tolerance * bore:
-        message = (
-            f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
-            f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-            f"{100.0 * MAX_OVERLAP_SHARE:.1f} % is allowed"
+        yield QualityNote.of(
+            "mechanics.wire.overlap_tolerated",
+            spec.place,
+            overlap=1e6 * section.overlap,
+            percent=100.0 * section.overlap / bore,
+            allowed=100.0 * MAX_OVERLAP_SHARE,
         )
-        yield QualityNote("overlap_tolerated", Severity.INFO, spec.place, message)
-    material = material_of(spec)
+    material = make_material(spec)
     elastic = material.modulus * strain
     carried = float(material.stress(np.array([strain]))[0])
     if elastic > max_elastic_factor * carried:
-        message = (
-            f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the "
-            f"strands pull with {elastic / 1e6:.4g} MPa in the model, and their stress-strain "
-            f"curve carries {carried / 1e6:.4g} MPa there"
+        yield QualityNote.of(
+            "mechanics.wire.tension_yields",
+            spec.place,
+            tension=spec.tension,
+            strain=strain,
+            elastic=elastic / 1e6,
+            carried=carried / 1e6,
         )
-        yield QualityNote("tension_yields", Severity.WARNING, spec.place, message)
 
 
 def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
@@ -394,21 +400,18 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
             f"are {copper * 1e6:.4g} mm^2, and the bore has {bore * 1e6:.4g} mm^2"
         )
         raise ValueError(message)
-    overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
+    overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
-    overlap_text = (
-        f"by their lay angle, helices that touch in the section overlap by {100.0 * overlap:.2g} % "
-        f"of their diameter"
-    )
+    percent = 100.0 * overlap
     if overlap > max_overlap:
-        message = f"the strands do not fit each other: {overlap_text}; {max_overlap:.0%} is allowed"
-        raise ValueError(message)
-    message = f"{overlap_text}: lay angle, strands or layout may differ in the real wire"
-    yield QualityNote("helices_overlap", Severity.WARNING, spec.place, message)
+        raise ValueError(
+            format_sentence("mechanics.wire.strands_overlap", percent=percent, allowed=max_overlap)
+        )
+    yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
-def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
+def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
     """Return the curvature up to which the law of a wire is tabulated.
 
     Parameters
@@ -430,7 +433,7 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
     wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
-    for table, diameter, place in (
+    for table, diameter, part in (
         (spec.stress_table, strand, f"a strand of {strand * 1e3:.3g} mm"),
         (spec.insulation_table, wire, f"the insulation of {wire * 1e3:.3g} mm"),
     ):
@@ -447,10 +450,14 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
         if end >= wanted:
             continue
         pulled = f", of which the tension takes {strain:.3g}" if strain else ""
-        message = (
-            f"tables end at {end:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of {place} "
-            f"reaches the last strain of the stress table, {last:.4g}{pulled}"
+        note = QualityNote.of(
+            "mechanics.wire.range_shortened",
+            spec.place,
+            end=end,
+            wanted=wanted,
+            part=part,
+            last=last,
+            pulled=pulled,
         )
-        note = QualityNote("range_shortened", Severity.WARNING, spec.place, message)
         wanted, notes = end, (*notes, note)
     return wanted, notes

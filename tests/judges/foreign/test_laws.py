@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.bending_law import moment_curvature
-from labpipe.mechanics.wire.calibration.law_components import loading_curve, split_wire
-from labpipe.mechanics.wire.first_loading import force_at
+from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_wire
+from labpipe.mechanics.wire.first_loading import interpolate_force
 from tests.coverage.wire_campaigns import rig_of, wire_of
 from tests.judges.foreign.rig import KINDS, MAKERS, wander
 from tests.judges.foreign.specimens import Bending, Wire, knives
@@ -57,7 +57,7 @@ VALUES = np.array([TRUE.friction, TRUE.modulus, TRUE.copper])
 def test_the_law_is_that_of_the_package(name: str) -> None:
     curvature, moment = law(name, TRUE)
     wire = wire_of(name)
-    theirs = moment_curvature(wire.section, wire.contacts, curvature[1::40]).moment
+    theirs = compute_moment_curve(wire.section, wire.contacts, curvature[1::40]).moment
     assert moment[1::40] == pytest.approx(theirs, rel=1e-6)
 
 
@@ -69,8 +69,8 @@ def test_the_loading_is_that_of_the_package(*, has_weight: bool, close: float) -
     wire = wire_of("A3")
     weight = wire.self_weight if has_weight else 0.0
     parts = split_wire(wire.section, wire.contacts)
-    curve = loading_curve(parts, VALUES, 0.12, rig_of(0.12), 0.052, self_weight=weight)
-    theirs, _ = force_at(curve, made.deflection)
+    curve = compute_loading_curve(parts, VALUES, 0.12, rig_of(0.12), 0.052, self_weight=weight)
+    theirs, _ = interpolate_force(curve, made.deflection)
     off = (made.force - theirs) / made.force[-1]
     assert np.max(np.abs(off)) < close
     assert np.sqrt(np.mean(off**2)) < 0.1 * close

@@ -17,22 +17,27 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.mechanics.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
-from labpipe.mechanics.wire.bundle_model import sticking
+from labpipe.mechanics.wire.bending_law import (
+    compute_moment_curve,
+    compute_slip_stiffness,
+    compute_stick_stiffness,
+)
+from labpipe.mechanics.wire.bundle_model import compute_sticking
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
-    compressed,
-    concentric,
-    hexagonal,
+    compute_strand_diameter,
+    compute_stretch_torsion,
     lay_up,
-    strand_diameter,
-    stretch_torsion,
+    place_hexagon,
+    place_rings,
+    place_sectors,
 )
 from labpipe.mechanics.wire.friction import Contacts
-from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Elastic, Material
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material
 from labpipe.records.arrays import Floats
+from tests.builders.stranded_wires import elastic
 
 Values = Mapping[str, Any]
 Bounds = tuple[float, float]
@@ -54,11 +59,13 @@ def mass(of: Values) -> Bounds:
     """Insulated wire of seven round strands, or of pressed ones without gaps, kg/m."""
     area = of["area_mm2"] * of["copper_share"] * 1e-6
     outer = (of["diameter_mm"] - of["thinner_mm"]) / 2e3
-    layers = lay_up(7, strand_diameter(area, 7), [np.radians(of["lay_deg"])], ANNEALED_COPPER)
+    layers = lay_up(
+        7, compute_strand_diameter(area, 7), [np.radians(of["lay_deg"])], ANNEALED_COPPER
+    )
     found = []
     for layout, bore in (
-        (hexagonal, 1.5 * layers[0].diameter),
-        (compressed, (area / np.pi) ** 0.5),
+        (place_hexagon, 1.5 * layers[0].diameter),
+        (place_sectors, (area / np.pi) ** 0.5),
     ):
         section = layout(layers, Insulation(bore, outer - bore, 1e7))
         found.append(section.mass_per_length(insulation=of["density"]))
@@ -76,13 +83,13 @@ def _strand(of: Values) -> CrossSection:
         angle = np.arctan2(2.0 * np.pi * radius, length) if radius else 0.0
         counts = material == of.get("counted", material)
         modulus = of[f"modulus_{material}_gpa"] * 1e9 if counts else 1.0
-        layers.append(Layer(ring["count"], diameter, float(angle), Elastic(modulus), 0.3))
-    return concentric(tuple(layers))
+        layers.append(Layer(ring["count"], diameter, float(angle), elastic(modulus), 0.3))
+    return place_rings(tuple(layers))
 
 
 def axial(of: Values) -> Bounds:
     """EA of a strand that does not turn, N."""
-    found = stretch_torsion(_strand(of)).axial
+    found = compute_stretch_torsion(_strand(of)).axial
     return found, found
 
 
@@ -90,7 +97,9 @@ def modulus(of: Values) -> Bounds:
     """EA over the area of the metal, or the area that the source states, Pa."""
     section = _strand(of)
     own = sum(layer.count * layer.area for layer in section.layers)
-    found = stretch_torsion(section).axial / (of["area_mm2"] * 1e-6 if "area_mm2" in of else own)
+    found = compute_stretch_torsion(section).axial / (
+        of["area_mm2"] * 1e-6 if "area_mm2" in of else own
+    )
     return found, found
 
 
@@ -114,35 +123,35 @@ def strand_mass(of: Values) -> Bounds:
 def _wire(of: Values, outer: float, material: Material) -> CrossSection:
     """Lattice of strands in a tube up to the radius `outer`, m."""
     count = int(of["strands"])
-    diameter = strand_diameter(of["copper_mm2"] * 1e-6, count)
+    diameter = compute_strand_diameter(of["copper_mm2"] * 1e-6, count)
     angle = np.radians(of["lay_deg"])
     angles = [angle * (-1.0) ** ring for ring in range(RINGS[count])]
     bore = diameter * (RINGS[count] + 0.5)
     tube = Insulation(bore, outer - bore, of["modulus_insulation_mpa"] * 1e6)
-    return hexagonal(lay_up(count, diameter, angles, material), tube)
+    return place_hexagon(lay_up(count, diameter, angles, material), tube)
 
 
 def bending(of: Values) -> Bounds:
     """Insulated wire from slip to stick, N m^2; at a curvature, with copper that yields there."""
     outer = of["diameter_mm"] / 2e3
-    section = _wire(of, outer, Elastic(of["modulus_copper_gpa"] * 1e9))
-    low = slip_stiffness(section)
+    section = _wire(of, outer, elastic(of["modulus_copper_gpa"] * 1e9))
+    low = compute_slip_stiffness(section)
     if "curvature" in of:
         yielding = _wire(of, outer, ANNEALED_COPPER)
         none = (0.0,) * (len(yielding.layers) - 1)
-        law = moment_curvature(yielding, Contacts(none, none), np.array([of["curvature"]]))
+        law = compute_moment_curve(yielding, Contacts(none, none), np.array([of["curvature"]]))
         low = min(low, float(law.tangent_stiffness[0]))
-    return low, stick_stiffness(section)
+    return low, compute_stick_stiffness(section)
 
 
 def six_wires(of: Values) -> Bounds:
     """Six wires on a circle, N m^2: each for itself, to all sticking to each other."""
     low, high = bending(of)
-    wire = _wire(of, of["diameter_mm"] / 2e3, Elastic(of["modulus_copper_gpa"] * 1e9))
+    wire = _wire(of, of["diameter_mm"] / 2e3, elastic(of["modulus_copper_gpa"] * 1e9))
     angle = np.pi / 3.0 * np.arange(6)
     x, y = of["circle_mm"] * 1e-3 * np.array([np.cos(angle), np.sin(angle)])
-    pull = np.full(6, stretch_torsion(wire).axial)
-    stuck = sticking(x, y, np.full(6, high), pull).principal[1]
+    pull = np.full(6, compute_stretch_torsion(wire).axial)
+    stuck = compute_sticking(x, y, np.full(6, high), pull).principal[1]
     inner, outer = (each * 1e-3 for each in of.get("sheath_mm", (0.0, 0.0)))
     sheath = of["modulus_insulation_mpa"] * 1e6 * np.pi / 64.0 * (outer**4 - inner**4)
     return 6.0 * low + sheath, stuck + sheath
@@ -154,24 +163,24 @@ def _cord(of: Values) -> CrossSection:
     copper = of["copper_mass_share"] * mass_si
     area = copper / 8960.0 * np.cos(np.radians(of["lay_deg"]))
     count = int(of["strands"])
-    bore = strand_diameter(area, count) * (RINGS[count] + 0.5)
+    bore = compute_strand_diameter(area, count) * (RINGS[count] + 0.5)
     outer = (bore**2 + (mass_si - copper) / of["density"] / np.pi) ** 0.5
-    return _wire({**of, "copper_mm2": area * 1e6}, outer, Elastic(of["modulus_copper_gpa"] * 1e9))
+    return _wire({**of, "copper_mm2": area * 1e6}, outer, elastic(of["modulus_copper_gpa"] * 1e9))
 
 
 def cord(of: Values) -> Bounds:
     """The same from slip to stick, N m^2."""
     section = _cord(of)
-    return slip_stiffness(section), stick_stiffness(section)
+    return compute_slip_stiffness(section), compute_stick_stiffness(section)
 
 
 def cord_torsion(of: Values) -> Bounds:
     """Its torsional over its bending stiffness: free to lengthen over stick, to fixed over slip."""
     section = _cord(of)
-    pair = stretch_torsion(section)
+    pair = compute_stretch_torsion(section)
     return (
-        pair.torsional_free / stick_stiffness(section),
-        pair.torsional / slip_stiffness(section),
+        pair.torsional_free / compute_stick_stiffness(section),
+        pair.torsional / compute_slip_stiffness(section),
     )
 
 

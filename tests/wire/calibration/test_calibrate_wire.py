@@ -13,13 +13,13 @@ from labpipe.mechanics.wire.calibration.fit import (
     CalibrationFit,
     Settings,
     Wire,
-    find,
-    pose,
+    fit_wire,
+    set_up_problem,
 )
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.cross_section import Layer, concentric
-from labpipe.mechanics.wire.friction import Contacts, insulated
+from labpipe.mechanics.wire.cross_section import Layer, place_rings
+from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -122,7 +122,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.search._MAX_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.search._MAX_SEARCH_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 
@@ -136,19 +136,19 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "deflection=0.05 m: the curve ends at 0.0385" in failure.message
 
 
-STRAND = split_wire(concentric((Layer(1, 0.5e-3),)), Contacts((), ()))
+STRAND = split_wire(place_rings((Layer(1, 0.5e-3),)), Contacts((), ()))
 
 
 def test_starts_and_priors() -> None:
     """At the wire's own numbers; without radial force at a usual one; what does not act is held."""
-    smooth = insulated(1, strand=0.2, insulation=0.1, radial_force=0.0)
+    smooth = make_contacts(1, strand=0.2, insulation=0.1, radial_force=0.0)
     unpressed = split_wire(section_of("A2"), smooth)
     for parts, starts, free in (
         (PARTS, TRUTH, [True, True, True]),
         (unpressed, [0.05, *TRUTH[1:]], [True, True, True]),
         (STRAND, [np.nan, np.nan, 1.0], [False, False, True]),
     ):
-        posed = pose(parts, CURVES, {}, 0.01)
+        posed = set_up_problem(parts, CURVES, {}, 0.01)
         assert not isinstance(posed, CalibrationFailure)
         problem, logs, are_free = posed
         assert are_free.tolist() == free
@@ -157,7 +157,7 @@ def test_starts_and_priors() -> None:
         assert np.exp(problem.upper[2]) == pytest.approx(BOUNDS[COPPER_SCALE][1])
         assert problem.sample.tolist() == [0, 1, 2]
     friction, copper = ParameterChoice(0.08, is_fixed=True), ParameterChoice(1.2, factor=1.5)
-    posed = pose(PARTS, CURVES, {RADIAL_FRICTION: friction, COPPER_SCALE: copper}, 0.01)
+    posed = set_up_problem(PARTS, CURVES, {RADIAL_FRICTION: friction, COPPER_SCALE: copper}, 0.01)
     assert not isinstance(posed, CalibrationFailure)
     problem, logs, are_free = posed
     assert are_free.tolist() == [False, True, True]
@@ -169,9 +169,9 @@ def test_starts_and_priors() -> None:
 
 def test_what_is_refused(approved: Approve) -> None:
     failures = [
-        pose(STRAND, CURVES, {INSULATION_MODULUS: ParameterChoice()}, 0.0),
-        pose(PARTS, CURVES, {COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}, 0.01),
-        find(WIRE, measured(n=2), Settings()),
+        set_up_problem(STRAND, CURVES, {INSULATION_MODULUS: ParameterChoice()}, 0.0),
+        set_up_problem(PARTS, CURVES, {COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}, 0.01),
+        fit_wire(WIRE, measured(n=2), Settings()),
         calibrate(WIRE, (THREE[1], replace(THREE[0], wire="A3"))),
         calibrate(WIRE, ()),
     ]
@@ -182,7 +182,7 @@ def test_what_is_refused(approved: Approve) -> None:
         ({}, -0.1),
     ):
         with pytest.raises(ValueError) as refusal:  # noqa: PT011
-            pose(PARTS, CURVES, choices, gain)
+            set_up_problem(PARTS, CURVES, choices, gain)
         failures.append(CalibrationFailure("ValueError", str(refusal.value)))
     assert all(isinstance(failure, CalibrationFailure) for failure in failures)
     approved(f"{failure.code}: {failure.message}" for failure in failures)  # type: ignore[union-attr]
@@ -215,7 +215,7 @@ def test_the_fit_of_usual_tests(usual: Calibration) -> None:
 
 def test_without_noise_the_truth_is_found() -> None:
     exact = measured(noise=1e-5, scatter=0.0, gain=0.0, n=60)
-    quiet = find(WIRE, exact, Settings(scatter=0.0))
+    quiet = fit_wire(WIRE, exact, Settings(scatter=0.0))
     assert isinstance(quiet, CalibrationFit)
     assert np.abs(quiet.fit.point.logs - np.log(TRUTH)).max() < 0.02
     assert quiet.is_scatter_known
@@ -252,7 +252,7 @@ def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
     assert friction.verdict is Identifiability.NOT
     assert friction.is_open_below
     assert "not_identified" in codes(calibration)
-    strand = Wire(concentric((Layer(1, 0.9e-3),), tube(1.6e-3)), Contacts((), ()))
+    strand = Wire(place_rings((Layer(1, 0.9e-3),), tube(1.6e-3)), Contacts((), ()))
     without = calibrated(THREE[:2], Settings({"copper_scale": FIXED}, gain=0.005), strand)
     friction = without.parameter("radial_friction")
     assert np.isnan(friction.value)

@@ -10,11 +10,11 @@ import pytest
 
 from labpipe.mechanics.wire.calibration.fit import (
     FRICTION_NAMES,
+    compute_friction_jacobian,
     describe_parameter,
-    friction_jacobian,
-    in_display_unit,
-    separability,
-    verdict_of,
+    find_separability,
+    find_verdict,
+    format_value,
     weigh_prior,
 )
 from labpipe.records.curve import Interval
@@ -58,17 +58,17 @@ KNOWN = CalibratedParameter(
 )
 def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability) -> None:
     usual = {"at_bound": False, "is_open": False, "log_error": 0.1, "prior_error": np.inf}
-    assert verdict_of(span, **{**usual, **more}) is expected  # type: ignore[arg-type]
+    assert find_verdict(span, **{**usual, **more}) is expected  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["A2", "A3"])
 def test_friction_numbers_act_as_one(name: str) -> None:
     """At a corner too, where strands begin to slip: with weight, all steps cross the same."""
     wire, curves = wire_of(name), measured(name, (0.1,), samples=1, n=60)
-    jacobian = friction_jacobian(
+    jacobian = compute_friction_jacobian(
         wire.section, wire.contacts, TRUTH, curves, orientation=0.0, correlation=0.0
     )
-    combined = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    combined = find_separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
     assert combined.singular_values[0] > 3.0
     assert not any(combined.are_identified.values())
     if name == "A2":
@@ -77,10 +77,10 @@ def test_friction_numbers_act_as_one(name: str) -> None:
         assert weights == pytest.approx([0.21 / 0.31, 0.10 / 0.31, 1.0], abs=2e-3)
         (curve,) = measured("A2", (0.12,), samples=1, n=1000)
         heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
-        jacobian = friction_jacobian(
+        jacobian = compute_friction_jacobian(
             wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
         )
-        values = separability(FRICTION_NAMES, jacobian, "friction").singular_values
+        values = find_separability(FRICTION_NAMES, jacobian, "friction").singular_values
         assert values[1] < 1e-3 * values[0]
 
 
@@ -92,7 +92,7 @@ def test_separability() -> None:
         (only_together, [False, False, True]),
         (np.diag([10.0, 0.0, 9.0]), [True, False, True]),
     ):
-        result = separability(names, matrix, "three")
+        result = find_separability(names, matrix, "three")
         assert result.singular_values == pytest.approx(np.linalg.svd(matrix)[1], abs=1e-9)
         assert result.are_identified == dict(zip(names, are_identified, strict=True))
 
@@ -115,13 +115,15 @@ def test_words(approved: Approve) -> None:
     lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
     names = ("a", "b", "radial_force")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
-        lines.append(separability(names, matrix, "three").explanation.partition(" (singular")[0])
+        lines.append(
+            find_separability(names, matrix, "three").explanation.partition(" (singular")[0]
+        )
     for name, values in (
         ("radial_friction", (0.0465123, 1e-5, 100.0)),
         ("insulation_modulus", (9.571e8, 1e11)),
         ("copper_scale", (0.99924,)),
     ):
-        lines += [in_display_unit(name, value) for value in values]
+        lines += [format_value(name, value) for value in values]
     approved(lines)
 
 

@@ -10,19 +10,28 @@ import pytest
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
-from labpipe.mechanics.wire.calibration.fit import CalibrationFit, Settings, find
+from labpipe.mechanics.wire.calibration.fit import CalibrationFit, Settings, fit_wire
 from labpipe.mechanics.wire.calibration.law_components import split_wire
-from labpipe.mechanics.wire.calibration.local_minima import _differences, find_minima, tube_quantile
+from labpipe.mechanics.wire.calibration.local_minima import (
+    _differences,
+    compute_tube_quantile,
+    find_minima,
+)
 from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     Point,
     Problem,
-    normal_matrix,
+    make_normal_matrix,
 )
-from labpipe.mechanics.wire.calibration.profile_likelihood import Trace, reach, traces, union
+from labpipe.mechanics.wire.calibration.profile_likelihood import (
+    Trace,
+    find_reach,
+    follow_profiles,
+    unite_intervals,
+)
 from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import quantile, quantiles
+from labpipe.mechanics.wire.calibration.variances import compute_quantile, compute_quantiles
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -73,7 +82,7 @@ def test_the_least_has_no_slope() -> None:
     bounded = replace(PROBLEM, lower=lower)
     fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0), ALL)
     assert (fit.point.logs[1], fit.settled) == (lower[1], True)
-    assert normal_matrix(bounded, LEVELS, fit, ALL)[1][:3].tolist() == [True, False, True]
+    assert make_normal_matrix(bounded, LEVELS, fit, ALL)[1][:3].tolist() == [True, False, True]
     centre, precision = np.log(TRUTH * [1.0, 1.0, 1.5]), np.array([0.0, 0.0, 1e8])
     believed = replace(PROBLEM, centre=centre, precision=precision, gain=0.0)
     fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0), ALL)
@@ -177,8 +186,8 @@ def test_the_tube_of_a_cone_in_white_noise() -> None:
     One end is that of a straight family whose other half is missing, so that only half of its
     chance counts.
     """
-    assert tube_quantile(0.0) == pytest.approx(1.959964, abs=1e-6)
-    q = tube_quantile(2.0)
+    assert compute_tube_quantile(0.0) == pytest.approx(1.959964, abs=1e-6)
+    q = compute_tube_quantile(2.0)
     assert 2.0 * ndtr(-q) + np.exp(-0.5 * q * q) / np.pi == pytest.approx(0.05)
     noise = np.random.default_rng(5).normal(size=(50_000, 2))
     turn = np.linspace(0.0, 0.5 * np.pi, 91)
@@ -196,36 +205,36 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     """The mean factor, all parameters known: it rests on the samples' factors alone."""
     fixed = Settings(dict.fromkeys(PARAMETERS, FIXED), gain=0.9)
     fit = fit_of(fixed, samples=samples, n=60, seed=1)
-    low, high = quantiles(fit.mixture, np.eye(4)[[3]])
+    low, high = compute_quantiles(fit.mixture, np.eye(4)[[3]])
     error = np.sqrt(fit.spread.covariance[3, 3])
     # The gain is not quite free, which shows in the far tail of two samples.
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
-    assert half / error == pytest.approx(quantile(samples - 1.0), rel=close)
+    assert half / error == pytest.approx(compute_quantile(samples - 1.0), rel=close)
 
 
 def test_intervals_that_touch_or_overlap_are_one() -> None:
     none = np.zeros(0)
     ends = [(4.0, 5.0), (0.0, 2.0), (2.0, 3.0), (0.5, 1.0)]
     parts = (Trace(none, none, *pair, False, False, 3.84, 3.84) for pair in ends)
-    assert union(tuple(parts)) == ((0.0, 3.0), (4.0, 5.0))
+    assert unite_intervals(tuple(parts)) == ((0.0, 3.0), (4.0, 5.0))
 
 
 def test_two_distributions() -> None:
     """Half N(0, 1), half N(0, 9): 0.5 (1 - Phi(x)) + 0.5 (1 - Phi(x / 3)) = 0.025 at x = 4.941."""
     none, half = np.zeros((2, 4)), np.array([0.5, 0.5])
     mixture = ScatterMixture(half, np.array([1.0, 3.0]), none, np.zeros((2, 4, 4)), 1e9)
-    low, high = quantiles(mixture, np.zeros((1, 4)), np.ones(1))
+    low, high = compute_quantiles(mixture, np.zeros((1, 4)), np.ones(1))
     assert high[0] == pytest.approx(4.935, abs=0.01)
     assert low[0] == pytest.approx(-high[0], rel=1e-6)
-    assert quantiles(mixture, np.zeros((1, 4)))[0][0] == pytest.approx(0.0, abs=1e-200)
+    assert compute_quantiles(mixture, np.zeros((1, 4)))[0][0] == pytest.approx(0.0, abs=1e-200)
 
 
 def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     choices = {"radial_friction": FIXED, "copper_scale": FIXED}
     linear = fit_of(Settings(choices))
-    (traced,) = traces(linear, 1)
-    low, high = quantiles(linear.mixture, np.eye(4)[[1]])
+    (traced,) = follow_profiles(linear, 1)
+    low, high = compute_quantiles(linear.mixture, np.eye(4)[[1]])
     best, half = float(linear.fit.point.logs[1]), 0.5 * float(high[0] - low[0])
     assert traced.lower == pytest.approx(best + low[0], abs=0.03 * half)
     assert traced.upper == pytest.approx(best + high[0], abs=0.03 * half)
@@ -237,8 +246,8 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     )
     ends = np.interp([traced.lower, traced.upper], traced.logs, np.sqrt(traced.deviance))
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
-    assert reach(linear, 2, 1.727) == (linear.fit.point.logs[2],) * 2  # it is held
-    (alone,) = traces(fit_of(Settings(choices, scatter=0.0)), 1)
+    assert find_reach(linear, 2, 1.727) == (linear.fit.point.logs[2],) * 2  # it is held
+    (alone,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
     assert alone.lower - 0.1 < np.log(1e9) < alone.upper + 0.1
     assert alone.threshold_above == pytest.approx(1.96**2, rel=0.03)
 
@@ -247,26 +256,28 @@ def test_a_given_scatter_is_one_distribution() -> None:
     given = fit_of(Settings(scatter=0.03), samples=3, n=60, seed=1)
     assert given.mixture.chance.tolist() == [1.0]
     assert given.mixture.scatter == pytest.approx([0.03], rel=1e-3)
-    low, high = quantiles(given.mixture, np.eye(4)[:3])
+    low, high = compute_quantiles(given.mixture, np.eye(4)[:3])
     errors = np.sqrt(np.diag(given.spread.covariance)[:3])
-    assert 0.5 * (high - low) == pytest.approx(quantile(given.mixture.freedom) * errors, rel=1e-3)
+    assert 0.5 * (high - low) == pytest.approx(
+        compute_quantile(given.mixture.freedom) * errors, rel=1e-3
+    )
 
 
 def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles() -> None:
     """The line is that profile, in strides; the insulation gives as the copper is held."""
     fit = fit_of(Settings(gain=0.005))
-    (traced,), (modulus,) = traces(fit, 2), traces(fit, 1)
-    assert reach(fit, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
-    assert reach(fit, 1, 1.0) == pytest.approx((modulus.lower, modulus.upper), abs=0.02)
-    (higher,) = traces(fit, 2, unlikely=1.727)
-    assert reach(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
+    (traced,), (modulus,) = follow_profiles(fit, 2), follow_profiles(fit, 1)
+    assert find_reach(fit, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
+    assert find_reach(fit, 1, 1.0) == pytest.approx((modulus.lower, modulus.upper), abs=0.02)
+    (higher,) = follow_profiles(fit, 2, unlikely=1.727)
+    assert find_reach(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
     assert higher.threshold_above == pytest.approx(1.727 * traced.threshold_above)
     assert higher.lower < traced.lower < traced.upper < higher.upper
 
 
 def fit_of(settings: Settings, **more: float) -> CalibrationFit:
     given = {"seed": 4, "n": 90, **more}
-    fit = find(wire_of("A2"), measured(**given), settings)  # type: ignore[arg-type]
+    fit = fit_wire(wire_of("A2"), measured(**given), settings)  # type: ignore[arg-type]
     assert not isinstance(fit, CalibrationFailure)
     return fit
 

@@ -10,13 +10,13 @@ import pytest
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
-    agreement,
     compare_curves,
-    curve_errors,
-    lag_one_correlation,
-    runs_p,
-    shared_errors,
-    usable,
+    compare_with_model,
+    compute_curve_errors,
+    compute_lag_one_correlation,
+    compute_runs_p,
+    compute_shared_errors,
+    select_usable,
     whiten,
 )
 from labpipe.mechanics.wire.calibration.prediction import predict
@@ -43,7 +43,7 @@ def test_a_curve_is_frozen_and_its_noise_spread() -> None:
     moved = replace(CURVE, place_error=1e-3).read_error
     assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
     force = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    kept = usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
+    kept = select_usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
     assert isinstance(kept, tuple)
     assert [len(curve.force) for curve in kept] == [4]
     with pytest.raises(ValueError, match="read-only"):
@@ -65,7 +65,7 @@ def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
     noise = 0.01 * (1.0 + model)
     force = 1.1 * model + noise * (-1.0) ** np.arange(50)
     curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, noise)
-    found = agreement(curve, model, 1.1)
+    found = compare_with_model(curve, model, 1.1)
     assert found.sse == pytest.approx(float((force - model) @ (force - model)))
     assert found.lag_one_correlation == pytest.approx(-0.98)
     assert found.sample_factor == 1.1
@@ -117,35 +117,37 @@ def test_what_is_refused(approved: Approve) -> None:
     ]
     lines = []
     for curves in refused:
-        failure = usable(curves)
+        failure = select_usable(curves)
         assert isinstance(failure, CalibrationFailure)
         lines.append(f"{failure.code}: {failure.message}")
     with pytest.raises(ValueError, match="no point has both a measured and a modelled force"):
-        curve_errors(force, force)
+        compute_curve_errors(force, force)
     approved(lines)
 
 
 def test_errors_of_the_source_s_table() -> None:
     force, model = np.array([1.0, 2.0, np.nan, 4.0]), np.array([1.0, 1.0, 5.0, 2.0])
-    errors = curve_errors(force, model)
+    errors = compute_curve_errors(force, model)
     assert (errors.n, errors.sse) == (3, 5.0)
     assert errors.rmse == pytest.approx(np.sqrt(5.0 / 3.0))
     assert errors.rmse_share == pytest.approx(np.sqrt(5.0 / 3.0) / 4.0)
     assert np.isnan(errors.inside)
     ramp = np.arange(1.0, 5.0)
-    assert curve_errors(ramp, ramp, ramp - 1.0, np.array([2.0, 3.0, 4.0, 3.9])).inside == 0.75
+    assert (
+        compute_curve_errors(ramp, ramp, ramp - 1.0, np.array([2.0, 3.0, 4.0, 3.9])).inside == 0.75
+    )
 
 
 def test_signs_and_neighbours_of_residuals() -> None:
     """5 % of random rows have a p-value of the runs test below 0.05."""
     generator = np.random.default_rng(5)
-    ps = np.array([runs_p(generator.normal(size=100)) for _ in range(2000)])
+    ps = np.array([compute_runs_p(generator.normal(size=100)) for _ in range(2000)])
     assert np.mean(ps < 0.05) == pytest.approx(0.05, abs=0.015)
-    assert runs_p(np.ones(9)) == 0.0
-    assert runs_p(np.array([1.0, -1.0])) == 1.0
-    assert runs_p(np.repeat([1.0, -1.0], 50)) < 1e-10
-    assert lag_one_correlation(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
-    assert lag_one_correlation(np.zeros(5)) == 0.0
+    assert compute_runs_p(np.ones(9)) == 0.0
+    assert compute_runs_p(np.array([1.0, -1.0])) == 1.0
+    assert compute_runs_p(np.repeat([1.0, -1.0], 50)) < 1e-10
+    assert compute_lag_one_correlation(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
+    assert compute_lag_one_correlation(np.zeros(5)) == 0.0
 
 
 def test_external_curves() -> None:
@@ -224,12 +226,12 @@ def test_errors_that_points_or_curves_share() -> None:
     """Four curves alike count a shared scale twice each, what is their own once."""
     curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
     slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
-    zero, place, scale = shared_errors(curve, slope)
+    zero, place, scale = compute_shared_errors(curve, slope)
     assert zero == pytest.approx(np.full(5, 0.1))
     assert place == pytest.approx(2e-3 * slope)
     assert scale == pytest.approx(0.01 * curve.deflection * slope)
-    assert not shared_errors(CURVE, slope).any()
-    alike = usable((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
+    assert not compute_shared_errors(CURVE, slope).any()
+    alike = select_usable((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
     assert not isinstance(alike, CalibrationFailure)
-    scale = shared_errors(alike[0], slope)[2]
+    scale = compute_shared_errors(alike[0], slope)[2]
     np.testing.assert_allclose(scale, 0.025 * alike[0].deflection * slope)

@@ -16,10 +16,10 @@ from labpipe.mechanics.wire.calibration.objective import (
     Problem,
 )
 from labpipe.mechanics.wire.calibration.variances import (
-    correlation_of,
+    compute_quantile,
+    estimate_correlation,
     estimate_levels,
-    quantile,
-    uncertainty,
+    estimate_uncertainty,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
@@ -57,7 +57,7 @@ def test_levels_are_those_of_the_analysis_of_variance() -> None:
     given = estimate_levels(problem, fit, NONE, 0.0, 3.0)
     assert given.scatter == 3.0
     assert given.noise == pytest.approx(within, rel=0.1)
-    assert [quantile(freedom) for freedom in (2.0, np.inf, 0.1)] == pytest.approx(
+    assert [compute_quantile(freedom) for freedom in (2.0, np.inf, 0.1)] == pytest.approx(
         [4.303, 1.960, 12.706], abs=1e-3
     )
 
@@ -70,7 +70,7 @@ def test_freedom_is_that_of_the_samples() -> None:
     """
     problem, fit, values = layout(2, gain=1e3)
     levels = estimate_levels(problem, fit, NONE, 0.0, None)
-    known = uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
+    known = estimate_uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
     mean = np.array([0.0, 0.0, 0.0, 1.0])
     spread = float(values.mean(axis=1).var(ddof=1))
     assert mean @ known.covariance @ mean == pytest.approx(spread / SAMPLES, rel=2e-3)
@@ -84,7 +84,7 @@ def test_freedom_is_that_of_the_samples() -> None:
         [-noise * within / (POINTS * samples), both / (POINTS * samples) ** 2],
     ]
     assert known.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
-    given = uncertainty(problem, fit, NONE, levels, is_scatter_known=True)
+    given = estimate_uncertainty(problem, fit, NONE, levels, is_scatter_known=True)
     assert given.freedom(mean) > 1e3
     # The variance of the noise is known as from all points, less one for the gain (chi-square).
     from_all = 2.0 / (SAMPLES * POINTS - 1)
@@ -109,15 +109,15 @@ def test_correlation_of_neighbours(correlation: float) -> None:
     noise = memory_noise(np.random.default_rng(0), 20_000, correlation)
     curve = MeasuredCurve("A2", "t", "s", 1.0, np.zeros(20_000), 1.2 + 0.1 * noise, 0.1)
     model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)), np.zeros(20_000))
-    found = correlation_of((curve,), [model], np.array([1.2]))
+    found = estimate_correlation((curve,), [model], np.array([1.2]))
     assert found == pytest.approx(correlation, abs=0.02)
-    shared = correlation_of((curve,), [model], np.array([1.1]))  # points share an error
-    known = correlation_of((replace(curve, zero_error=0.1),), [model], np.array([1.1]))
+    shared = estimate_correlation((curve,), [model], np.array([1.1]))  # points share an error
+    known = estimate_correlation((replace(curve, zero_error=0.1),), [model], np.array([1.1]))
     assert shared == pytest.approx(0.5 + 0.5 * correlation, abs=0.02)
     if correlation == 0.0:
         assert known == pytest.approx(0.0, abs=0.02)
     exact = replace(model, force=curve.force)
-    assert correlation_of((curve,), [exact], np.ones(1)) == 0.0
+    assert estimate_correlation((curve,), [exact], np.ones(1)) == 0.0
 
 
 def test_one_sample_has_no_scatter() -> None:
@@ -126,5 +126,5 @@ def test_one_sample_has_no_scatter() -> None:
     one = replace(fit, point=replace(fit.point, offsets=np.zeros(1)), grams=fit.grams[:1])
     levels = estimate_levels(alone, one, NONE, 0.0, None)
     assert levels.scatter == 0.0
-    known = uncertainty(alone, one, NONE, levels, is_scatter_known=False)
+    known = estimate_uncertainty(alone, one, NONE, levels, is_scatter_known=False)
     assert known.level_covariance[1, 1] == 0.0

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.bending_law import moment_curvature
+from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
-    loading_curve,
-    loading_table,
+    compute_loading_curve,
+    make_loading_table,
     split_wire,
 )
-from labpipe.mechanics.wire.calibration.measured_curves import shared_errors
-from labpipe.mechanics.wire.calibration.objective import gram, model_forces
+from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
+from labpipe.mechanics.wire.calibration.objective import compute_gram, compute_model_forces
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.cross_section import CrossSection, Layer, compressed, concentric
-from labpipe.mechanics.wire.first_loading import force_at
-from labpipe.mechanics.wire.friction import Contacts, insulated
-from labpipe.mechanics.wire.materials import Elastic, StressTable
+from labpipe.mechanics.wire.cross_section import CrossSection, Layer, place_rings, place_sectors
+from labpipe.mechanics.wire.first_loading import interpolate_force
+from labpipe.mechanics.wire.friction import Contacts, make_contacts
+from labpipe.mechanics.wire.materials import StressTable
 from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import (
     TRUTH,
@@ -31,7 +31,7 @@ from tests.builders.loading_tests import (
     section_of,
     wire_of,
 )
-from tests.builders.stranded_wires import tube
+from tests.builders.stranded_wires import elastic, tube
 
 WIRE = wire_of("A2")
 
@@ -52,9 +52,9 @@ def test_the_law_at_other_parameters_is_that_of_another_wire(
 ) -> None:
     """Scaled tables against the wire made anew with those numbers."""
     phi, modulus, scale = TRUTH * factors
-    law = loading_table(parts_of(name), TRUTH * factors, LARGEST)
+    law = make_loading_table(parts_of(name), TRUTH * factors, LARGEST)
     other = wire_of(name, phi, modulus, scale)
-    whole = moment_curvature(other.section, other.contacts, law.curvature[1:])
+    whole = compute_moment_curve(other.section, other.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
     steps = 0.5 * (law.curvature[1:] + law.curvature[:-1]) * np.diff(law.moment)
     assert law.energy(law.moment[-1])[0] == pytest.approx(steps.sum(), rel=2e-3)
@@ -67,8 +67,8 @@ def test_derivatives_by_the_logarithms(name: str, weight: float, *, has_string: 
     rig = StringRig(0.05, 0.0265, 0.085, 0.05) if has_string else None  # it leans
 
     def force(values: Floats) -> tuple[Floats, Floats]:
-        curve = loading_curve(parts, values, 0.085, rig, 0.04, self_weight=weight)
-        return force_at(curve, deflection)
+        curve = compute_loading_curve(parts, values, 0.085, rig, 0.04, self_weight=weight)
+        return interpolate_force(curve, deflection)
 
     change = force(TRUTH)[1]
     for number in range(3):
@@ -84,12 +84,12 @@ SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
     parts, values = split_wire(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
-    law = loading_table(parts, values, LARGEST)
-    wanted = moment_curvature(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
+    law = make_loading_table(parts, values, LARGEST)
+    wanted = compute_moment_curve(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
     step, at = 1e-4, law.moment[20:]
     ahead, behind = (
-        loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(at)[0]
+        make_loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(at)[0]
         for change in (step, -step)
     )
     assert law.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=2e-3)
@@ -101,12 +101,12 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     curve = measured(samples=1, n=30)[0]
     if correlation:
         curve = replace(curve, zero_error=2e-3, place_error=1e-3, scale_error=0.02)
-    model = model_forces(PARTS, TRUTH, (curve,))[0]
-    shared = shared_errors(curve, model.slope)
+    model = compute_model_forces(PARTS, TRUTH, (curve,))[0]
+    shared = compute_shared_errors(curve, model.slope)
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
     weight = np.linalg.inv(0.002**2 * correlation**lags + shared.T @ shared)
     left = curve.force - 1.1 * model.force
-    products = gram(curve, model, 1.1, correlation)
+    products = compute_gram(curve, model, 1.1, correlation)
     assert products[4, 4] == pytest.approx(float(left @ weight @ left), rel=1e-6)
     by_change = 1.1 * model.change[0] @ weight
     assert products[0, 4] == pytest.approx(float(by_change @ left), rel=1e-6)
@@ -122,9 +122,9 @@ def test_a_stress_table_need_reach_no_further_than_the_tests() -> None:
         table = StressTable((*inside, strain), (*SOFT.stresses[: len(inside)], last))
         section = replace(section_of("A2"), insulation=replace(tube(1.6e-3), curve=table))
         parts = split_wire(section, WIRE.contacts)
-        loading = loading_curve(parts, TRUTH, 0.085, rig_of(0.085), 0.05, self_weight=0.05)
+        loading = compute_loading_curve(parts, TRUTH, 0.085, rig_of(0.085), 0.05, self_weight=0.05)
         bent = np.interp(0.05, loading.deflection, loading.clamp_curvature)
-        return force_at(loading, np.linspace(0.001, 0.05, 30))[0], float(bent)
+        return interpolate_force(loading, np.linspace(0.001, 0.05, 30))[0], float(bent)
 
     far, bent = curve(0.096)
     assert curve(1.1 * 0.8e-3 * bent)[0] == pytest.approx(far, rel=2e-4)
@@ -143,7 +143,7 @@ def test_forces_and_slopes_of_curves_of_several_lengths() -> None:
         [replace(curve, deflection=curve.deflection + step) for curve in mixed]
         for step in (1e-5, -1e-5)
     )
-    rows = [model_forces(PARTS, TRUTH, tuple(moved)) for moved in (mixed, ahead, behind)]
+    rows = [compute_model_forces(PARTS, TRUTH, tuple(moved)) for moved in (mixed, ahead, behind)]
     for curve, model, before, beyond in zip(mixed, rows[0], rows[2], rows[1], strict=True):
         exact = exact_curve("A2", curve.length, has_string=curve.rig is not None)
         assert model.force == pytest.approx(exact(curve.deflection), abs=1e-5)
@@ -153,17 +153,19 @@ def test_forces_and_slopes_of_curves_of_several_lengths() -> None:
 
 
 ROUGH, SMOOTH, LOOSE = (
-    insulated(1, strand=strand, insulation=0.5 * strand, radial_force=force)
+    make_contacts(1, strand=strand, insulation=0.5 * strand, radial_force=force)
     for strand, force in ((0.2, 0.15), (0.0, 0.15), (0.2, 0.0))
 )
 
 CORE, RING = section_of("A2").layers
 
-BARE = compressed((replace(CORE, material=Elastic(110e9)), replace(RING, material=Elastic(110e9))))
+BARE = place_sectors(
+    (replace(CORE, material=elastic(110e9)), replace(RING, material=elastic(110e9)))
+)
 
-TWO = compressed((replace(CORE, material=Elastic(207e9)), RING))
+TWO = place_sectors((replace(CORE, material=elastic(207e9)), RING))
 
-SINGLE = concentric((Layer(1, 0.5e-3),), tube(1.2e-3))
+SINGLE = place_rings((Layer(1, 0.5e-3),), tube(1.2e-3))
 
 
 @pytest.mark.parametrize(
@@ -185,8 +187,8 @@ def test_what_a_wire_has(
     assert np.isnan(parts.given).tolist() == [not acts for acts in has]
     if parts.given[0] == 0.0:
         return
-    law = loading_table(parts, parts.given, LARGEST)
-    whole = moment_curvature(section, contacts, law.curvature[1:])
+    law = make_loading_table(parts, parts.given, LARGEST)
+    whole = compute_moment_curve(section, contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
     assert not law.first_change[~np.array(has)].any()
 
@@ -196,13 +198,15 @@ def test_copper_and_first_loading_end() -> None:
     assert PARTS.copper[0].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
-        reached = loading_curve(PARTS, values, 0.085, rig_of(0.085), 0.65 * 0.085).deflection[-1]
+        reached = compute_loading_curve(
+            PARTS, values, 0.085, rig_of(0.085), 0.65 * 0.085
+        ).deflection[-1]
         assert reached >= 0.65 * 0.085
     with pytest.raises(ValueError, match=r"curvature=50 1/m: .* is known up to 0\.04\d+ 1/m"):
-        loading_table(PARTS, TRUTH * [1.0, 1.0, 1e-4], 50.0)
+        make_loading_table(PARTS, TRUTH * [1.0, 1.0, 1e-4], 50.0)
     curve = replace(measured(samples=1, n=10)[0], length=0.06, rig=None)
     with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04\d+ m"):
-        model_forces(PARTS, TRUTH, (curve,))
+        compute_model_forces(PARTS, TRUTH, (curve,))
 
 
 def soft_wire(scale: float) -> CrossSection:

@@ -1,4 +1,4 @@
-"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, source 3.4).
+"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, dissertation 3.4).
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t
@@ -20,30 +20,34 @@ from labpipe.mechanics.wire.calibration.fit import (
     CalibrationFit,
     Settings,
     Wire,
+    compute_friction_jacobian,
     describe_parameter,
-    find,
-    friction_jacobian,
+    describe_solutions,
+    find_separability,
+    find_verdict,
+    fit_wire,
     has_other_value,
-    separability,
-    two_solutions,
-    verdict_of,
     weigh_prior,
 )
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
-from labpipe.mechanics.wire.calibration.objective import P, pull_of
+from labpipe.mechanics.wire.calibration.measured_curves import (
+    MeasuredCurve,
+    compare_with_model,
+    whiten,
+)
+from labpipe.mechanics.wire.calibration.objective import P, compute_pull
 from labpipe.mechanics.wire.calibration.profile_likelihood import (
     Trace,
-    limit_of,
-    reach,
-    traces,
-    union,
+    compute_limit,
+    find_reach,
+    follow_profiles,
+    unite_intervals,
 )
 from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import uncertainty
+from labpipe.mechanics.wire.calibration.variances import estimate_uncertainty
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     UNITS,
@@ -84,7 +88,7 @@ def calibrate(
     ValueError
         If a choice has an unknown name, or a number is out of its range.
     """
-    result = find(wire, curves, settings or Settings())
+    result = fit_wire(wire, curves, settings or Settings())
     return result if isinstance(result, CalibrationFailure) else make_calibration(result)
 
 
@@ -102,7 +106,7 @@ def make_calibration(result: CalibrationFit) -> Calibration:
 
     Parameters
     ----------
-    found : the fit and all that it rests on
+    result : the fit and all that it rests on
     """
     problem = result.problem
     solutions = tuple(_solution(result, valley) for valley in result.valleys)
@@ -146,7 +150,7 @@ def _solution(result: CalibrationFit, valley: LocalMinimum) -> Solution:
         rmse=float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
         covariance=valley.spread.covariance,
         mixture=valley.mixture,
-        limit=limit_of(result, valley),
+        limit=compute_limit(result, valley),
     )
 
 
@@ -157,14 +161,14 @@ def _parameter(
     name, problem = PARAMETERS[number], result.problem
     value = float(np.exp(result.fit.point.logs[number]))
     if not problem.parts.has[number]:
-        words = f"{NAMES[name]} does not act on this wire"
-        return CalibratedParameter(name, UNITS[name], np.nan, explanation=words)
+        text = f"{NAMES[name]} does not act on this wire"
+        return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
     if not result.free[number]:
         source = result.settings.choices[name].source if name in result.settings.choices else ""
         fixed = CalibratedParameter(name, UNITS[name], value, source=source)
         return replace(fixed, explanation=describe_parameter(fixed))
-    profiles_ = traces(result, number)
-    intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in union(profiles_))
+    traced = follow_profiles(result, number)
+    intervals = tuple(Interval(*np.exp(ends).tolist()) for ends in unite_intervals(traced))
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -172,10 +176,10 @@ def _parameter(
         intervals=intervals,
         log_error=float(np.sqrt(result.spread.covariance[number, number])),
         freedom=result.spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=any(trace.is_open_below for trace in profiles_),
-        is_open_above=any(trace.is_open_above for trace in profiles_),
+        is_open_below=any(trace.is_open_below for trace in traced),
+        is_open_above=any(trace.is_open_above for trace in traced),
         at_bound=_reached_bound(result, number),
-        profiles=tuple(map(_profile, profiles_)),
+        profiles=tuple(map(_profile, traced)),
         conflict=_prior_conflict(result, number) if problem.precision[number] > 0.0 else None,
     )
     others = tuple(
@@ -197,9 +201,9 @@ def _interval_at_99(
     """
     min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    ends = [low, high, *np.exp(reach(result, number, _UNLIKELY_RISE)).tolist()]
+    ends = [low, high, *np.exp(find_reach(result, number, _UNLIKELY_RISE)).tolist()]
     if min_span < high / low < WELL:
-        for trace in traces(result, number, unlikely=_UNLIKELY_RISE):
+        for trace in follow_profiles(result, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
@@ -214,7 +218,7 @@ def _verdict(
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
-    return verdict_of(
+    return find_verdict(
         high / low,
         span_with_others=max(wide) / min(wide),
         at_bound=bool(parameter.at_bound),
@@ -230,7 +234,7 @@ def _reached_bound(result: CalibrationFit, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
     value, problem = result.fit.point.logs[number], result.problem
-    pull = float(pull_of(problem, result.levels, result.fit)[number])
+    pull = float(compute_pull(problem, result.levels, result.fit)[number])
     if value <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
     return "upper" if value >= problem.upper[number] and pull > min_bound_slope else ""
@@ -250,7 +254,7 @@ def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
         search(problem, result.levels, valley.fit.point, result.free) for valley in result.valleys
     ]
     fit = min(fits, key=lambda fit: fit.objective)
-    spread = uncertainty(
+    spread = estimate_uncertainty(
         problem, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
     )
     variance = float(spread.covariance[number, number])
@@ -282,7 +286,9 @@ def _agreements(result: CalibrationFit) -> Iterator[CurveAgreement]:
     for curve, model, sample in zip(
         result.problem.curves, result.fit.models, result.problem.sample, strict=True
     ):
-        yield agreement(curve, model.force, float(np.exp(point.gain + point.offsets[sample])))
+        yield compare_with_model(
+            curve, model.force, float(np.exp(point.gain + point.offsets[sample]))
+        )
 
 
 def _noise_levels(result: CalibrationFit) -> NoiseLevels:
@@ -309,7 +315,7 @@ def _separability(result: CalibrationFit) -> Separability:
     ]
     jacobian = np.concatenate(columns) / np.sqrt(result.levels.noise)
     names = tuple(PARAMETERS[number] for number in acting)
-    return separability(names, jacobian, "the parameters that act")
+    return find_separability(names, jacobian, "the parameters that act")
 
 
 def _friction_separability(result: CalibrationFit) -> Separability | None:
@@ -317,13 +323,13 @@ def _friction_separability(result: CalibrationFit) -> Separability | None:
     if not result.problem.parts.has[0]:
         return None
     wire, values = result.wire, np.exp(result.fit.point.logs)
-    jacobian = friction_jacobian(
+    jacobian = compute_friction_jacobian(
         *(wire.section, wire.contacts, values, result.problem.curves),
         orientation=wire.orientation,
         correlation=result.levels.correlation,
     )
     jacobian /= np.sqrt(result.levels.noise)
-    return separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    return find_separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
 
 
 def _notes(
@@ -335,9 +341,8 @@ def _notes(
     for parameter in parameters:
         yield from _parameter_notes(parameter)
     if len(solutions) > 1:
-        where = result.problem.curves[0].wire
-        message = two_solutions(solutions)
-        yield QualityNote("two_solutions", Severity.WARNING, where, message)
+        where, description = result.problem.curves[0].wire, describe_solutions(solutions)
+        yield QualityNote.of("mechanics.wire.two_solutions", where, description=description)
     yield from _level_notes(result, compared)
 
 
@@ -348,37 +353,29 @@ def _level_notes(
     max_correlation = 0.3  # of neighbouring residuals, without a note
     levels, where = result.levels, result.problem.curves[0].wire
     if result.problem.n_samples == 1 and not result.is_scatter_known:
-        message = (
-            "one sample: the scatter of samples is unknown, so the intervals apply to this sample, "
-            "not to the wire"
-        )
-        yield QualityNote("one_sample", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.one_sample", where)
     factor = float(np.sqrt(levels.noise))
     if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
-        message = (
-            f"the residuals scatter {factor:.3g} times as much as the stated noise; the intervals "
-            f"use the residuals"
-        )
-        yield QualityNote("noise_misstated", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.noise_misstated", where, factor=factor)
     if levels.correlation > max_correlation:
         worst_curve = max(compared, key=lambda curve: curve.lag_one_correlation)
-        message = (
-            f"neighbouring residuals are correlated ({levels.correlation:.2f}, most in "
-            f"{worst_curve.test} with {worst_curve.lag_one_correlation:.2f}): slow noise, or a "
-            f"model that misses the shape of the curves; the intervals weight the points less"
+        yield QualityNote.of(
+            "mechanics.wire.residuals_correlated",
+            where,
+            correlation=levels.correlation,
+            test=worst_curve.test,
+            largest=worst_curve.lag_one_correlation,
         )
-        yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
     if not result.fit.settled:
-        message = f"the search did not converge within {result.fit.steps} steps"
-        yield QualityNote("search_unsettled", Severity.WARNING, where, message)
+        yield QualityNote.of("mechanics.wire.search_unsettled", where, steps=result.fit.steps)
 
 
 def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
+    name, text, conflict = parameter.name, parameter.explanation, parameter.conflict
     if parameter.at_bound:
-        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.explanation)
+        yield QualityNote.of("mechanics.wire.at_bound", name, explanation=text)
     if parameter.verdict is Identifiability.NOT:
-        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.explanation)
-    if parameter.conflict is not None and parameter.conflict.contradicts:
-        yield QualityNote(
-            "prior_contradicts_data", Severity.WARNING, parameter.name, parameter.conflict.message
-        )
+        yield QualityNote.of("mechanics.wire.not_identified", name, explanation=text)
+    if conflict is not None and conflict.contradicts:
+        text = conflict.message
+        yield QualityNote.of("mechanics.wire.prior_contradicts_data", name, explanation=text)

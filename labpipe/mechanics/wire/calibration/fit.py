@@ -12,17 +12,17 @@ from labpipe.mechanics.wire.calibration.law_components import WireParts, split_w
 from labpipe.mechanics.wire.calibration.local_minima import (
     Line,
     LocalMinimum,
+    estimate_local_minimum,
     find_minima,
-    local_minimum_of,
 )
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, select_usable, whiten
 from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     Problem,
-    model_forces,
+    compute_model_forces,
 )
-from labpipe.mechanics.wire.calibration.variances import Uncertainty, quantile
+from labpipe.mechanics.wire.calibration.variances import Uncertainty, compute_quantile
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Flags, Floats
@@ -129,7 +129,7 @@ class CalibrationFit:
         return self.settings.scatter is not None
 
 
-def find(
+def fit_wire(
     wire: Wire, curves: Sequence[MeasuredCurve], settings: Settings
 ) -> CalibrationFit | CalibrationFailure:
     """Fit a wire to its tests.
@@ -144,20 +144,20 @@ def find(
     ValueError
         If a choice has an unknown name, or a number is out of its range.
     """
-    usable_curves = usable(tuple(curves))
+    usable_curves = select_usable(tuple(curves))
     if isinstance(usable_curves, CalibrationFailure):
         return usable_curves
-    setup = pose(wire.parts, usable_curves, settings.choices, settings.gain)
+    setup = set_up_problem(wire.parts, usable_curves, settings.choices, settings.gain)
     if isinstance(setup, CalibrationFailure):
         return setup
     problem, logs, free = setup
     try:
         minima = find_minima(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
-        return CalibrationFailure("model_cannot_follow", str(error))
+        return CalibrationFailure.of("mechanics.wire.model_cannot_follow", error=error)
     fits, levels = minima.fits, minima.levels
     valleys = tuple(
-        local_minimum_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
+        estimate_local_minimum(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
         for fit in fits
     )
     return CalibrationFit(
@@ -179,7 +179,7 @@ _DEFAULT_STARTS: Mapping[str, float] = {
 """Starts where the wire has no value, or zero."""
 
 
-def pose(
+def set_up_problem(
     parts: WireParts,
     curves: tuple[MeasuredCurve, ...],
     choices: Mapping[str, ParameterChoice],
@@ -210,8 +210,7 @@ def pose(
     for number, name in enumerate(PARAMETERS):
         acts, choice = parts.has[number], choices.get(name, ParameterChoice())
         if not acts and name in choices and not choice.is_fixed:
-            message = f"{name} does not act on this wire: the tests cannot determine it"
-            return CalibrationFailure("parameter_without_effect", message)
+            return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
         nominal = float(parts.given[number])
@@ -220,26 +219,27 @@ def pose(
         if choice.is_fixed:
             low = high = value
         elif not low <= value <= high or low == high:
-            message = (
-                f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
-                f"{in_display_unit(name, low, high)}: give a value between them"
+            start, bounds = format_value(name, value), format_value(name, low, high)
+            return CalibrationFailure.of(
+                "mechanics.wire.value_out_of_bounds", name=name, value=start, bounds=bounds
             )
-            return CalibrationFailure("value_out_of_bounds", message)
         free[number] = not choice.is_fixed
         logs[number], lower[number], upper[number] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
             centre[number] = logs[number]
-            precision[number] = (quantile(np.inf) / np.log(choice.factor)) ** 2
+            precision[number] = (compute_quantile(np.inf) / np.log(choice.factor)) ** 2
     names = list(dict.fromkeys(curve.sample for curve in curves))
     samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
     problem = Problem(parts, curves, samples, centre, precision, lower, upper, gain)
-    needed = int(free.sum()) + problem.n_samples
-    if problem.n_points <= needed:
-        message = (
-            f"{problem.n_points} points for {int(free.sum())} parameters and {problem.n_samples} "
-            f"samples: expected at least {needed + 1}; use more points, or fix a parameter"
+    needed = int(free.sum()) + problem.n_samples + 1
+    if problem.n_points < needed:
+        return CalibrationFailure.of(
+            "mechanics.wire.too_few_points",
+            points=problem.n_points,
+            parameters=int(free.sum()),
+            samples=problem.n_samples,
+            needed=needed,
         )
-        return CalibrationFailure("too_few_points", message)
     return problem, logs, free
 
 
@@ -273,7 +273,7 @@ WELL = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
 
 
-def verdict_of(
+def find_verdict(
     span: float,
     *,
     at_bound: bool,
@@ -314,7 +314,7 @@ def verdict_of(
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
-def in_display_unit(name: str, *values: float) -> str:
+def format_value(name: str, *values: float) -> str:
     """Format values of a parameter with four digits, without exponents, and the unit.
 
     Parameters
@@ -355,10 +355,10 @@ def describe_parameter(
     ends : of what the tests allow at 99 %
     """
     key, interval = parameter.name, parameter.interval
-    name, value = NAMES[key], in_display_unit(key, parameter.value)
+    name, value = NAMES[key], format_value(key, parameter.value)
     if interval is None:
         return f"{name} was held at {value}{_source_text(parameter.source)}"
-    low, high = (in_display_unit(key, value) for value in (interval.lower, interval.upper))
+    low, high = (format_value(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
         side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
         return (
@@ -384,7 +384,7 @@ def _text_at_99(parameter: CalibratedParameter, ends: tuple[float, float] | None
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     if ends is None or parameter.verdict is not Identifiability.WEAKLY or high >= WELL * low:
         return ""
-    return f", and at 99 % between {in_display_unit(parameter.name, *ends)}"
+    return f", and at 99 % between {format_value(parameter.name, *ends)}"
 
 
 def _other_values(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
@@ -392,7 +392,7 @@ def _other_values(parameter: CalibratedParameter, others: Sequence[tuple[float, 
     if parameter.verdict is not Identifiability.TWO or not has_other_value(parameter, others):
         return ""
     solution_texts = (
-        f"near {in_display_unit(parameter.name, value)}, by a solution {chance:.2g} times as likely"
+        f"near {format_value(parameter.name, value)}, by a solution {chance:.2g} times as likely"
         for value, chance in others
     )
     return f", or {', or '.join(solution_texts)}"
@@ -407,19 +407,19 @@ def _range_text(parameter: CalibratedParameter) -> str:
     key, parts = parameter.name, parameter.intervals
     is_open = parameter.is_open_below, parameter.is_open_above
     if all(is_open) and len(parts) == 1:
-        ends = in_display_unit(key, parts[0].lower, parts[0].upper)
+        ends = format_value(key, parts[0].lower, parts[0].upper)
         return f"may lie anywhere between the bounds, {ends}"
-    ranges = [f"between {in_display_unit(key, part.lower, part.upper)}" for part in parts]
+    ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in parts]
     if is_open[0]:
-        ranges[0] = f"below {in_display_unit(key, parts[0].upper)}"
+        ranges[0] = f"below {format_value(key, parts[0].upper)}"
     if is_open[1]:
-        ranges[-1] = f"above {in_display_unit(key, parts[-1].lower)}"
+        ranges[-1] = f"above {format_value(key, parts[-1].lower)}"
     sides = [side for side, here in zip(("below", "above"), is_open, strict=True) if here]
     ending = f"; the tests do not bound it from {' or from '.join(sides)}" if sides else ""
     return f"lies {' or '.join(ranges)}{ending}"
 
 
-def two_solutions(solutions: Sequence[Solution]) -> str:
+def describe_solutions(solutions: Sequence[Solution]) -> str:
     """Describe the solutions that fit the tests, with their values.
 
     Parameters
@@ -429,7 +429,7 @@ def two_solutions(solutions: Sequence[Solution]) -> str:
     solution_texts = []
     for number, solution in enumerate(solutions):
         acting = zip(PARAMETERS, solution.values.tolist(), strict=True)
-        values = (f"{NAMES[name]} {in_display_unit(name, v)}" for name, v in acting if v > 0.0)
+        values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in acting if v > 0.0)
         chance = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
         outside = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
@@ -442,7 +442,7 @@ def two_solutions(solutions: Sequence[Solution]) -> str:
     )
 
 
-def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
+def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
     """Return the singular values of whitened derivatives by logarithms, and the known parameters.
 
     Parameters
@@ -481,7 +481,7 @@ def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separab
     return Separability(names, values, rows, is_known, text)
 
 
-def friction_jacobian(
+def compute_friction_jacobian(
     section: CrossSection,
     contacts: Contacts,
     values: Floats,
@@ -534,7 +534,7 @@ def _scale_friction(contacts: Contacts, strand: float, insulation: float) -> Con
 def _whitened(
     parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
 ) -> Floats:
-    models = model_forces(parts, values, curves)
+    models = compute_model_forces(parts, values, curves)
     pieces = [
         whiten(model.force / np.asarray(curve.noise), correlation)
         for model, curve in zip(models, curves, strict=True)
@@ -550,15 +550,15 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     name : of the parameter
     conflict : the numbers; `contradicts` and `message` are filled in
     """
-    limit = quantile(conflict.freedom)
+    limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit
     relation = "contradicts" if contradicts else "agrees with"
     side = "above" if conflict.alone > conflict.centre else "below"
     others = " (the other values are affected, too)" if contradicts else ""
     message = (
-        f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
+        f"the prior of {NAMES[name]}, {format_value(name, conflict.centre)} within a factor of "
         f"{conflict.factor:.4g}{_source_text(conflict.source)}, {relation} the "
-        f"tests, which alone give {in_display_unit(name, conflict.alone)}: {conflict.size:.2f} "
+        f"tests, which alone give {format_value(name, conflict.alone)}: {conflict.size:.2f} "
         f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{others}"
     )
     return replace(conflict, contradicts=contradicts, message=message)

@@ -22,16 +22,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.wire.bending_law import moment_curvature
+from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, tube_moment
+from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
     LoadingStates,
     load_cantilever,
 )
-from labpipe.mechanics.wire.friction import Contacts, slip_onsets
-from labpipe.mechanics.wire.materials import RambergOsgood, elastic_share, helix_factor
+from labpipe.mechanics.wire.friction import Contacts, find_slip_onsets
+from labpipe.mechanics.wire.materials import (
+    RambergOsgood,
+    compute_elastic_share,
+    compute_helix_factor,
+)
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS
 
@@ -170,12 +174,12 @@ def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> 
     if not contacts.inner or contacts.inner[-1] + contacts.outer[-1] == 0.0:
         return None
     unit = replace(contacts, radial_force=1.0)
-    onsets = slip_onsets(section, unit, orientation=orientation)
+    onsets = find_slip_onsets(section, unit, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
     even = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, even)
     knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
-    law = moment_curvature(section, unit, knots, orientation=orientation)
+    law = compute_moment_curve(section, unit, knots, orientation=orientation)
     curvature = np.concatenate([[0.0], knots])
     moment = np.concatenate([[0.0], law.stick + law.slip])
     slopes = np.diff(moment) / np.diff(curvature)
@@ -190,7 +194,7 @@ def _tube(tube: Insulation | None) -> CubicSpline | None:
     if tube is None or tube.curve is None:
         return None
     curvature = _table_curvatures(tube.curve.largest_strain, tube.outer_radius)
-    secant = tube_moment(tube, curvature).moment / curvature
+    secant = compute_tube_moment(tube, curvature).moment / curvature
     return CubicSpline(np.log(curvature), secant / tube.bending_stiffness)
 
 
@@ -212,15 +216,15 @@ def _copper(section: CrossSection, exponent: float) -> CopperPart:
     curvature = _table_curvatures(most, rim)
     moment = np.zeros_like(curvature)
     for layer in layers:
-        share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
+        share = compute_elastic_share(layer.material, curvature * layer.diameter / 2.0)
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        lay = helix_factor(layer.lay_angle, layer.poisson)
+        lay = compute_helix_factor(layer.lay_angle, layer.poisson)
         moment += layer.count * lay * stiffness * curvature * share
     table = CubicSpline(np.log(curvature), moment / curvature)
     return CopperPart(exponent, float(curvature[0]), float(curvature[-1]), table)
 
 
-def loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
+def make_loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
     """Return the law of first loading at given parameters, with derivatives by their logarithms.
 
     Parameters
@@ -330,7 +334,7 @@ def _copper_moment(part: CopperPart, scale: float, curvature: Floats) -> Pair:
     return secant * curvature, secant + bend
 
 
-def loading_curve(
+def compute_loading_curve(
     parts: WireParts,
     values: Floats,
     length: float,
@@ -360,7 +364,7 @@ def loading_curve(
     share = min(deflection / length, 0.9)
     reach, _ = parts.reach(values)
     end = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
-    table = loading_table(parts, values, end)
+    table = make_loading_table(parts, values, end)
     curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
     _require_known(parts, values, float(curve.clamp_curvature.max()))
     return curve

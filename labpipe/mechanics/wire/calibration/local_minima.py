@@ -34,17 +34,17 @@ from labpipe.mechanics.wire.calibration.objective import (
     Levels,
     Point,
     Problem,
-    model_forces,
-    products,
-    whitened_products,
+    compute_model_forces,
+    compute_products,
+    compute_whitened_products,
 )
 from labpipe.mechanics.wire.calibration.search import search
 from labpipe.mechanics.wire.calibration.variances import (
     Uncertainty,
-    correlation_of,
+    estimate_correlation,
     estimate_levels,
-    mix,
-    uncertainty,
+    estimate_uncertainty,
+    make_mixture,
 )
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import (
@@ -131,7 +131,7 @@ def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float |
     levels = Levels(1.0, 0.0, first_scatter if scatter is None else scatter)
     first = _first_fit(problem, levels, _starts(problem, logs, free), free)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
-    line = line_of(problem, levels, fit, free)
+    line = follow_line(problem, levels, fit, free)
     valleys = find_local_minima(problem, levels, line, fit, free)
     lowest = min(valleys, key=lambda valley: valley.objective)
     others = [valley for valley in valleys if valley is not lowest]
@@ -149,7 +149,7 @@ def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float |
     line = sorted([*others_on_line, fits[0]], key=_strength)
     rises = [0.0 if element is fits[0] else max(element.objective - least, 0.0) for element in line]
     place = np.array([[*element.point.logs, element.point.gain] for element in line])
-    wider = widening(problem, levels, line, fits[0])
+    wider = compute_widening(problem, levels, line, fits[0])
     return Minima(fits, levels, Line(place, np.array(rises)), wider)
 
 
@@ -185,8 +185,8 @@ def refine(
     max_rounds = 6
     for _ in range(max_rounds):
         factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
-        correlation = correlation_of(problem.curves, fit.models, factors)
-        grams = products(problem, correlation, fit.point, fit.models)
+        correlation = estimate_correlation(problem.curves, fit.models, factors)
+        grams = compute_products(problem, correlation, fit.point, fit.models)
         white = Fit(fit.point, fit.objective, grams, fit.models, fit.steps, fit.settled)
         new = estimate_levels(problem, white, free, correlation, scatter)
         rests = _are_close(levels, new)
@@ -236,7 +236,7 @@ def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
         np.log(np.where(nominal_values > 0.0, nominal_values, 1.0)),
         logs,
     )
-    models = model_forces(problem.parts, np.exp(nominal), problem.curves)
+    models = compute_model_forces(problem.parts, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
     of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
     measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
@@ -282,7 +282,7 @@ def _strength(fit: Fit) -> float:
     return float(fit.point.logs[_COPPER])
 
 
-def line_of(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+def follow_line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
     """Follow the line on which insulation and copper trade off.
 
     Parameters
@@ -343,7 +343,7 @@ def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     return max(heights, default=-np.inf) - max(one.objective, other.objective)
 
 
-def local_minimum_of(
+def estimate_local_minimum(
     problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: Fit, scatter: float | None
 ) -> LocalMinimum:
     """Estimate the uncertainty at a minimum of the objective.
@@ -355,16 +355,16 @@ def local_minimum_of(
     lowest : of all minima
     """
     is_known = scatter is not None
-    spread = uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
+    spread = estimate_uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
     is_given = is_known or problem.n_samples == 1
-    mixture = mix(problem, fit, free, levels, is_scatter_known=is_given)
+    mixture = make_mixture(problem, fit, free, levels, is_scatter_known=is_given)
     return LocalMinimum(fit, max(fit.objective - lowest.objective, 0.0), spread, mixture)
 
 
 _ALARM_RATE = 0.05
 
 
-def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
+def compute_widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
     """Return the quantile of a curved family over that of a straight one, at least 1.
 
     Parameters
@@ -375,11 +375,13 @@ def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> fl
     """
     start = next(number for number, fit in enumerate(line) if fit is base)
     products = _differences(problem, levels, line, base)
-    angle = swept(products, range(start - 1, -1, -1)) + swept(products, range(start + 1, len(line)))
-    return tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _ALARM_RATE))
+    angle = compute_swept_angle(products, range(start - 1, -1, -1)) + compute_swept_angle(
+        products, range(start + 1, len(line))
+    )
+    return compute_tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _ALARM_RATE))
 
 
-def tube_quantile(angle: float) -> float:
+def compute_tube_quantile(angle: float) -> float:
     """Return the root of the rise of the objective that is exceeded by chance in 5 % of all cases.
 
     Parameters
@@ -398,7 +400,7 @@ def tube_quantile(angle: float) -> float:
     return float(brentq(excess, 1.9, 10.0))
 
 
-def swept(products: Floats, stretch: range) -> float:
+def compute_swept_angle(products: Floats, stretch: range) -> float:
     """Return the angle, rad, swept by the direction to one point after the other.
 
     Parameters
@@ -429,7 +431,7 @@ def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -
         ]
         slope = base.models[number].slope
         columns = np.stack(forces, axis=1)
-        total += whitened_products(curve, columns, slope, levels.correlation) / levels.noise
+        total += compute_whitened_products(curve, columns, slope, levels.correlation) / levels.noise
     rests = np.stack([_weighed(problem, levels, fit, base) for fit in line], axis=1)
     return np.asarray(total + rests.T @ rests)
 

@@ -75,11 +75,11 @@ class MeasuredCurve:
         Errors of the deflection are converted with the slope from rest to the peak.
         """
         slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
-        shared = shared_errors(self, np.full(len(self.force), slope))
+        shared = compute_shared_errors(self, np.full(len(self.force), slope))
         return float(np.sqrt(np.nanmean(np.asarray(self.noise) ** 2 + np.sum(shared**2, axis=0))))
 
 
-def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
+def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
     """Return the force error by one standard deviation of each error that all points share.
 
     Parameters
@@ -96,7 +96,9 @@ def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
     return np.stack([zero, curve.place_error * slope, scale * curve.deflection * slope])
 
 
-def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
+def select_usable(
+    curves: tuple[MeasuredCurve, ...],
+) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
     """Leave out NaN points and empty curves; refuse curves that cannot be fitted.
 
     Returns
@@ -114,25 +116,26 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
     root_n = np.sqrt(len(finite))
     finite = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in finite)
     if not finite:
-        message = f"none of {len(curves)} curves has a point with deflection and force"
-        return CalibrationFailure("no_sample_usable", message)
+        return CalibrationFailure.of("mechanics.wire.no_sample_usable", number=len(curves))
     wires = sorted({curve.wire for curve in finite})
     if len(wires) > 1:
-        message = f"curves of {len(wires)} wires: {', '.join(wires)}; expected one"
-        return CalibrationFailure("wires_mixed", message)
+        names, number = ", ".join(wires), len(wires)
+        return CalibrationFailure.of("mechanics.wire.wires_mixed", number=number, names=names)
     for curve in finite:
         if not np.all(np.asarray(curve.noise) > 0.0):
-            noise = 1e3 * np.min(curve.noise)
-            message = f"{curve.test}: expected a positive noise, found {noise:.4g} mN"
-            return CalibrationFailure("noise_not_positive", message)
+            test, noise = curve.test, 1e3 * np.min(curve.noise)
+            return CalibrationFailure.of(
+                "mechanics.wire.noise_not_positive", test=test, noise=noise
+            )
         deepest = float(np.max(np.abs(curve.deflection)))
         if deepest > DEEPEST * curve.length:
-            message = (
-                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm for "
-                f"{1e3 * curve.length:.4g} mm; first loading is modelled up to {DEEPEST:g} of the "
-                "length"
+            return CalibrationFailure.of(
+                "mechanics.wire.deflection_too_large",
+                test=curve.test,
+                deflection=1e3 * deepest,
+                length=1e3 * curve.length,
+                limit=DEEPEST,
             )
-            return CalibrationFailure("deflection_too_large", message)
     return finite
 
 
@@ -166,7 +169,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
     return out
 
 
-def curve_errors(
+def compute_curve_errors(
     force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
 ) -> CurveErrors:
     """Compute SSE, RMSE and RMSE over the largest force, without NaN points.
@@ -200,7 +203,7 @@ def curve_errors(
     )
 
 
-def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
+def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
     """Compare one curve with the model.
 
     Parameters
@@ -209,7 +212,7 @@ def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreem
     model : shape (n,), N, without the sample's factor
     factor : of the sample, load cell included
     """
-    errors = curve_errors(curve.force, model)
+    errors = compute_curve_errors(curve.force, model)
     residuals = (curve.force - factor * model) / np.asarray(curve.noise)
     return CurveAgreement(
         test=curve.test,
@@ -222,18 +225,18 @@ def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreem
         sse=errors.sse,
         rmse=errors.rmse,
         rmse_share=errors.rmse_share,
-        lag_one_correlation=lag_one_correlation(residuals),
-        runs_p=runs_p(residuals),
+        lag_one_correlation=compute_lag_one_correlation(residuals),
+        runs_p=compute_runs_p(residuals),
     )
 
 
-def lag_one_correlation(residuals: Floats) -> float:
+def compute_lag_one_correlation(residuals: Floats) -> float:
     """Return the correlation of neighbours about zero; 0 for residuals that are all zero."""
     power = float(residuals @ residuals)
     return float(residuals[1:] @ residuals[:-1]) / power if power > 0.0 else 0.0
 
 
-def runs_p(residuals: Floats) -> float:
+def compute_runs_p(residuals: Floats) -> float:
     """Return the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
 
     Notes
@@ -293,7 +296,7 @@ def compare_curves(
         (missing, missing) if band is None else (_interpolate(curve, deflection, b) for b in band)
     )
     reference = np.where(is_shared, _interpolate(curve, deflection, force), np.nan)
-    errors = curve_errors(curve.force, reference, lower, upper)
+    errors = compute_curve_errors(curve.force, reference, lower, upper)
     if not np.isfinite(lower[is_shared]).all():
         errors = replace(errors, inside=np.nan)
     share = errors.rmse / float(np.nanmax(np.abs(reference)))

@@ -16,9 +16,13 @@ from itertools import groupby
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration.law_components import WireParts, loading_curve
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
-from labpipe.mechanics.wire.first_loading import LoadingStates, force_at
+from labpipe.mechanics.wire.calibration.law_components import WireParts, compute_loading_curve
+from labpipe.mechanics.wire.calibration.measured_curves import (
+    MeasuredCurve,
+    compute_shared_errors,
+    whiten,
+)
+from labpipe.mechanics.wire.first_loading import LoadingStates, interpolate_force
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 
@@ -40,7 +44,7 @@ class ModelForce:
     states: LoadingStates | None = None
 
 
-def model_forces(
+def compute_model_forces(
     parts: WireParts,
     values: Floats,
     curves: tuple[MeasuredCurve, ...],
@@ -50,7 +54,7 @@ def model_forces(
 
     Parameters
     ----------
-    parts, values : as for `loading_curve`
+    parts, values : as for `compute_loading_curve`
     curves : measured
     near : forces at similar values, to start from
 
@@ -66,12 +70,12 @@ def model_forces(
         deflections = np.concatenate([curves[i].deflection for i in numbers])
         first = curves[numbers[0]]
         deepest = float(np.max(np.abs(deflections)))
-        curve = loading_curve(
+        curve = compute_loading_curve(
             *(parts, values, first.length, first.rig, deepest),
             self_weight=first.self_weight,
             near=near[numbers[0]].states if near else None,
         )
-        force, change = force_at(curve, deflections)
+        force, change = interpolate_force(curve, deflections)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
         rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
         parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
@@ -87,7 +91,9 @@ def _setup_key(curve: MeasuredCurve) -> tuple[float, ...]:
     return (*place, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
 
 
-def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
+def compute_gram(
+    curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float
+) -> Floats:
     """Return the whitened Gram matrix of derivatives, model and residual, shape (5, 5).
 
     Parameters
@@ -105,13 +111,13 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
     """
     force = factor * model.force
     columns = np.column_stack([factor * model.change.T, force, curve.force - force])
-    return whitened_products(curve, columns, model.slope, correlation)
+    return compute_whitened_products(curve, columns, model.slope, correlation)
 
 
-def whitened_products(
+def compute_whitened_products(
     curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
 ) -> Floats:
-    """Return the Gram matrix of columns of forces in units of the stated noise, see `gram`.
+    """Return the Gram matrix of columns of forces in units of the stated noise, see `compute_gram`.
 
     Parameters
     ----------
@@ -122,7 +128,7 @@ def whitened_products(
     """
     noise = np.asarray(curve.noise)[:, None]
     white = whiten(columns / noise, correlation)
-    shared = whiten(shared_errors(curve, slope).T / noise, correlation)
+    shared = whiten(compute_shared_errors(curve, slope).T / noise, correlation)
     seen = shared.T @ white
     held = np.eye(shared.shape[1]) + shared.T @ shared
     return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))
@@ -213,9 +219,9 @@ class Fit:
 
 def evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
     """Evaluate the objective at a point."""
-    models = model_forces(problem.parts, np.exp(point.logs), problem.curves, point.near)
+    models = compute_model_forces(problem.parts, np.exp(point.logs), problem.curves, point.near)
     point = replace(point, near=models)
-    grams = products(problem, levels.correlation, point, models)
+    grams = compute_products(problem, levels.correlation, point, models)
     data = float(grams[:, -1, -1].sum()) / levels.noise
     prior = float(problem.precision @ (point.logs - problem.centre) ** 2)
     gain = (point.gain / problem.gain) ** 2 if problem.gain > 0.0 else 0.0
@@ -224,18 +230,18 @@ def evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
     return Fit(point, data + prior + gain + scatter, grams, models, 0, settled=False)
 
 
-def products(
+def compute_products(
     problem: Problem, correlation: float, point: Point, models: list[ModelForce]
 ) -> Floats:
     """Return the Gram matrix of each sample, shape (samples, 5, 5)."""
     grams = np.zeros((problem.n_samples, COLUMNS, COLUMNS))
     for curve, model, sample in zip(problem.curves, models, problem.sample, strict=True):
         factor = float(np.exp(point.gain + point.offsets[sample]))
-        grams[sample] += gram(curve, model, factor, correlation)
+        grams[sample] += compute_gram(curve, model, factor, correlation)
     return grams
 
 
-def normal_equations(
+def make_normal_equations(
     problem: Problem, levels: Levels, fit: Fit, free: Flags
 ) -> tuple[Floats, Floats, Flags]:
     """Return matrix and right side of the normal equations, and which unknowns may move."""
@@ -264,15 +270,17 @@ def normal_equations(
     return matrix, pull, is_free
 
 
-def normal_matrix(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> tuple[Floats, Flags]:
+def make_normal_matrix(
+    problem: Problem, levels: Levels, fit: Fit, free: Flags
+) -> tuple[Floats, Flags]:
     """Return half the Hessian by parameters, gain and samples, and which of them may move."""
-    matrix, _, moves = normal_equations(problem, levels, fit, free)
+    matrix, _, moves = make_normal_equations(problem, levels, fit, free)
     return matrix, moves
 
 
-def pull_of(problem: Problem, levels: Levels, fit: Fit) -> Floats:
+def compute_pull(problem: Problem, levels: Levels, fit: Fit) -> Floats:
     """Return minus half the gradient by the logarithms of the parameters, shape (3,)."""
-    _, pull, _ = normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
+    _, pull, _ = make_normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
     return pull[:P]
 
 
@@ -280,7 +288,7 @@ def _precision(deviation: float) -> float:
     return 1.0 / deviation**2 if deviation > 0.0 else np.inf
 
 
-def scaled(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
+def scale_matrix(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
     """Scale a symmetric matrix to a diagonal of one plus a ridge; return it with the scale.
 
     Parameters

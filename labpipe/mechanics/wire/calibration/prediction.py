@@ -8,13 +8,13 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.mechanics.wire.calibration.fit import Wire
-from labpipe.mechanics.wire.calibration.law_components import loading_curve
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.variances import quantiles
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.first_loading import LoadingCurve, force_at
+from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 
 _NORMAL = float(ndtri(0.975))
@@ -69,8 +69,8 @@ def predict(
     read = _NORMAL * noise / np.sqrt(n_samples)
     forces, bands = [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
-        curve = calibrated_curve(wire, solution.values, length, rig, deepest)
-        force, change = force_at(curve, deflection)
+        curve = compute_calibrated_curve(wire, solution.values, length, rig, deepest)
+        force, change = interpolate_force(curve, deflection)
         gain_slope = force if other_gain is None else np.zeros_like(force)
         slopes = np.vstack([change, gain_slope]).T
         forces.append(force)
@@ -90,8 +90,8 @@ def _reach(
 
     The part of the parameters is `wide` times as wide as in the linear model.
     """
-    mean = np.abs(quantiles(solution.mixture, slopes))
-    one = np.abs(quantiles(solution.mixture, slopes, one_more))
+    mean = np.abs(compute_quantiles(solution.mixture, slopes))
+    one = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
     scatter = np.sqrt(np.maximum(one**2 - mean**2, 0.0))
     mean *= wide
     return mean, np.hypot(mean, scatter)
@@ -99,23 +99,18 @@ def _reach(
 
 def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     if calibration.levels.scatter_freedom == 0.0:
-        message = "the scatter of samples is unknown from one sample: the bands exclude it"
-        yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
+        yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
     allowed = sum(solution.is_allowed for solution in calibration.solutions)
     if allowed > 1:
-        message = (
-            f"{allowed} solutions fit the tests: the bands cover all of "
-            "them, the curve is that of the best"
-        )
-        yield QualityNote("two_solutions", Severity.WARNING, calibration.wire, message)
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
     for name in PARAMETERS:
         parameter = calibration.parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
-            message = f"{parameter.explanation}; the bands treat its error as normal"
-            yield QualityNote("not_identified", Severity.WARNING, name, message)
+            text = parameter.explanation
+            yield QualityNote.of("mechanics.wire.predicted_open", name, explanation=text)
 
 
-def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
     """Return the largest curvature at the clamp at the ends of the curves, 1/m.
 
     Parameters
@@ -135,12 +130,12 @@ def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]
     curvatures = []
     for curve in curves:
         deepest = float(np.nanmax(np.abs(curve.deflection)))
-        loading = calibrated_curve(wire, values, curve.length, curve.rig, deepest)
+        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, deepest)
         curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
     return max(curvatures)
 
 
-def calibrated_curve(
+def compute_calibrated_curve(
     wire: Wire, values: Floats, length: float, rig: StringRig | None, deflection: float
 ) -> LoadingCurve:
     """Compute the loading curve of a wire with calibrated values, up to a deflection.
@@ -149,7 +144,7 @@ def calibrated_curve(
     ----------
     wire : calibrated, or another of the same make
     values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
-    length, rig, deflection : as for `loading_curve`
+    length, rig, deflection : as for `compute_loading_curve`
 
     Raises
     ------
@@ -158,4 +153,6 @@ def calibrated_curve(
     """
     parts = wire.parts
     filled = np.where(np.isnan(values), parts.given, values)
-    return loading_curve(parts, filled, length, rig, deflection, self_weight=wire.self_weight)
+    return compute_loading_curve(
+        parts, filled, length, rig, deflection, self_weight=wire.self_weight
+    )

@@ -24,11 +24,11 @@ from labpipe.mechanics.wire.calibration.objective import (
     P,
     Point,
     Problem,
-    normal_matrix,
-    scaled,
+    make_normal_matrix,
+    scale_matrix,
 )
 from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import quantiles
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.records.arrays import Flags, Floats
 
 
@@ -62,21 +62,23 @@ class _Side:
     seen: tuple[tuple[float, float], ...]
 
 
-def traces(result: CalibrationFit, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(
+    result: CalibrationFit, number: int, *, unlikely: float = 1.0
+) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
     ----------
-    found : the fit of a calibration
+    result : the fit of a calibration
     number : of the parameter
     unlikely : height up to which the objective is followed, over that of the 95 % set
     """
-    limits = ((valley, unlikely * limit_of(result, valley)) for valley in result.valleys)
+    limits = ((valley, unlikely * compute_limit(result, valley)) for valley in result.valleys)
     allowed = (valley for valley, limit in limits if valley.rise < limit)
-    return tuple(trace(result, number, valley, unlikely=unlikely) for valley in allowed)
+    return tuple(follow_profile(result, number, valley, unlikely=unlikely) for valley in allowed)
 
 
-def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
+def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ends of the union of several traces, in logarithms, rising."""
     joined: list[tuple[float, float]] = []
     for lower, upper in sorted((part.lower, part.upper) for part in parts):
@@ -87,12 +89,12 @@ def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
     return tuple(joined)
 
 
-def limit_of(result: CalibrationFit, valley: LocalMinimum) -> float:
+def compute_limit(result: CalibrationFit, valley: LocalMinimum) -> float:
     """Return the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
     ----------
-    found : the fit of a calibration
+    result : the fit of a calibration
     valley : one of its minima
 
     Notes
@@ -106,12 +108,12 @@ def limit_of(result: CalibrationFit, valley: LocalMinimum) -> float:
     return float(_limits(result, difference[None, :])[0])
 
 
-def reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
+def find_reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
     """Return the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
-    found : the fit of a calibration
+    result : the fit of a calibration
     number : of the parameter
     unlikely : height up to which the line is followed, over that of the 95 % set
     """
@@ -133,7 +135,7 @@ def _limits(result: CalibrationFit, ways: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
     lowest = result.valleys[0]
     error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
-    below, above = quantiles(lowest.mixture, ways)
+    below, above = compute_quantiles(lowest.mixture, ways)
     roots = [
         _min_quantile(float(end), float(one))
         for end, one in zip(np.maximum(-below, above), error, strict=True)
@@ -141,22 +143,22 @@ def _limits(result: CalibrationFit, ways: Floats) -> Floats:
     return np.asarray((result.widening * np.array(roots)) ** 2)
 
 
-def trace(
+def follow_profile(
     result: CalibrationFit, number: int, valley: LocalMinimum, *, unlikely: float = 1.0
 ) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted.
 
     Parameters
     ----------
-    found : the fit of a calibration
+    result : the fit of a calibration
     number : of the parameter
     valley : start; its rise counts towards the height
-    unlikely : as for `traces`
+    unlikely : as for `follow_profiles`
     """
     problem, levels, fit, free = (result.problem, result.levels, valley.fit, result.free)
     error = float(np.sqrt(valley.spread.covariance[number, number]))
-    below, above = quantiles(valley.mixture, np.eye(P + 1)[[number]])
-    taken = valley.rise / limit_of(result, valley) if valley.rise > 0.0 else 0.0
+    below, above = compute_quantiles(valley.mixture, np.eye(P + 1)[[number]])
+    taken = valley.rise / compute_limit(result, valley) if valley.rise > 0.0 else 0.0
     wide = result.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _min_quantile(end, error) for end in (-below[0], above[0])]
     others = free.copy()
@@ -207,13 +209,13 @@ def _min_quantile(quantile: float, error: float) -> float:
 
 def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: int) -> Floats:
     """Return how all unknowns move with one parameter while the objective is a parabola."""
-    matrix, moves = normal_matrix(problem, levels, fit, free)
+    matrix, moves = make_normal_matrix(problem, levels, fit, free)
     moves = moves.copy()
     moves[number] = False
     direction = np.zeros(len(matrix))
     direction[number] = 1.0
     if moves.any():
-        unit, scale = scaled(matrix[np.ix_(moves, moves)])
+        unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
         direction[moves] = -np.linalg.solve(unit, matrix[moves, number] / scale) / scale
     return direction
 

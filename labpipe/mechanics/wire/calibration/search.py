@@ -13,12 +13,12 @@ from labpipe.mechanics.wire.calibration.objective import (
     Point,
     Problem,
     evaluate,
-    normal_equations,
-    scaled,
+    make_normal_equations,
+    scale_matrix,
 )
 from labpipe.records.arrays import Flags, Floats
 
-_MAX_STEPS = 60
+_MAX_SEARCH_STEPS = 60
 _OBJECTIVE_TOLERANCE = 1e-5
 """Change of the objective predicted by a full step; intervals depend on changes of 1."""
 
@@ -54,28 +54,32 @@ def search(
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     fit = evaluate(problem, levels, start)
     damping, steps, idle = damping_range[0], 0, 0
-    while steps < _max_steps(fit, lowest) and damping <= damping_range[2] and idle < max_idle_steps:
+    while (
+        steps < _find_max_steps(fit, lowest)
+        and damping <= damping_range[2]
+        and idle < max_idle_steps
+    ):
         step, pull = _step_inside(problem, levels, fit, free, damping)
         if float(step @ pull) <= max(enough, rise_share * (fit.objective - lowest)):
             return replace(fit, steps=steps, settled=True)
         steps += 1
         next_fit = _advance(problem, levels, fit, step, float(step @ pull))
         if next_fit is not None and next_fit.objective <= fit.objective:
-            slow = max(idle_gain, (fit.objective - lowest) / _MAX_STEPS)
+            slow = max(idle_gain, (fit.objective - lowest) / _MAX_SEARCH_STEPS)
             idle = idle + 1 if fit.objective - next_fit.objective <= slow else 0
             fit, damping = next_fit, max(damping / damping_range[1] ** 2, damping_range[0])
         elif float(step @ pull) <= jitter:
             return replace(fit, steps=steps, settled=True)
         else:
             damping *= damping_range[1]
-    return replace(fit, steps=steps, settled=steps < _MAX_STEPS)
+    return replace(fit, steps=steps, settled=steps < _MAX_SEARCH_STEPS)
 
 
-def _max_steps(fit: Fit, lowest: float) -> int:
+def _find_max_steps(fit: Fit, lowest: float) -> int:
     """Return the number of steps allowed: few while far above a better fit."""
     max_far_steps = 8
     far_rise = 200.0  # above another fit: no quantile of so few samples is as large
-    return max_far_steps if fit.objective - lowest > far_rise else _MAX_STEPS
+    return max_far_steps if fit.objective - lowest > far_rise else _MAX_SEARCH_STEPS
 
 
 def _advance(problem: Problem, levels: Levels, fit: Fit, step: Floats, gain: float) -> Fit | None:
@@ -116,7 +120,7 @@ def _step_inside(
 
     The others are solved again, because a clipped step need not lead downhill.
     """
-    matrix, pull, moves = normal_equations(problem, levels, fit, free)
+    matrix, pull, moves = make_normal_equations(problem, levels, fit, free)
     fixed = np.zeros(len(pull))
     while True:  # each round fixes at least one of the parameters
         step = fixed + _step(matrix, pull - matrix @ fixed, moves, damping)
@@ -134,7 +138,7 @@ def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:
     step = np.zeros(len(pull))
     if not moves.any():
         return step
-    unit, scale = scaled(matrix[np.ix_(moves, moves)], damping)
+    unit, scale = scale_matrix(matrix[np.ix_(moves, moves)], damping)
     step[moves] = np.linalg.solve(unit, pull[moves] / scale) / scale
     longest = float(np.max(np.abs(step)))
     return step * min(1.0, longest_step / longest) if longest > 0.0 else step

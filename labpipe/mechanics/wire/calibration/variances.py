@@ -25,14 +25,14 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtr, stdtrit
 
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, shared_errors
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, compute_shared_errors
 from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     ModelForce,
     P,
     Problem,
-    scaled,
+    scale_matrix,
 )
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire_calibration import ScatterMixture
@@ -40,7 +40,7 @@ from labpipe.records.wire_calibration import ScatterMixture
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
 
 
-def quantile(freedom: float) -> float:
+def compute_quantile(freedom: float) -> float:
     """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
@@ -69,7 +69,7 @@ class Uncertainty:
         return 2.0 * variance**2 / spread if spread > 0.0 else np.inf
 
 
-def correlation_of(
+def estimate_correlation(
     curves: tuple[MeasuredCurve, ...], models: list[ModelForce], factors: Floats
 ) -> float:
     """Estimate the correlation of neighbouring residuals over all curves, at least 0.
@@ -86,7 +86,7 @@ def correlation_of(
     for curve, model, factor in zip(curves, models, factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
-        shared = shared_errors(curve, model.slope) / noise
+        shared = compute_shared_errors(curve, model.slope) / noise
         held = np.eye(len(shared)) + shared @ shared.T
         residuals -= np.linalg.solve(held, shared @ residuals) @ shared
         above += float(residuals[1:] @ residuals[:-1])
@@ -123,7 +123,7 @@ class LinearModel:
         """Return the noise variance at a ratio, and minus twice the log restricted likelihood."""
         total = self.shrunk(ratio).sum(axis=0)
         inner = total[np.ix_(self.columns, self.columns)]
-        unit, scale = scaled(inner)
+        unit, scale = scale_matrix(inner)
         pull = total[self.columns, -1] / scale
         residual = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
         freedom = self.n - len(self.columns)
@@ -145,7 +145,7 @@ def estimate_levels(
     scatter : if given; else it is estimated, and 0 for one sample
     """
     log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
-    linear = linear_model(problem, fit, free)
+    linear = make_linear_model(problem, fit, free)
     if scatter is None and problem.n_samples == 1:
         scatter = 0.0
     if scatter is not None:
@@ -169,7 +169,7 @@ def estimate_levels(
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
-def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
+def make_linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
     """Return the linear model of a fit, with each sample's offset added back to its residual."""
     grams = fit.grams.copy()
     shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
@@ -180,7 +180,7 @@ def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
     return LinearModel(grams, columns, problem.n_points)
 
 
-def uncertainty(
+def estimate_uncertainty(
     problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
 ) -> Uncertainty:
     """Return the covariance of the fit, with what Satterthwaite's degrees of freedom need.
@@ -190,7 +190,7 @@ def uncertainty(
     problem, fit, free, levels : what was fitted, and the levels it was fitted with
     is_scatter_known : given rather than estimated
     """
-    linear = linear_model(problem, fit, free)
+    linear = make_linear_model(problem, fit, free)
 
     def covariance(noise: float, samples: float) -> Floats:
         total = linear.shrunk(samples / noise).sum(axis=0) / noise
@@ -215,7 +215,7 @@ def _posterior(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[
     matrix[range(P + 1), range(P + 1)] += tight
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():
-        unit, scale = scaled(matrix[np.ix_(moves, moves)])
+        unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
         inverse = np.linalg.inv(unit) / np.outer(scale, scale)
         covariance[np.ix_(moves, moves)] = inverse
         shift[moves] = inverse @ pull[moves]
@@ -252,16 +252,12 @@ def _projected(linear: LinearModel, noise: float, samples: float) -> Floats:
     shrunk = linear.shrunk(samples / noise) / noise
     total = shrunk.sum(axis=0)
     inner = total[np.ix_(linear.columns, linear.columns)]
-    unit, scale = scaled(inner)
+    unit, scale = scale_matrix(inner)
     arms = shrunk[:, P, linear.columns] / scale
     return np.asarray(np.diag(shrunk[:, P, P]) - arms @ np.linalg.solve(unit, arms.T))
 
 
-TAIL = 0.025
-"""Probability outside the interval, on each side."""
-
-
-def quantiles(
+def compute_quantiles(
     mixture: ScatterMixture, directions: Floats, one_more: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
     """Return 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
@@ -281,6 +277,7 @@ def quantiles(
     By bisection: the distribution is a sum of Student's t, each with its own location and width.
     """
     halvings = 40
+    tail = 0.025  # probability outside the interval, on each side
     centre = directions @ mixture.shift.T
     variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
     sample_error = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
@@ -297,10 +294,10 @@ def quantiles(
             low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
         return np.asarray(0.5 * (low + high))
 
-    return quantile_at(TAIL), quantile_at(1.0 - TAIL)
+    return quantile_at(tail), quantile_at(1.0 - tail)
 
 
-def mix(
+def make_mixture(
     problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
 ) -> ScatterMixture:
     """Weight every scatter by its restricted likelihood.
@@ -316,7 +313,7 @@ def mix(
     sample's factor by noise; below, scatter has no effect.
     """
     min_probability = 1e-6  # of a scatter
-    linear = linear_model(problem, fit, free)
+    linear = make_linear_model(problem, fit, free)
     freedom = float(linear.n - len(linear.columns))
     ratios = (
         _variance_ratios(linear, levels)
