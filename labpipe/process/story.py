@@ -102,22 +102,18 @@ def reduce_recordings(
     prepared, new_findings = run_steps(prepared, protocol)
     findings += new_findings
     if protocol.curve is None or protocol.branches is None:
-<<<<<<< HEAD
-        return add_results(_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol)
-=======
-        return add_results(_build_reduced_test(prepared, Clocks(), protocol, findings), protocol)
->>>>>>> main
+        return add_results(
+            _build_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol
+        )
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
     prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
     findings += new_findings
     findings = check_signals(prepared, motion, protocol, findings)
-<<<<<<< HEAD
-    test = replace(_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed)
-=======
-    test = replace(_build_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
->>>>>>> main
+    test = replace(
+        _build_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed
+    )
     return add_results(add_curve(test, motion, protocol, protocol.curve), protocol)
 
 
@@ -236,17 +232,12 @@ def add_curve(
     return replace(test, findings=findings)
 
 
-<<<<<<< HEAD
-def _reduced_test(
+def _build_reduced_test(
     prepared: Prepared,
     clocks: Clocks,
     protocol: Protocol,
     findings: Findings,
     labels: Mapping[str, str],
-=======
-def _build_reduced_test(
-    prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
->>>>>>> main
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)

@@ -21,10 +21,10 @@ from labpipe.records.signals import Stretch
 from labpipe.results.cycles import (
     PerCycle,
     choose_work_samples,
+    estimate_rise_beyond_top,
     find_cycle_samples,
     find_gap_at_peak,
     find_loading_sign,
-    reach_beyond_top,
     select_cycle,
 )
 from labpipe.results.kinds import Computed, Kind
@@ -346,14 +346,14 @@ class PeakForceDisplacement(PerCycle):
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the sample of the largest force of each curve."""
-        return partial(_at_largest_force, test, number=number)
+        return partial(_choose_largest_force, test, number=number)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
         return find_gap_at_peak(test, branches, "force")
 
 
-def _at_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
+def _choose_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
     """Choose the displacement at the largest force; noise may choose a neighbour of that sample.
 
     If the specimen breaks there, the peak lies up to a step after the sample.
@@ -368,8 +368,8 @@ def _at_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
         for sense, values in zip(senses, (trace.displacement, trace.force), strict=True)
     )
     top = int(np.argmax(force))
-    breaks = reach_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
-    singles = _single_samples(test, trace, int(finite[top]))
+    breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+    draw_noise = _make_noise_function(test, trace, int(finite[top]))
 
     def numbers(trace: Trace) -> tuple[Floats]:
         displacement, signed = trace.displacement[..., finite], senses[1] * trace.force[..., finite]
@@ -378,7 +378,7 @@ def _at_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
         return (np.take_along_axis(displacement + steps, largest, axis=-1)[..., 0],)
 
     def in_noise(drawn: Trace) -> tuple[Floats]:
-        return numbers(replace(drawn, force=drawn.force + singles("force", drawn.force.shape)))
+        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
 
     return Reading(numbers, len(finite), in_noise)
 

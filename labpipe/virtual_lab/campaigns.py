@@ -32,18 +32,11 @@ from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
     TensileScenario,
-<<<<<<< HEAD
-    corrugated_tube,
-    crimp_pull,
-    pet_tape,
-    stiff_bar,
-    twist_tube,
-=======
     build_corrugated_tube,
+    build_crimp_pull,
     build_pet_tape,
     build_stiff_bar,
     build_twist_tube,
->>>>>>> main
 )
 from labpipe.virtual_lab.three_point import (
     CONDUIT_CELL,
@@ -399,7 +392,6 @@ class TensileCampaign:
             yield replace(tape, law=replace(tape.law, slack=slack))
 
 
-<<<<<<< HEAD
 @dataclass(frozen=True, slots=True)
 class CrimpLot:
     """A lot of crimped contacts.
@@ -446,7 +438,7 @@ class CrimpCampaign:
         for number, lot in enumerate(self.lots):
             for sample in range(1, self.samples + 1):
                 strength = float(random.normal(lot.strength, lot.deviation))
-                pull = crimp_pull(
+                pull = build_crimp_pull(
                     f"crimp-{number + 1}",
                     sample,
                     strength=strength,
@@ -457,12 +449,9 @@ class CrimpCampaign:
                 yield pull, 100_000 * seed + 70_000 + 100 * number + sample
 
 
-def _corrugated_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
-=======
 def _build_corrugated_tubes(
     gain_error: float, random: np.random.Generator
 ) -> Iterator[TensileScenario]:
->>>>>>> main
     """Yield three samples of each kind of corrugated tube."""
     for tube_type, (factor, section) in _TUBES.items():
         for sample in range(1, 4):

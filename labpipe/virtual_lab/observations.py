@@ -147,13 +147,9 @@ def _describe_specimen(scenario: Scenario) -> dict[str, object]:
     }
     match scenario:
         case TensileScenario():
-<<<<<<< HEAD
             words = {"labels": dict(scenario.labels), "observed": dict(scenario.observed)}
-            entries["length"] = _millimetres(scenario.length)
+            entries["length"] = _format_mm(scenario.length)
             return entries | {name: block for name, block in words.items() if block}
-=======
-            return entries | {"length": _format_mm(scenario.length)}
->>>>>>> main
         case ConduitScenario():
             span = _format_mm(scenario.test.span)
             return entries | {"span": span, "bundle": _describe_bundle(scenario.bundle)}

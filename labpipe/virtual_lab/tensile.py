@@ -344,8 +344,7 @@ def build_pet_tape(
     )
 
 
-<<<<<<< HEAD
-def crimp_pull(
+def build_crimp_pull(
     specimen_type: str,
     sample: int,
     *,
@@ -354,7 +353,7 @@ def crimp_pull(
     separation: str,
     gain_error: float = 0.0,
 ) -> TensileScenario:
-    """Return a pull of a crimp at 25 mm/min until contact and conductor separate.
+    """Build a pull of a crimp at 25 mm/min until contact and conductor separate.
 
     Parameters
     ----------
@@ -379,7 +378,7 @@ def crimp_pull(
         law=law,
         frame=LoadFrame(speed=speed, stroke=20e-3, overrun=3.5e-3 / speed),
         instruments=replace(
-            _test_suite(100.0, gain_error), white_noise=0.05, slow_noise=0.05, tare=0.4
+            _build_instruments(100.0, gain_error), white_noise=0.05, slow_noise=0.05, tare=0.4
         ),
         failure=slip if separation == "slip" else breaks,
         export=ExportLayout("N"),
@@ -389,12 +388,8 @@ def crimp_pull(
     )
 
 
-def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
-    """Return a test of a steel bar of 12 mm, which measures the compliance of the MTS frame.
-=======
 def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
     """Build a test of a steel bar of 12 mm, which measures the compliance of the MTS frame.
->>>>>>> main
 
     Parameters
     ----------

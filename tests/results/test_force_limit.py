@@ -19,7 +19,7 @@ from labpipe.records.result import Result, Specimen
 from labpipe.results.force_limit import ForceLimit
 from labpipe.statistics.lots import judge_sample
 from labpipe.virtual_lab.observations import observe
-from labpipe.virtual_lab.tensile import crimp_pull
+from labpipe.virtual_lab.tensile import build_crimp_pull
 
 PROTOCOL = (Path(__file__).parents[2] / "protocols/crimp-pull.yaml").read_text(encoding="utf-8")
 CARD_ENTRY = "{result: force-limit, card: crimp-pull, column: silver-tin}"
@@ -154,7 +154,9 @@ def test_peaks_of_virtual_crimps_lie_in_their_intervals(separation: str) -> None
     is_inside = {"peak_force.1": 0, "displacement_at_peak_force.1": 0}
     seeds = range(10)
     for seed in seeds:
-        scenario = crimp_pull("c", seed, strength=130.0, conductor="AWG 20", separation=separation)
+        scenario = build_crimp_pull(
+            "c", seed, strength=130.0, conductor="AWG 20", separation=separation
+        )
         test = observe(scenario, seed)
         frame = test.record.recording()
         names = {"Load": "force", "Crosshead": "displacement"}
