@@ -387,14 +387,6 @@ class Difference:
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
-    def verdict_text(self) -> str:
-        """Return the verdict with its reason and caveats."""
-        verdict = (
-            f"{self.verdict}: {self.verdict_reason}" if self.verdict_reason else str(self.verdict)
-        )
-        return "; ".join((verdict, *self.caveats))
-
-    @property
     def single_field(self) -> str:
         """Return the only differing field of the groups; empty for several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
