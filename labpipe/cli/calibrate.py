@@ -20,6 +20,7 @@ from labpipe.records.wire_calibration import (
     CalibratedParameter,
     ExternalCurveComparison,
     Identifiability,
+    IsotropicShare,
 )
 from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.report.wording import make_number_writer, write_count
@@ -76,6 +77,8 @@ def format_calibration(done: Calibrated) -> str:
     ]
     parameters = calibration.parameters
     lines += [_format_parameter(parameter) for parameter in parameters]
+    if calibration.share is not None:
+        lines.append(_format_share(calibration.share))
     explanations = [parameter.explanation for parameter in parameters if parameter.explanation]
     conflicts = [parameter.conflict.message for parameter in parameters if parameter.conflict]
     lines += [f"  {message}" for message in (*explanations, *conflicts)]
@@ -90,6 +93,19 @@ def format_calibration(done: Calibrated) -> str:
     ]
     lines.append(f"results: {shorten_path(done.folder)}")
     return "\n".join(lines)
+
+
+def _format_share(share: IsotropicShare) -> str:
+    """Write the line of the isotropic share, or why it is not calibrated."""
+    low, high = share.interval.lower, share.interval.upper
+    if not share.is_creep:
+        tests = write_count(share.n_tests, "test")
+        return f"  isotropic share {share.value:.2f}, {low:.2f} to {high:.2f}, from {tests}"
+    ends = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.by_number.values()]
+    return (
+        f"  isotropic share: not calibrated, {ends[0]} by the residual deflection "
+        f"but {ends[1]} by the peaks of two cycles: the insulation creeps"
+    )
 
 
 def _format_parameter(parameter: CalibratedParameter) -> str:

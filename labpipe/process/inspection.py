@@ -14,10 +14,10 @@ from labpipe.readers import recognise_export
 from labpipe.readers.recording_checks import (
     SAMPLED_ON_EVENT,
     TIME_VARIABLE,
-    blank,
+    find_blank_frames,
     find_holes,
-    longest,
-    unchanged,
+    find_longest_stretch,
+    find_unchanged_steps,
 )
 from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -66,7 +66,7 @@ def inspect_export(path: Path) -> Inspection:
     return Inspection(path, recognise_export(path).read(path))
 
 
-def as_json(inspection: Inspection) -> dict[str, Any]:
+def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
     """Convert an inspection to the data that `labpipe inspect --json` prints.
 
     Parameters
@@ -175,22 +175,22 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _describe_gaps(track: Floats) -> dict[str, Any]:
     max_ranges = 100  # listed; the count includes all gaps
-    missing = blank(track)
+    missing = find_blank_frames(track)
     gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
-    return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
+    return {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges}
 
 
 def _count_unchanged(track: Floats) -> dict[str, int]:
-    is_unchanged = unchanged(track)
-    return {"steps": int(is_unchanged.sum()), "longest": longest(is_unchanged)}
+    is_unchanged = find_unchanged_steps(track)
+    return {"steps": int(is_unchanged.sum()), "longest": find_longest_stretch(is_unchanged)}
 
 
 def _describe_body(body: RigidBody) -> dict[str, Any]:
     frozen = _count_unchanged(body.position)
     return {
         "name": body.name,
-        "missing": int(blank(body.position).sum()),
+        "missing": int(find_blank_frames(body.position).sum()),
         "gaps": _describe_gaps(body.position),
         "frozen_steps": frozen["steps"],
         "longest_frozen_run": frozen["longest"],
@@ -199,7 +199,7 @@ def _describe_body(body: RigidBody) -> dict[str, Any]:
     }
 
 
-def as_text(inspection: Inspection) -> str:
+def format_inspection(inspection: Inspection) -> str:
     """Convert an inspection to readable text.
 
     Parameters
@@ -210,7 +210,7 @@ def as_text(inspection: Inspection) -> str:
     -------
     Lines without the last newline.
     """
-    facts = as_json(inspection)
+    facts = make_inspection_record(inspection)
     program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
     lines = [facts["file"], f"  {program}, read by {facts['reader']}"]
     for stream in facts["streams"]:

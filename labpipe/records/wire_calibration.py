@@ -43,6 +43,25 @@ class CurveAgreement(ArrayRecord):
     runs_p: float
 
 
+@dataclass(frozen=True, slots=True)
+class IsotropicShare:
+    """The share of isotropic hardening, from what the cycles of tests leave.
+
+    Parameters
+    ----------
+    value, interval : of least squares, with its 95 % interval within 0 and 1
+    by_number : 95 % interval by the residual deflection alone and by the peaks alone
+    n_tests : with cycles
+    is_creep : whether these two disagree, so that the share is not calibrated
+    """
+
+    value: float
+    interval: Interval
+    by_number: Mapping[str, Interval]
+    n_tests: int
+    is_creep: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction(ArrayRecord):
     """A predicted loading curve, with 95 % bands; arrays of shape (n,).
@@ -419,6 +438,7 @@ class Calibration(ArrayRecord):
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
     method : description for the report
     notes : quality notes
+    share : isotropic share of the hardening; None where no test has cycles
     """
 
     wire: str
@@ -437,6 +457,7 @@ class Calibration(ArrayRecord):
     rmse_share: float
     method: str
     notes: tuple[QualityNote, ...] = field(default=())
+    share: IsotropicShare | None = None
 
     def parameter(self, name: str) -> CalibratedParameter:
         """Return the parameter of a name."""

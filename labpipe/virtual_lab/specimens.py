@@ -36,6 +36,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from labpipe.mechanics.law.mixed_law import MixedLaw
 from labpipe.mechanics.law.plays import (
     LinearLaw,
     PlayLaw,
@@ -52,6 +53,7 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_sectors,
 )
+from labpipe.mechanics.wire.cyclic_law import harden
 from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.messages import format_sentence
@@ -155,6 +157,7 @@ class StrandedWire:
     radial_force : F_rad of the insulation, N per radian of lay angle and strand of the outer ring
     insulation_modulus : Pa
     copper_scale : factor on the strength of annealed copper
+    isotropic_share : of the hardening of the copper; 0 is Masing's rule
     factor : of this sample on all moments at given curvatures
     largest_curvature : 1/m, end of the law, which is extrapolated linearly
     n_plays : number of corners of the law, in addition to the onsets of slip
@@ -172,6 +175,7 @@ class StrandedWire:
     radial_force: float = 0.15
     insulation_modulus: float = 1e9
     copper_scale: float = 1.0
+    isotropic_share: float = 0.0
     factor: float = 1.0
     largest_curvature: float = 80.0
     n_plays: int = 60
@@ -198,8 +202,8 @@ class StrandedWire:
             radial_force=self.radial_force,
         )
 
-    def law(self) -> PlayLaw:
-        """Return the law of moment against curvature, with hysteresis.
+    def first_loading(self) -> PlayLaw:
+        """Return the law by Masing's rule.
 
         Raises
         ------
@@ -213,6 +217,13 @@ class StrandedWire:
             n_plays=self.n_plays,
         )
         return scale_law(law, self.factor)
+
+    def law(self) -> PlayLaw | MixedLaw:
+        """Return the law of moment against curvature, with hysteresis: see `first_loading`."""
+        law = self.first_loading()
+        if self.isotropic_share == 0.0:
+            return law
+        return harden(law, self.section(), self.isotropic_share, factor=self.factor)
 
     def scaled(self, factor: float) -> StrandedWire:
         """Return the wire with all moments at a given curvature multiplied by `factor`."""
@@ -465,7 +476,7 @@ def _compute_axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
 def _build_law(bundle: BundleModel) -> PlayLaw:
     """Return the law of the first cycle, a polygon with the corners of all wires and sliders."""
     limits, stiffnesses = _build_sliders(bundle)
-    wires = [(number, _get_wire(name).law()) for name, number in bundle.wires]
+    wires = [(number, _get_wire(name).first_loading()) for name, number in bundle.wires]
     last = min(_get_wire(name).largest_curvature for name, _ in bundle.wires)
     knots = _merge_corners([*(find_corners(law)[1] for _, law in wires), limits], last)
     moment = bundle.conduit_stiffness * knots

@@ -14,6 +14,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import ProcessingError
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     CalibratedParameter,
@@ -21,6 +22,7 @@ from labpipe.records.wire_calibration import (
     CurveErrors,
     CurveMatch,
     ExternalCurveComparison,
+    IsotropicShare,
     ScatterMixture,
     Separability,
     Solution,
@@ -54,6 +56,7 @@ def build_calibration_json(
         **select_json(calibration, "wire", "method", *numbers, quality="notes"),
         "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],
         "solutions": [_build_solution(solution) for solution in calibration.solutions],
+        "isotropic_share": calibration.share and _build_share(calibration.share),
         "tested_curvature": replace_non_finite(tested),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
         "separability": _build_separability(calibration.separability),
@@ -89,6 +92,17 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
         "level": interval and interval.level,
         "intervals": ends,
         "prior": prior,
+    }
+
+
+def _build_share(share: IsotropicShare) -> dict[str, object]:
+    ends = {name: [part.lower, part.upper] for name, part in share.by_number.items()}
+    return {
+        **select_json(share, "value", "n_tests", "is_creep"),
+        "lower": share.interval.lower,
+        "upper": share.interval.upper,
+        "level": share.interval.level,
+        "by_number": ends,
     }
 
 
@@ -155,12 +169,14 @@ class CalibratedFile:
     solutions : the best first
     widening : of quantiles
     tested_curvature : 1/m, largest that the tests reached
+    share : isotropic share of the hardening with its standard error; None if it is not calibrated
     """
 
     wire: str
     solutions: tuple[Solution, ...]
     widening: float
     tested_curvature: float
+    share: tuple[float, float] | None = None
 
     def values(self, number: int = 0) -> dict[str, float]:
         """Return values of `PARAMETERS` of a solution by name; NaN where the wire has none."""
@@ -200,7 +216,15 @@ def _parse_file(content: dict[str, Any]) -> CalibratedFile:
         solutions,
         float(content["widening"]),
         float(_floats(content["tested_curvature"])),
+        _parse_share(content.get("isotropic_share")),
     )
+
+
+def _parse_share(entry: dict[str, Any] | None) -> tuple[float, float] | None:
+    if entry is None or entry["is_creep"]:
+        return None
+    interval = Interval(float(entry["lower"]), float(entry["upper"]))
+    return float(entry["value"]), interval.standard_error
 
 
 def _parse_solution(entry: dict[str, Any]) -> Solution:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.mechanics.decks import write_decks
+from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import (
@@ -33,19 +34,23 @@ from labpipe.mechanics.studies.validation import (
 )
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
+from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
     CalibrationFailure,
     ExternalCurveComparison,
+    IsotropicShare,
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
@@ -147,6 +152,9 @@ def calibrate_tests(
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibrate(built[name], calibrating, settings, tables)
+    share = _calibrate_share(specs[name], calibration, calibrating)
+    share_notes = tuple(_list_share_notes(specs[name], share))
+    calibration = replace(calibration, share=share, notes=(*calibration.notes, *share_notes))
     measured = [loading.curve for loading in calibrating]
     reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *note_insulations(calibration, built, specs, loadings))
@@ -211,6 +219,50 @@ def _calibrate(
         raise ProcessingError(message)
     notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
     return replace(outcome, notes=notes)
+
+
+def _calibrate_share(
+    spec: WireSpec, calibration: Calibration, loadings: Sequence[FirstLoading]
+) -> IsotropicShare | None:
+    """Calibrate the isotropic share with the law of the best solution."""
+    solution = calibration.solutions[0]
+    acting = np.flatnonzero(np.isfinite(solution.values))
+    names = [PARAMETERS[number] for number in acting]
+    best = dict(zip(names, np.log(solution.values[acting]), strict=True))
+
+    def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
+        logs = {name: best[name] + changes.get(name, 0.0) for name in names}
+        own = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
+        built = build_wire(own)
+        return cyclic_law(
+            built.section,
+            built.contacts,
+            isotropic_share=share,
+            largest_curvature=find_range(own)[0],
+            tension=own.tension,
+            orientation=own.orientation,
+        )
+
+    return calibrate_share(
+        [loading.cycles for loading in loadings if loading.cycles is not None],
+        law_at,
+        names,
+        solution.covariance[np.ix_(acting, acting)],
+        calibration.levels.scatter,
+    )
+
+
+def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[QualityNote]:
+    """Yield notes on a share that is not calibrated, and on a stress table that ends early."""
+    if share is None:
+        yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
+    elif share.is_creep:
+        yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
+    if spec.stress_table is not None:
+        last = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
+        reached = find_range(spec)[0]
+        if last < LOOP_RANGE * reached:
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=last)
 
 
 def _compare_shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
+from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import find_linear_range
@@ -27,7 +28,7 @@ from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SH
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote
-from labpipe.records.result import Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.records.wire import WireSpec
 from labpipe.results.beam import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
@@ -159,12 +160,14 @@ class FirstLoading:
     gain : relative standard uncertainty of the load cell's gain
     notes : on doubtful results, and on points that were left out
     file : result.h5 of the test
+    cycles : what the cycles of the test left; None without a first peak
     """
 
     curve: MeasuredCurve
     gain: float
     notes: tuple[QualityNote, ...]
     file: Path = Path()
+    cycles: CycledTest | None = None
 
 
 class NotUsableError(LabpipeError):
@@ -282,7 +285,56 @@ def extract_first_loading(
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
     gain = 0.0 if channel is None else channel.gain_uncertainty
-    return FirstLoading(measured, gain, notes)
+    cycles, cycle_notes = read_cycles(result, measured)
+    return FirstLoading(measured, gain, (*notes, *cycle_notes), cycles=cycles)
+
+
+def read_cycles(
+    result: TestResult, curve: MeasuredCurve
+) -> tuple[CycledTest | None, tuple[QualityNote, ...]]:
+    """Read what the cycles of a test left, from its results that are `ok`.
+
+    Parameters
+    ----------
+    result : of a cantilever test
+    curve : its first loading
+
+    Returns
+    -------
+    Residual deflection and energy of the first cycle; the second over the first peak force, if both
+    cycles reach the same deflection, else a note. None without a first peak.
+    """
+    max_growth = 0.01  # of the deflection from cycle to cycle: beyond, the peaks differ by it
+    numbers = {number.name: number for number in result.results if number.status is Status.OK}
+    peak, second = (numbers.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
+    if peak is None or not peak.value:
+        return None, ()
+    left: dict[str, tuple[float, float]] = {}
+    for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
+        number = numbers.get(key)
+        if number is not None and number.value is not None and number.interval is not None:
+            left[name] = number.value, number.interval.standard_error
+    growth = ((second.value or 0.0) / peak.value if second else np.nan) - 1.0
+    notes: tuple[QualityNote, ...] = ()
+    if abs(growth) > max_growth:
+        notes = (QualityNote.of("mechanics.studies.cycles_grow", result.test, growth=growth),)
+    forces = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
+    if abs(growth) <= max_growth and all(force and force.value for force in forces):
+        values = [float(force.value or 0.0) for force in forces if force]
+        errors = [own_error(force) / value for force, value in zip(forces, values, strict=True)]
+        ratio = values[1] / values[0]
+        left[RATIO] = ratio, abs(ratio) * hypot(*errors)
+    cycles = CycledTest(result.test, curve.length, peak.value, left, curve.rig, curve.self_weight)
+    return cycles, notes
+
+
+def own_error(number: Result | None) -> float:
+    """Return the standard error of a number without the causes that all tests of a rig share."""
+    if number is None or number.interval is None:
+        return 0.0
+    if not number.budget:
+        return number.interval.standard_error
+    return hypot(*(part.change for part in number.budget if not part.is_common))
 
 
 def estimate_noise(values: Floats) -> float:

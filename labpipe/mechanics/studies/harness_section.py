@@ -223,7 +223,8 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         files=tuple(files),
         notes=table.notes,
         distributions=_build_distributions(spec, calibrated),
-        has_unknown_share=spec.isotropic_share is None,
+        has_unknown_share=spec.isotropic_share is None
+        and (calibrated is None or calibrated.share is None),
         stretch_limit=1e-3,  # copper yields beyond it
     )
 
@@ -239,9 +240,12 @@ def _build_distributions(
         )
     if spec.isotropic_share is not None:
         return distributions
-    share = build_uniform_distribution(
-        ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause="hardening of the copper"
-    )
+    cause = "hardening of the copper"
+    if calibrated is not None and calibrated.share is not None:
+        value, error = calibrated.share
+        share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=cause)
+    else:
+        share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=cause)
     return tuple(join_distributions([other, share]) for other in distributions) or (share,)
 
 

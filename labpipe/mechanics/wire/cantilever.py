@@ -291,11 +291,23 @@ def bend_to_deflection(
     return _within_law(law, reached, length, f"deflection={deflection!r}")
 
 
-def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
-    """Bend a wire to a deflection without checking the range of its law."""
+def deflect(
+    law: MomentLaw,
+    state: WireState,
+    length: float,
+    deflection: float,
+    rig: StringRig | None = None,
+) -> WireState:
+    """Bend a wire to a deflection without checking the range of its law.
+
+    Parameters
+    ----------
+    law, state, length, deflection : as for `bend_to_deflection`
+    rig : string that pulls; None for a force normal to the clamped axis
+    """
 
     def step(present: WireState, travel: float) -> WireState | None:
-        return settle(law, present, length, AtDeflection(np.array([travel])), travel=travel)
+        return settle(law, present, length, AtDeflection(np.array([travel]), rig), travel=travel)
 
     return _walk_to(step, state, deflection, f"deflection={deflection!r}")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.mixed_law import MixedLaw, mix_hardening
+from labpipe.mechanics.law.mixed_law import MixedLaw, make_mixed_law
 from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature
 from labpipe.mechanics.wire.bending_law import fit_play_law, sum_strand_moments
 from labpipe.mechanics.wire.cross_section import CrossSection
@@ -54,10 +54,24 @@ def cyclic_law(
         tension=tension,
         orientation=orientation,
     )
-    if isotropic_share == 0.0:
-        return plays
+    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
+
+
+def harden(
+    plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
+) -> MixedLaw:
+    """Give a law of first loading the hardening of its strands.
+
+    Parameters
+    ----------
+    plays : of the section
+    section : with the materials of its strands
+    isotropic_share : above 0 and at most 1
+    factor : on the moments of the strands, as of `plays`
+    """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    return mix_hardening(plays, *continue_strands(section, curvature), isotropic_share)
+    bent, strands = continue_strands(section, curvature)
+    return make_mixed_law(plays, bent, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:

@@ -140,7 +140,7 @@ class LawFamily:
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
         slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
         least = min_slider_share * slopes[0]
-        share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
+        share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
         growing: tuple[GrowingSlider, ...] = ()
         if share > 0.0:
             bent, strands = continue_strands(built.section, corners[1:])

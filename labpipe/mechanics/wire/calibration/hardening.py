@@ -1,0 +1,271 @@
+"""Calibrate the isotropic share of a wire's hardening by what its cycles leave (PHYSICS 13).
+
+First loading does not depend on the share m. It follows from the first unloading and the second
+loading of each test: the deflection that is left at zero force, the energy lost in the first cycle,
+and the largest force of the second cycle over that of the first. They are computed for a few shares
+with the calibrated law, and compared with the tests by least squares; the errors of the tests, the
+scatter of the samples and the uncertainty of the calibrated parameters are in one covariance.
+
+Creep of the insulation raises residual deflection and energy and lowers the second peak. If the
+residual deflection and the peaks do not agree on m, the share is not calibrated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.wire.cantilever import (
+    StringRig,
+    WireState,
+    bend_to_travel,
+    compute_shape,
+    deflect,
+    make_straight,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import NORMAL_95, Interval
+from labpipe.records.wire_calibration import IsotropicShare
+
+RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
+NUMBERS = (RESIDUAL, ENERGY, RATIO)
+"""Residual deflection, m; energy lost in the first cycle, J; second over first peak force."""
+SHARES = (0.0, 0.35, 0.7, 1.0)
+"""Shares for which a test is computed; a cubic joins them."""
+MAX_DISAGREEMENT = 2.5
+"""Standard errors between the shares by residual deflection and by peaks: beyond, it is creep."""
+LawAt = Callable[[Mapping[str, float], float], MomentLaw]
+"""Law for changes of the logarithms of parameters, by name, and an isotropic share."""
+
+
+@dataclass(frozen=True, slots=True)
+class CycledTest:
+    """What the cycles of a test left.
+
+    Parameters
+    ----------
+    test : name
+    length : free length, m
+    peak : largest deflection from rest, m
+    numbers : value and standard error by name of `NUMBERS`; those that the test lacks are left out
+    rig : string and counterweight; None for a load normal to the undeformed axis
+    self_weight : N/m, of the wire
+    """
+
+    test: str
+    length: float
+    peak: float
+    numbers: Mapping[str, tuple[float, float]]
+    rig: StringRig | None = None
+    self_weight: float = 0.0
+
+    @property
+    def way(self) -> tuple[object, ...]:
+        """Return what the computed numbers depend on; the peak to 1 %."""
+        return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
+
+
+def compute_cycles(
+    law: MomentLaw,
+    length: float,
+    peak: float,
+    *,
+    rig: StringRig | None = None,
+    self_weight: float = 0.0,
+) -> dict[str, float]:
+    """Compute what two cycles to a deflection and back leave.
+
+    Parameters
+    ----------
+    law, length, rig, self_weight : of the wire and its test
+    peak : m, deflection from rest
+
+    Returns
+    -------
+    `NUMBERS` by name.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+
+    Notes
+    -----
+    On a string the clamp moves by the same travel in every cycle, and back to where the test began:
+    the counterweight then bends the wire back. Without one, a cycle ends at zero force.
+    """
+    stations, steps = 40, 9
+    state = make_straight(law, stations, self_weight=self_weight)
+    if self_weight > 0.0 or rig is not None:
+        state = deflect(law, state, length, 0.0, rig)
+    at_rest = state.load
+    up = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
+    loading = [(0.0, 0.0)]
+    for place in up:
+        state = deflect(law, state, length, float(place), rig)
+        loading.append((float(place), state.load - at_rest))
+    first = loading[-1][1]
+    if rig is None:
+        unloading, state = _unload_to_zero(law, state, length)
+        residual = unloading[-1][0]
+        for place in np.linspace(residual, peak, steps + 1)[1:]:
+            state = deflect(law, state, length, float(place))
+        second = state.load
+    else:
+        unloading, state, travel = _return(law, state, length, rig, at_rest)
+        places, forces = np.array(unloading).T
+        residual = float(np.interp(0.0, forces[::-1], places[::-1]))
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            state = bend_to_travel(law, state, length, rig, travel * float(share)).state
+        second = state.load - at_rest
+    energy = _work(loading) - _work(unloading[::-1])
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: second / first}
+
+
+def _work(path: Sequence[tuple[float, float]]) -> float:
+    """Integrate the force over rising deflections; those that do not rise are left out."""
+    places, forces = np.array(path).T
+    rises = np.diff(places, prepend=-np.inf) > 1e-9
+    places, forces = places[rises], forces[rises]
+    return float(PchipInterpolator(places, forces).integrate(places[0], places[-1]))
+
+
+def _unload_to_zero(
+    law: MomentLaw, state: WireState, length: float
+) -> tuple[list[tuple[float, float]], WireState]:
+    """Unload to zero force; return deflections and forces on the way, and the state."""
+    tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
+    top, largest = state.travel, state.load
+    path, step = [(top, largest)], -top / steps
+    while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
+        following = deflect(law, state, length, path[-1][0] + step)
+        if following.load >= -tolerance * largest:
+            state = following
+            path.append((following.travel, following.load))
+            slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
+            step = max(-top / steps, -path[-1][1] / slope)
+        else:  # too far: a line through both points
+            step *= path[-1][1] / (path[-1][1] - following.load)
+    return path, state
+
+
+def _return(
+    law: MomentLaw, state: WireState, length: float, rig: StringRig, at_rest: float
+) -> tuple[list[tuple[float, float]], WireState, float]:
+    """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
+    steps = 12
+    tip = compute_shape(law, state, length)
+    travel = rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1]))
+    path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
+    for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
+        shape = bend_to_travel(law, state, length, rig, travel * float(share))
+        state = shape.state
+        path.append((float(shape.y[-1]), state.load - at_rest))
+    return path, state, travel
+
+
+def calibrate_share(
+    tests: Sequence[CycledTest],
+    law_at: LawAt,
+    names: Sequence[str],
+    covariance: Floats,
+    scatter: float = 0.0,
+) -> IsotropicShare | None:
+    """Calibrate the isotropic share by the cycles of tests.
+
+    Parameters
+    ----------
+    tests : of the calibrated wire
+    law_at : the calibrated law
+    names : of the calibrated parameters
+    covariance : shape (names, names), of their logarithms
+    scatter : of samples, relative, of forces and what is left
+
+    Returns
+    -------
+    The share; None without a number, or if no equilibrium is found on the way.
+    """
+    tests = [test for test in tests if test.numbers]
+    if not tests:
+        return None
+    try:
+        computed = {test.way: _compute_way(test, law_at, names) for test in tests}
+    except ValueError:
+        return None
+    rows = [(test, name) for test in tests for name in NUMBERS if name in test.numbers]
+    measured, errors = np.array([test.numbers[name] for test, name in rows]).T
+    curves = np.stack([computed[test.way][0][name] for test, name in rows])  # (rows, shares)
+    by_parameter = np.stack([computed[test.way][1][name] for test, name in rows])
+    scale = np.where([name == RATIO for _, name in rows], 0.0, measured * scatter)
+    noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
+    grid = np.linspace(0.0, 1.0, 401)
+    fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in curves])
+    off = measured[:, None] - fitted
+    both = _estimate(grid, off, noise)
+    parts = {}
+    for name in (RESIDUAL, RATIO):
+        some = np.array([row_name == name for _, row_name in rows])
+        if some.any():
+            parts[name] = _estimate(grid, off[some], noise[np.ix_(some, some)])
+    agrees = True
+    if len(parts) == 2:
+        (one, one_error), (other, other_error) = parts.values()
+        agrees = abs(one - other) <= MAX_DISAGREEMENT * float(np.hypot(one_error, other_error))
+    value, error = both
+    half = NORMAL_95 * error
+    return IsotropicShare(
+        value=value,
+        interval=Interval(max(value - half, 0.0), min(value + half, 1.0)),
+        by_number={
+            name: Interval(one - NORMAL_95 * own, one + NORMAL_95 * own)
+            for name, (one, own) in parts.items()
+        },
+        n_tests=len(tests),
+        is_creep=not agrees,
+    )
+
+
+def _compute_way(
+    test: CycledTest, law_at: LawAt, names: Sequence[str]
+) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Compute the numbers for each share, and their change by each parameter, at a middle share."""
+    step, middle = 0.1, 0.5  # of a logarithm
+
+    def at(changes: Mapping[str, float], share: float) -> dict[str, float]:
+        law = law_at(changes, share)
+        return compute_cycles(
+            law, test.length, test.peak, rig=test.rig, self_weight=test.self_weight
+        )
+
+    curves = [at({}, share) for share in SHARES]
+    first = at({}, middle)
+    moved = [at({name: step}, middle) for name in names]
+    return (
+        {name: np.array([curve[name] for curve in curves]) for name in NUMBERS},
+        {
+            name: np.array([(other[name] - first[name]) / step for other in moved])
+            for name in NUMBERS
+        },
+    )
+
+
+def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
+    """Return the share of least squares, and its standard error by the curvature there.
+
+    Scatter beyond the errors widens it: the error grows with the root of the mean square residual.
+    """
+    squares = np.einsum("ng,nm,mg->g", off, np.linalg.inv(noise), off)
+    best = int(np.argmin(squares))
+    inner = min(max(best, 20), len(grid) - 21)
+    near = slice(inner - 20, inner + 21)
+    bend = np.polyfit(grid[near] - grid[inner], squares[near], 2)[0]
+    error = 1.0 / np.sqrt(max(bend, 1e-12))
+    freedom = len(off) - 1
+    if freedom > 0:
+        error *= np.sqrt(max(1.0, squares[best] / freedom))
+    return float(grid[best]), float(error)

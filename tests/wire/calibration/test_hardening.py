@@ -1,0 +1,141 @@
+"""The isotropic share from what cycles leave: A2 of PHYSICS 13, truths of three shares, creep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.wire.calibration import hardening
+from labpipe.mechanics.wire.calibration.hardening import (
+    ENERGY,
+    NUMBERS,
+    RATIO,
+    RESIDUAL,
+    SHARES,
+    CycledTest,
+    calibrate_share,
+    compute_cycles,
+)
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
+from labpipe.virtual_lab.specimens import WIRES
+
+LENGTH, PEAK = 0.085, 0.05
+NAMES = (INSULATION_MODULUS, COPPER_SCALE)
+ERRORS = {RESIDUAL: 0.02, ENERGY: 0.02, RATIO: 0.005}
+"""Relative standard errors of one test."""
+SCATTER = 0.03
+COVARIANCE = np.diag([0.1, 0.05]) ** 2
+
+
+def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
+    wire = WIRES["A2"]
+    scaled = replace(
+        wire,
+        insulation_modulus=wire.insulation_modulus * np.exp(changes.get(INSULATION_MODULUS, 0.0)),
+        copper_scale=wire.copper_scale * np.exp(changes.get(COPPER_SCALE, 0.0)),
+    )
+    return cyclic_law(
+        scaled.section(), scaled.contacts(), isotropic_share=share, largest_curvature=120.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "residual", "energy", "ratio"),
+    [
+        (0.0, 5.05, 0.615, 1.000),
+        (0.35, 8.46, 0.852, 1.023),
+        (0.65, 11.50, 1.040, 1.040),
+        (1.0, 15.18, 1.240, 1.053),
+    ],
+)
+def test_cycles_of_a2(share: float, residual: float, energy: float, ratio: float) -> None:
+    numbers = compute_cycles(law_at({}, share), LENGTH, PEAK)
+    assert 1e3 * numbers[RESIDUAL] == pytest.approx(residual, rel=0.01)
+    assert 1e3 * numbers[ENERGY] == pytest.approx(energy, rel=0.015)
+    assert numbers[RATIO] == pytest.approx(ratio, abs=0.002)
+
+
+def test_on_a_string_the_counterweight_bends_the_wire_back() -> None:
+    rig = StringRig(0.76, 0.0027 * 9.80665, LENGTH, 0.76)
+    free, held = (compute_cycles(law_at({}, 0.65), LENGTH, PEAK, rig=rig) for rig in (None, rig))
+    assert held[RESIDUAL] == pytest.approx(free[RESIDUAL], rel=0.01)
+    assert held[ENERGY] > 1.05 * free[ENERGY]
+    assert held[RATIO] > free[RATIO] + 0.01
+
+
+_COMPUTE = hardening._compute_way
+
+
+@cache
+def computed() -> tuple[dict[str, Floats], dict[str, Floats]]:
+    return _COMPUTE(CycledTest("", LENGTH, PEAK, {}), law_at, NAMES)
+
+
+@pytest.fixture
+def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hardening, "_compute_way", lambda *_: computed())
+
+
+def measured(
+    share: float, random: np.random.Generator, creep: float = 0.0
+) -> Mapping[str, tuple[float, float]]:
+    """A sample of a wire whose parameters are off by their covariance."""
+    curves, changes = computed()
+    off = random.multivariate_normal(np.zeros(2), COVARIANCE)
+    numbers = {}
+    for name in NUMBERS:
+        truth = float(np.polyval(np.polyfit(SHARES, curves[name], 3), share) + changes[name] @ off)
+        truth *= 1.0 + creep * (-0.1 if name == RATIO else 1.0)
+        own = 0.0 if name == RATIO else random.normal(0.0, SCATTER)
+        value = truth * np.exp(own) * (1.0 + random.normal(0.0, ERRORS[name]))
+        numbers[name] = value, truth * ERRORS[name]
+    return numbers
+
+
+def calibrated(numbers: list[Mapping[str, tuple[float, float]]]) -> IsotropicShare | None:
+    tests = [CycledTest(str(n), LENGTH, PEAK, one) for n, one in enumerate(numbers)]
+    return calibrate_share(tests, law_at, NAMES, COVARIANCE, SCATTER)
+
+
+@pytest.mark.usefixtures("computed_once")
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_intervals_hold_the_true_share(share: float) -> None:
+    """One test of one sample: 200 wires, seed fixed before the first run."""
+    random = np.random.default_rng(20261126)
+    found = [calibrated([measured(share, random)]) for _ in range(200)]
+    values = [one.value for one in found if one is not None]
+    held = [one.interval.lower <= share <= one.interval.upper for one in found if one is not None]
+    assert np.mean(held) >= 0.93
+    assert np.std(values) <= 0.10
+    assert np.mean([one.is_creep for one in found if one is not None]) <= 0.02
+
+
+@pytest.mark.usefixtures("computed_once")
+def test_creep_is_refused() -> None:
+    random = np.random.default_rng(1)
+    found = calibrated([measured(0.5, random, creep=0.3) for _ in range(3)])
+    assert found is not None
+    assert found.is_creep
+    assert found.by_number[RESIDUAL].lower > found.by_number[RATIO].upper
+
+
+@pytest.mark.usefixtures("computed_once")
+def test_one_cycle_only_gives_a_wider_interval() -> None:
+    random = np.random.default_rng(2)
+    numbers = measured(0.5, random)
+    whole = calibrated([numbers])
+    alone = calibrated([{RESIDUAL: numbers[RESIDUAL]}])
+    assert whole is not None
+    assert alone is not None
+    widths = [one.interval.upper - one.interval.lower for one in (whole, alone)]
+    assert widths[0] < widths[1]
+    assert set(alone.by_number) == {RESIDUAL}
+    assert calibrated([{}]) is None
