@@ -36,6 +36,7 @@ from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
 from labpipe.report.group_plots import make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
+from labpipe.report.lot_tables import make_lot_table, make_verdict_table
 from labpipe.report.page_facts import (
     PageTest,
     PageTests,
@@ -190,6 +191,7 @@ def _first_screen(
         "facts": _facts(campaign, letterhead),
         "instruments": list_instruments(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
+        "lots": make_lot_table(campaign, names),
         "answers": answer_rows,
         "blocks": make_key_blocks(campaign, names),
         "open_ones": open_ones,
@@ -456,6 +458,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "rejected": tests.rejected(stem),
         "plots": make_group_plots(group, stem, tests),
         "numbers": make_number_table(group),
+        "verdicts": make_verdict_table(group),
         "budget": budget,
         "causes": causes,
         "samples": make_sample_tables(group, tests),
