@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from labpipe.virtual_lab import tensile
 from labpipe.virtual_lab.cantilever_scenarios import (
     MISHAPS,
     NO_MISHAPS,
@@ -27,16 +28,6 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 )
 from labpipe.virtual_lab.observations import Scenario, simulate_test
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, StrandedWire
-from labpipe.virtual_lab.tensile import (
-    GAIN_UNCERTAINTY,
-    TABLE_2_3,
-    GripSlip,
-    TensileScenario,
-    build_corrugated_tube,
-    build_pet_tape,
-    build_stiff_bar,
-    build_twist_tube,
-)
 from labpipe.virtual_lab.three_point import (
     CONDUIT_CELL,
     CONDUIT_TYPES,
@@ -336,8 +327,8 @@ _SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
 _TUBES = {"CT-10-slit": (1.0, ()), "CT-10": (1.1, ()), "CT-7": (1.2, _SMALL_TUBE)}
 """Factor on the forces, and dimensions, m, that differ from the protocol, by type of tube."""
 _SLIPS = {
-    "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
-    "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
+    "CT-10-slit-2": (tensile.GripSlip(18.75e-3, 0.47), tensile.GripSlip(30.85e-3, 0.81)),
+    "CT-7-3": (tensile.GripSlip(24.3e-3, 0.62, duration=0.1),),
 }
 _UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
 
@@ -359,7 +350,7 @@ class TensileCampaign:
         (0.98, 60e-3),
     )
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[tensile.TensileScenario, int]]:
         """Yield the tests; see `Campaign`. All tests of a frame share the error of its load cell.
 
         Yields
@@ -367,21 +358,21 @@ class TensileCampaign:
         Scenario and seed.
         """
         random = np.random.default_rng([seed, 23])
-        small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
+        small, large = (tensile.GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
             *_build_corrugated_tubes(small, random),
             *_build_twist_tubes(large, random),
             *self._build_tapes(large, random),
-            build_stiff_bar(gain_error=large),
+            tensile.build_stiff_bar(gain_error=large),
         ]
         for number, test in enumerate(tests, start=1):
             yield test, 1000 * seed + number
 
     def _build_tapes(
         self, gain_error: float, random: np.random.Generator
-    ) -> Iterator[TensileScenario]:
+    ) -> Iterator[tensile.TensileScenario]:
         for number, (factor, fails_at) in enumerate(self.tapes, start=1):
-            tape = build_pet_tape(
+            tape = tensile.build_pet_tape(
                 str(number),
                 factor=factor * _draw_factor(random, 0.01),
                 fails_at=fails_at * _draw_factor(random, 0.02),
@@ -393,13 +384,13 @@ class TensileCampaign:
 
 def _build_corrugated_tubes(
     gain_error: float, random: np.random.Generator
-) -> Iterator[TensileScenario]:
+) -> Iterator[tensile.TensileScenario]:
     """Yield three samples of each kind of corrugated tube."""
     for tube_type, (factor, section) in _TUBES.items():
         for sample in range(1, 4):
             name = f"{tube_type}-{sample}"
             scattered = factor * _draw_factor(random, 0.01)
-            tube = build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
+            tube = tensile.build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
             yield replace(
                 tube,
                 law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
@@ -409,10 +400,12 @@ def _build_corrugated_tubes(
             )
 
 
-def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+def _build_twist_tubes(
+    gain_error: float, random: np.random.Generator
+) -> Iterator[tensile.TensileScenario]:
     """Yield the samples of Table 2.3; the export of one of them has several files."""
-    for sample in TABLE_2_3:
-        tube = build_twist_tube(
+    for sample in tensile.TABLE_2_3:
+        tube = tensile.build_twist_tube(
             sample,
             peak_force=420.0 * _draw_factor(random, 0.04),
             slack=float(random.uniform(0.8e-3, 1.1e-3)),
