@@ -32,6 +32,7 @@ from labpipe.mechanics.decks.deck_law import (
     write_xml_comment,
 )
 from labpipe.mechanics.decks.lookup import describe_missing_sliders
+from labpipe.mechanics.decks.unloading import describe_unloading
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, SLIDERS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
@@ -336,6 +337,7 @@ def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
         *list_facts(table, shorten_name(table.name)),
         "Unloading and cycles follow Masing's rule: the springs yield and keep their plastic "
         "displacement.",
+        describe_unloading(table, "Masing"),
         describe_losses(make_table_card(table)),
         f"Ramp every load over {RAMP} steps or more and let it settle for {REST} steps: springs "
         "that yield keep the effect of an overshoot. A stepped load with a tenth of this damping "

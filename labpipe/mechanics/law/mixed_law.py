@@ -13,10 +13,8 @@ import numpy as np
 
 from labpipe.mechanics.law.growing_slider import grow_from
 from labpipe.mechanics.law.plays import PlayLaw, Response
-from labpipe.mechanics.law.sliders import SliderLaw, make_unbent_rests, slide
+from labpipe.mechanics.law.sliders import SliderLaw, bend_to_moment, make_unbent_rests
 from labpipe.records.arrays import Floats
-
-_MAX_ITERATIONS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,21 +62,8 @@ class MixedLaw:
         ----------
         moment : shape (stations,), N m; each is reached monotonically
         history : of the last step, or of `unbent`
-
-        Notes
-        -----
-        From its present value the moment is a concave function of the change of curvature, and of
-        straight parts: Newton's method converges from below in a finite number of steps.
         """
-        curvature, rests = history[:, 0], history[:, 1:]
-        rounding = 1e-13 * np.abs(moment).max(initial=0.0)
-        after = slide(self.sliders, curvature, rests)
-        for _ in range(_MAX_ITERATIONS):
-            missing = moment - after.moment
-            if np.all(np.abs(missing) <= rounding):
-                break
-            curvature = curvature + missing / after.stiffness
-            after = slide(self.sliders, curvature, rests)
+        curvature, after = bend_to_moment(self.sliders, moment, history[:, 0], history[:, 1:])
         present = np.concatenate([curvature[:, None], after.rests], axis=1)
         return Response(curvature, 1.0 / after.stiffness, present)
 
