@@ -509,7 +509,8 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
     section = wire("A2")
     moment = np.interp(bends, table.curvature, table.moment)
     columns = np.array(numbers["wire"]["kept"]).T
-    for m, kept in zip([*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]):
+    shares, kept_shares = [*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]
+    for m, kept in zip(shares, kept_shares, strict=True):
         law = cyclic_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
@@ -524,10 +525,9 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
 
 
 def test_bends_that_a_table_does_not_reach() -> None:
-    table = wire_table("A2")
-    short = replace(table, **{name: getattr(table, name)[:60] for name in ("curvature", "moment")})
-    assert find_bends(table).tolist() == [5.0, 12.0, 23.5]
-    assert find_bends(short).tolist() == [short.curvature[-1]]
+    assert find_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
+    assert find_bends(table_of([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
+    assert find_bends(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
 
 
 def test_the_growing_slider_of_the_json() -> None:
@@ -541,7 +541,7 @@ def test_the_growing_slider_of_the_json() -> None:
     slope = (limits[-1] - limits[-2]) / (slid[-1] - slid[-2])
 
     def limit(q: float) -> float:
-        return float(np.interp(q, slid, limits)) + slope * max(q - slid[-1], 0.0)
+        return float(np.interp(q, slid, limits) + slope * max(q - slid[-1], 0.0))
 
     p, q, stops, moments = 0.0, 0.0, np.zeros(len(slips)), []
     path = np.array([5.0, 23.5, 10.0, 1.0, -20.0, 3.0, 30.0])
