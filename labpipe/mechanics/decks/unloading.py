@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.mechanics.law.growing_slider import GrowingSlider
-from labpipe.mechanics.law.loss_card import fit_wire_sliders
+from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
     bend_to_moment,
@@ -73,19 +73,20 @@ def find_shares(table: WireTable) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=8)  # tables are hashed by identity
-def make_table_strands(table: WireTable) -> GrowingSlider:
+def make_table_strands(table: WireTable, sliders: int = SLIDERS) -> GrowingSlider:
     """Make the growing slider of the strands' own bending for the sliders of a wire.
 
     Parameters
     ----------
     table : law of the wire
+    sliders : at most, as of `fit_wire_sliders`
 
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    law = fit_wire_sliders(table)
+    law = fit_wire_sliders(table, sliders)
     section = build_wire(table.spec).section
     return make_strand_slider(section, law, find_chord_factor(law, table))
 
