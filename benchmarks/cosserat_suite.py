@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
-from labpipe.mechanics.rod.rotations import frame_from_axes, matrices
+from labpipe.mechanics.rod.rotations import build_frame, to_matrices
 from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.records.arrays import Floats
 
@@ -40,7 +40,7 @@ class LabpipeRod:
         assert path.status == "ok", path.reasons
         row = np.clip(np.arange(n_frames), 0, STEPS)
         positions = np.array([path.states[k].positions for k in row])
-        directors = np.array([matrices(path.states[k].frames)[:, :, 0] for k in row])
+        directors = np.array([to_matrices(path.states[k].frames)[:, :, 0] for k in row])
         times = np.linspace(0.0, scenario.duration, n_frames)
         return Trajectory(times, (positions,), (directors,))
 
@@ -59,7 +59,7 @@ def _section(rod: Any) -> Section:
 def _line(rod: Any, n_elements: int) -> Line:
     nodes, directors = rod.nodes(n_elements), rod.directors(n_elements)
     frames = [
-        frame_from_axes(along, aside)
+        build_frame(along, aside)
         for along, aside in zip(np.diff(nodes, axis=0), directors, strict=True)
     ]
     lengths = np.full(n_elements, rod.length / n_elements)

@@ -54,11 +54,11 @@ def comparisons() -> list[tuple[str, Work, Work]]:
 
     def ours() -> tuple[Hinges, Segments]:
         hinges = Hinges.of(x, y)
-        return hinges, hinges.fitted(y)
+        return hinges, hinges.fit(y)
 
     def with_intervals() -> Segments:
         hinges, _ = ours()
-        return hinges.fitted(y + rng.normal(0, 0.8, (400, COUNT)))
+        return hinges.fit(y + rng.normal(0, 0.8, (400, COUNT)))
 
     def fit() -> object:
         return pwlf.PiecewiseLinFit(x, y).fit(2)

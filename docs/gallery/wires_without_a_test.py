@@ -18,7 +18,7 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.protocol.load import find_shipped_folder
 
 sheet = find_shipped_folder("examples") / "wires.xlsx"
-specs = [each for each in read_wire_sheet(sheet) if each.name in ("A1", "A2", "B2")]
+specs = [each for each in read_wire_sheet(sheet).specs if each.name in ("A1", "A2", "B2")]
 made, refused = make_tables(specs, sheet)
 for wire in made:
     print(f"{wire.table.name}: strands that slip give {1e6 * wire.table.slip_stiffness:.0f} N mm^2")

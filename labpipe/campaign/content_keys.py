@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import labpipe
 from labpipe.errors import Fault, LabpipeError
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
-from labpipe.process.run import PROCESSING_VERSION, key_of
+from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
@@ -192,7 +192,7 @@ class ContentKeys:
         exports = list_named_exports(sheet, protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
         inputs += [(card.role, card.file, card.sha256) for card in cards]
-        key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved)
+        key = make_input_key([(role, sha256) for role, _, sha256 in inputs], text, resolved)
         return Content(
             key,
             tuple(inputs),

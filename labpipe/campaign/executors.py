@@ -21,7 +21,7 @@ from labpipe.process.run import (
     Task,
     attempt,
     find_results_folder,
-    name_of,
+    read_test_name,
     refuse,
 )
 from labpipe.records.result import Status
@@ -226,11 +226,13 @@ def process_tests(
     tasks: list[Task] = []
     for test in tests:
         try:
-            goal = find_results_folder(test, out, partial(name_of, test))
+            goal = find_results_folder(test, out, partial(read_test_name, test))
             tasks.append(Task(test, goal, figures(test), png=png, follow_links=follow_links))
         except LabpipeError as error:
             outcomes[test] = Refused(test, error.code, str(error))
-    goals = [(str(task.goal and task.goal.absolute()), task.sheet) for task in tasks]
+    goals = [
+        (str(task.results_folder and task.results_folder.absolute()), task.sheet) for task in tasks
+    ]
     refuse_duplicates(goals, "folder of results")
     if len(tests) == 1:
         return [

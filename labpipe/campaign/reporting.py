@@ -221,7 +221,7 @@ def make_campaign(
 def _make_campaign(
     tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
 ) -> Campaign:
-    wires = None if options.wires is None else read_wire_sheet(options.wires)
+    wires = None if options.wires is None else read_wire_sheet(options.wires).specs
     check_fields(options.by, tests.samples, "--by")
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
-from labpipe.mechanics.studies.harness_study import Watcher, as_json, follow_harness
+from labpipe.mechanics.studies.harness_study import Progress, as_json, follow_harness
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import make_number_writer, typeset_unit, write_count
 
@@ -29,14 +29,14 @@ def run(options: argparse.Namespace) -> int:
     statuses = []
     for file in options.files:
         has_own_folder = options.out is not None and len(options.files) > 1
-        with show_progress() as watcher:
+        with show_progress() as progress:
             harness = follow_harness(
                 file,
                 wires=options.wire,
                 out=options.out / file.stem if has_own_folder else options.out,
                 figures=not options.no_figures,
                 png=options.png,
-                watcher=watcher,
+                progress=progress,
             )
         print(json.dumps(as_json(harness)) if options.json else format_harness(harness))
         faults = list(_find_faults(harness))
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def show_progress() -> Iterator[Watcher]:
+def show_progress() -> Iterator[Progress]:
     """Show progress: a bar over all steps on a terminal, a text for each line in a pipe."""
     numbers = itertools.count(1)
     with progress_bar("step") as bar:
@@ -63,7 +63,7 @@ def show_progress() -> Iterator[Watcher]:
                 print(f"{next(numbers)}/{n_lines} {name}", file=sys.stderr)
             bar.set_description(name)
 
-        yield Watcher(begin, begin_line, bar.update)
+        yield Progress(begin, begin_line, bar.update)
 
 
 def _find_faults(harness: FollowedHarness) -> Iterator[str]:

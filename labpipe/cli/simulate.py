@@ -13,9 +13,9 @@ from labpipe.virtual_lab import (
     CONDUIT_TYPES,
     TAPED_TYPES,
     CantileverScenario,
-    conduit_scenario,
+    build_conduit_scenario,
+    build_taped_scenario,
     simulate_test,
-    taped_scenario,
 )
 
 _TYPES = {"wire": (), "taped-bundle": TAPED_TYPES, "conduit-bundle": CONDUIT_TYPES}
@@ -50,13 +50,13 @@ def _simulate(options: argparse.Namespace) -> Path:
         raise ValueError(", ".join(faults))
     folder = options.out / options.name
     if options.kind == "conduit-bundle":
-        conduit = conduit_scenario(specimen_type)
+        conduit = build_conduit_scenario(specimen_type)
         clocks = replace(conduit.clocks, rate=rate, fps=fps)
         return simulate_test(
             replace(conduit, name=options.name, clocks=clocks), folder, options.seed
         )
     wire = CantileverScenario(specimen_type=_WIRE_TYPE, spool=f"{_WIRE_TYPE}-s1")
-    scenario = wire if options.kind == "wire" else taped_scenario(specimen_type)
+    scenario = wire if options.kind == "wire" else build_taped_scenario(specimen_type)
     scenario = replace(
         scenario,
         name=options.name,

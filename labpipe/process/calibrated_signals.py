@@ -1,4 +1,4 @@
-"""Convert recordings to calibrated signals in SI units, and check them."""
+"""Calibrate the channels of recordings to signals in SI units, and check each channel alone."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from labpipe.markers.track_repair import RepairedTracks
 
 
-_LARGEST = {"channel": 1e15, "marker": 1e6}
-"""SI units. Larger numbers are from damaged files; no transducer or camera measures them."""
+MAX_SI_VALUE = {"channel": 1e15, "marker": 1e6}
+"""Largest SI values of recordings; larger ones come from damaged files."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Take:
     clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
     repaired : tracks of the markers along the specimen
     frame : of the specimen
-    rest : shape (frames,), the frames that the frame was found in
+    rest : shape (frames,), frames at rest, from which the specimen frame was found
     scale_error : standard uncertainty of the scale of the cameras, as a ratio
     """
 
@@ -63,7 +63,7 @@ class Prepared:
     Parameters
     ----------
     signals, take : after the steps so far
-    shape : of the specimen; None where no step fits one
+    shape : of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if no step fits one
     """
 
@@ -113,17 +113,19 @@ def calibrate(
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
-            signal = _signal(channel, source, clock, role, protocol.specimen.gauge_length)
+            signal = _calibrate_channel(
+                channel, source, clock, role, protocol.specimen.gauge_length
+            )
             if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
             signals = signals.add_signal(channel.name, signal)
             quantity = signals.quantities.get(channel.name, channel.name)
-            findings += _missing(channel.name, signal, quantity)
-            findings += _peak(channel.name, signal, quantity, source.peak_range)
+            findings += _check_missing(channel.name, signal, quantity)
+            findings += _check_peak(channel.name, signal, quantity, source.peak_range)
     return Prepared(signals, take), findings
 
 
-def _signal(
+def _calibrate_channel(
     channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
 ) -> Signal:
     values = channel.values
@@ -149,7 +151,7 @@ def _signal(
     )
 
 
-def _peak(
+def _check_peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
     """Report a channel whose peak is implausible: the unit in the file may be wrong."""
@@ -181,17 +183,16 @@ def _check_markers(tracks: MarkerTracks, role: str) -> None:
 def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     """Refuse numbers that are too large to be measurements."""
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
-    if not largest > _LARGEST[quantity]:
+    if not largest > MAX_SI_VALUE[quantity]:
         return
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    place, most = f"{place}, sample {sample + 1}", _LARGEST[quantity]
+    place, most = f"{place}, sample {sample + 1}", MAX_SI_VALUE[quantity]
     raise ProcessingError.about("process.number_too_large", role, place, most=most, found=largest)
 
 
-def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
+def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
     """Report blank samples; except at the ends of the record, they are doubtful."""
-    # Share of a channel that may be blank before its first and after its last sample.
-    max_blank_end_share = 0.02
+    max_blank_end_share = 0.02  # of the samples of a channel, at both ends together
     missing = np.isnan(signal.values)
     if not missing.any():
         return []
@@ -235,12 +236,12 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
         quantity = quantities.get(name, name)
         saturated = [run for run in runs if run.is_clipped]
         if saturated:
-            note = _saturation(name, signal, saturated)
+            note = _make_saturation_note(name, signal, saturated)
             yield doubt_stretches(quantity, note, signal.clock)
             if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            start, stop = times = _times(signal, run)
+            start, stop = times = _find_run_times(signal, run)
             note = QualityNote.of(
                 "process.frozen_channel",
                 name,
@@ -257,19 +258,19 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
                 yield doubt_stretches("force", note, signal.clock)
 
 
-def _saturation(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
+def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
     levels = sorted({float(signal.values[run.start]) for run in runs})
     return QualityNote.of(
         "process.saturation",
         name,
-        *(_times(signal, run) for run in runs),
+        *(_find_run_times(signal, run) for run in runs),
         count=sum(run.stop - run.start for run in runs),
         runs=len(runs),
         levels=" and ".join(f"{level:.6g} {signal.unit}" for level in levels),
     )
 
 
-def _times(signal: Signal, run: StuckRun) -> tuple[float, float]:
+def _find_run_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
     """Return the times of the last sample before a run and the first one after it."""
     first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
     return float(signal.time[first]), float(signal.time[last])

@@ -1,4 +1,4 @@
-"""Take marker tracks to the shape of the specimen, a wire or one between two supports."""
+"""Run the marker steps: repair tracks, find the specimen axes, fit the shape, join the cameras."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
-_DOUBTFUL = {
+_SHAPE_DOUBT_CODES = {
     "label_ambiguous",
     "marker_missing",
     "marker_not_at_rest",
     "out_of_plane",
     "shape_missing",
 }
-"""Notes after which numbers that use the shape may be wrong. A repair by a rule is only noted."""
+"""Codes of notes that make the shape doubtful; other repairs are only noted."""
 
 
 def repair_marker_tracks(
     prepared: Prepared, step: RepairMarkers, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``repair-markers``: labels, stale poses, gaps; then rings."""
+    """Run ``repair-markers``: labels, frozen poses and gaps; then ring centres."""
     take = prepared.take
-    tracks, settings = _require_markers(take, settings)
+    tracks, settings = _require_tracks(take, settings)
     clamp, findings = _find_clamp(tracks, settings, step, take.role)
-    names, left_out = _specimen_tracks(tracks, settings, take.role)
+    names, left_out = _select_specimen_tracks(tracks, settings, take.role)
     repaired = repair_tracks(
         tracks,
         along=names,
@@ -65,12 +65,12 @@ def repair_marker_tracks(
         reference=clamp,
     )
     if settings.rings == "by-body":
-        repaired = _ring_centres(repaired)
-    findings += [*left_out, *_shape_findings(repaired.notes, take.role)]
+        repaired = _replace_by_ring_centres(repaired)
+    findings += [*left_out, *_make_shape_findings(repaired.notes, take.role)]
     return replace(prepared, take=replace(take, clamp=clamp, repaired=repaired)), findings
 
 
-def _ring_centres(repaired: RepairedTracks) -> RepairedTracks:
+def _replace_by_ring_centres(repaired: RepairedTracks) -> RepairedTracks:
     rings = group_rings(repaired.names)
     if len(rings) < 3:
         count, markers, names = len(rings), len(repaired.names), ", ".join(rings)
@@ -83,9 +83,9 @@ def _ring_centres(repaired: RepairedTracks) -> RepairedTracks:
 def find_specimen_axes(
     prepared: Prepared, step: SpecimenFrameStep, settings: Markers | None
 ) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``specimen-frame``: the frame, and with a clamp the signal ``travel``."""
+    """Run ``specimen-frame``: find the specimen axes, and with a clamp the signal ``travel``."""
     take, findings = prepared.take, list[Finding]()
-    tracks, settings = _require_markers(take, settings)
+    tracks, settings = _require_tracks(take, settings)
     if take.repaired is None:
         raise ValueError(format_sentence("process.needs_repair"))
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
@@ -96,7 +96,7 @@ def find_specimen_axes(
         out_of_plane_limit=step.max_out_of_plane,
     )
     frame = find_frame(rest=rest)
-    still = _before_motion(tracks.time, frame, take.clamp)
+    still = _flag_before_motion(tracks.time, frame, take.clamp)
     if MIN_SAMPLES_NOISE_UNKNOWN <= (rest & still).sum() < rest.sum():
         rest &= still
         frame = find_frame(rest=rest)
@@ -104,7 +104,7 @@ def find_specimen_axes(
         findings.append(
             Finding.of("process.short_rest_of_clamp", take.role, duration=duration, stated=stated)
         )
-    findings += _shape_findings(frame.notes, take.role)
+    findings += _make_shape_findings(frame.notes, take.role)
     plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual
     findings.append(Finding.of("process.specimen_frame", take.role, plane=plane, line=line))
     signals = prepared.signals
@@ -115,10 +115,9 @@ def find_specimen_axes(
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
 
 
-def _before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
+def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
     """Flag frames before the clamp begins to move; all frames of a take without a clamp."""
-    # Share of the stroke of the clamp at which it counts as moving.
-    moved_share = 0.1
+    moved_share = 0.1  # of the stroke of the clamp, from which it counts as moving
     if clamp is None:
         return np.ones(len(time), dtype=np.bool_)
     travel = frame.to_specimen(clamp)[:, 1]
@@ -132,7 +131,7 @@ def fit_specimen_shapes(
 ) -> tuple[Prepared, list[Finding]]:
     """Carry out ``fit-shape``: the shape and the signal ``compute_deflection``."""
     take, signals = prepared.take, prepared.signals
-    tracks, settings = _require_markers(take, settings)
+    tracks, settings = _require_tracks(take, settings)
     frame, rest, repaired = take.frame, take.rest, take.repaired
     if frame is None or rest is None or repaired is None:
         raise ValueError(format_sentence("process.needs_frame"))
@@ -152,8 +151,8 @@ def fit_specimen_shapes(
         tip=step.tip,
         rest=rest,
     )
-    findings = list(_shape_findings(fit.notes, take.role))
-    misfit, at_rest = rms(fit.residual), rms(fit.residual[rest])
+    findings = list(_make_shape_findings(fit.notes, take.role))
+    misfit, at_rest = compute_rms(fit.residual), compute_rms(fit.residual[rest])
     if misfit > 3.0 * at_rest + 1e-5 and take.clamp is not None:
         off, quiet = 1e3 * misfit, 1e3 * at_rest
         findings.append(
@@ -162,7 +161,7 @@ def fit_specimen_shapes(
     off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
     if take.clamp is not None:
-        signals = signals.add_signal("deflection", _deflection(fit, rest, take))
+        signals = signals.add_signal("deflection", _make_deflection_signal(fit, rest, take))
         stretch = tracks.time[rest]
         at_rest_for = (float(stretch[0]), float(stretch[-1]))
         signals = replace(
@@ -171,33 +170,33 @@ def fit_specimen_shapes(
     return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
-def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
-    """Compute the deflection of the pull point, also with other offsets and another shape.
+def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
+    """Compute the deflection of the pull point, and its changes with other offsets and shape.
 
-    The change with one more term is the half width of a rectangular distribution, whose standard
-    uncertainty is 1 / sqrt(3) of it.
+    The change with one more term is the half-width of a rectangular distribution, whose standard
+    uncertainty is 1 / sqrt(3) of the half-width.
     """
     values = compute_deflection(fit.shape, rest=rest)
     seen = ~np.isnan(values)
     _, error = average_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
-    usable = not np.isnan(change[rest]).all()
+    has_change = not np.isnan(change[rest]).all()
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
-    if usable:
+    if has_change:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
     return replace(take.make_signal(fit.shape.time, values), zero_error=error, perturbed=moved)
 
 
-def _shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
-    """Make findings of notes; those that make the shape doubtful also doubt the displacement."""
+def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
+    """Convert notes to findings; notes in `_SHAPE_DOUBT_CODES` make the displacement doubtful."""
     for note in notes:
-        if note.code in _DOUBTFUL:
+        if note.code in _SHAPE_DOUBT_CODES:
             yield doubt_stretches("displacement", note, role)
         else:
             yield Finding(note)
 
 
-def _require_markers(take: Take, settings: Markers | None) -> tuple[MarkerTracks, Markers]:
+def _require_tracks(take: Take, settings: Markers | None) -> tuple[MarkerTracks, Markers]:
     if take.tracks is None or settings is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return take.tracks, settings
@@ -219,15 +218,15 @@ def _find_clamp(
         raise ProcessingError.about(
             "process.clamp_never_seen", role, f"rigid body {settings.clamp!r}"
         )
-    return _clamp_path(tracks, body, step, role)
+    return _repair_clamp_path(tracks, body, step, role)
 
 
-def _clamp_path(
+def _repair_clamp_path(
     tracks: MarkerTracks, body: RigidBody, step: RepairMarkers, role: str
 ) -> tuple[Floats, list[Finding]]:
     """Return the path of the clamp without stale poses, short gaps interpolated linearly."""
-    together = np.concatenate([body.position[:, None], tracks.positions], axis=1)
-    stale = find_frozen_samples(together, tracks.time, frozen=step.frozen)[:, 0]
+    all_positions = np.concatenate([body.position[:, None], tracks.positions], axis=1)
+    stale = find_frozen_samples(all_positions, tracks.time, frozen=step.frozen)[:, 0]
     path: Floats = np.where(stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
     if stale.any():
@@ -259,7 +258,7 @@ def _clamp_path(
     return path, [*findings, Finding(note)]
 
 
-def _specimen_tracks(
+def _select_specimen_tracks(
     tracks: MarkerTracks, settings: Markers, role: str
 ) -> tuple[list[str], list[Finding]]:
     """List the tracks along the specimen, including unlabelled ones."""
@@ -289,20 +288,20 @@ def _specimen_tracks(
     return candidates, findings
 
 
-def rms(values: Floats) -> float:
+def compute_rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
     finite = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
-_DRIFT = 1e-4 / sqrt(3.0)
+_DRIFT_UNCERTAINTY = 1e-4 / sqrt(3.0)
 """Standard uncertainty of the drift of the camera clock, which one turn does not show."""
 
 
 def fit_three_point_shape(
     prepared: Prepared, step: ThreePointShape, protocol: Protocol
 ) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``three-point-shape``: the bent axis, and the signal ``mid_span``.
+    """Run ``three-point-shape``: fit the bent axis, and add the signal ``mid_span``.
 
     Parameters
     ----------
@@ -325,7 +324,7 @@ def fit_three_point_shape(
         raise ValueError(format_sentence("process.needs_repair"))
     span = protocol.specimen.span
     if span is None:
-        return _without_span(prepared, Failure.of("process.no_span"))
+        return _reject_span(prepared, Failure.of("process.no_span"))
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=rest, min_distance=step.section)
@@ -334,14 +333,16 @@ def fit_three_point_shape(
             span=span,
             radius=settings.centre_offset,
             facing=step.facing,
-            is_bent=_is_bent_most(sections),
+            is_bent=_flag_bent_frames(sections),
         )
     except ValueError as error:
-        return _without_span(prepared, Failure("too_few_markers", str(error)))
+        return _reject_span(prepared, Failure("too_few_markers", str(error)))
     bent = replace(
         prepared,
-        signals=prepared.signals.add_signal("mid_span", _mid_span(shape, tracks.time, rest, take)),
-        shape=_span_shape(sections, shape, tracks.time, repaired.flags),
+        signals=prepared.signals.add_signal(
+            "mid_span", _make_mid_span_signal(shape, tracks.time, rest, take)
+        ),
+        shape=_make_span_shape(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
     note = Finding.of(
@@ -354,31 +355,30 @@ def fit_three_point_shape(
     return bent, [note]
 
 
-def _without_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:
+def _reject_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:
     note = QualityNote(reason.code, Severity.ERROR, "markers", reason.message)
     return replace(prepared, span=reason), [Finding(note)]
 
 
-def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
+def _make_mid_span_signal(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
     compute_deflection = shape.axis.deflection
     at_rest = compute_deflection[rest & np.isfinite(compute_deflection)]
     zero = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
     return replace(take.make_signal(time, compute_deflection - at_rest.mean()), zero_error=zero)
 
 
-def _is_bent_most(sections: Sections) -> Flags:
+def _flag_bent_frames(sections: Sections) -> Flags:
     """Flag frames with more than half of the largest deflection."""
     moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
-    far = np.max(np.nan_to_num(moved), axis=1)
-    return np.asarray(far > 0.5 * far.max(), dtype=np.bool_)
+    largest_moves = np.max(np.nan_to_num(moved), axis=1)
+    return np.asarray(largest_moves > 0.5 * largest_moves.max(), dtype=np.bool_)
 
 
-def _span_shape(
+def _make_span_shape(
     sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]
 ) -> Shape:
     """Make the shape: section centres as points, and a power series of the axis for figures."""
-    # Of the stored power series, which only the figure uses.
-    degree = 9
+    degree = 9  # of the stored power series, which only the figure uses
     section_flags = flags[:, sections.columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
     of_section = np.stack(
@@ -408,7 +408,7 @@ def _span_shape(
 def align_cameras(
     prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
 ) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
-    """Fit the clock of the cameras to that of the motion, at the turns of mid-span.
+    """Fit the clock of the cameras to that of the motion at the turns of mid-span.
 
     Parameters
     ----------
@@ -418,10 +418,10 @@ def align_cameras(
 
     Returns
     -------
-    The test with its shape on the clock of the motion, the clock of the cameras by name, findings.
+    The test with its shape on the clock of the motion; the clock fit of the cameras, by name; and
+    the findings. If the turns of mid-span match none of the motion, the span is not available.
     """
-    # s on each side of a turn of mid-span.
-    window = 25.0
+    window = 25.0  # s on each side of a turn of mid-span
     mid_span = prepared.signals.raw.get("mid_span")
     if mid_span is None or mid_span.clock == motion.clock:
         return prepared, {}, []
@@ -433,10 +433,10 @@ def align_cameras(
     pairs, _ = match_peaks(first, second)
     if not len(pairs):
         failure = Failure.of("process.no_camera_clock")
-        prepared, findings = _without_span(prepared, failure)
+        prepared, findings = _reject_span(prepared, failure)
         return prepared, {}, findings
     errors = [turn.arrival.time_error for turn in camera_turns if own_strokes[turn.stroke].sign > 0]
-    fit = _camera_fit(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
+    fit = _fit_camera_clock(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
     shape = prepared.shape
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))
@@ -445,15 +445,17 @@ def align_cameras(
     return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
 
 
-def _camera_fit(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
+def _fit_camera_clock(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
     weights = errors**-2.0
     offset = float(np.average(cameras - motion, weights=weights))
-    error = float(np.hypot(weights.sum() ** -0.5, _DRIFT * np.average(motion, weights=weights)))
+    error = float(
+        np.hypot(weights.sum() ** -0.5, _DRIFT_UNCERTAINTY * np.average(motion, weights=weights))
+    )
     return ClockFit(
         offset=offset,
         drift=0.0,
         offset_interval=Interval.normal_95(offset, error),
-        drift_interval=Interval.normal_95(0.0, _DRIFT),
+        drift_interval=Interval.normal_95(0.0, _DRIFT_UNCERTAINTY),
         residual=float(np.sqrt(np.mean((cameras - motion - offset) ** 2))),
         event_times_motion=motion,
         event_times_force=cameras,

@@ -1,4 +1,4 @@
-"""Check protocols, tests, plans and harness files, and whether the exports fit them."""
+"""Check protocols, tests, plans and harness files, and whether exports fit, for `labpipe check`."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ class CheckReport:
 
 
 def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> CheckReport:
-    """Check protocols and tests.
+    """Check protocols, tests, plans and harness files.
 
     Parameters
     ----------
-    paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
-        ``raw`` in the working folder if empty
+    paths : YAML files, or folders that are searched for them; ``protocols`` and ``raw`` in the
+        working folder if empty
     follow_links : whether exports may be links out of the folder of their test
 
     Returns
@@ -78,13 +78,17 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     The report; faults of files are never raised.
     """
     report = CheckReport()
-    wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
-    files = [file for path in wanted for file in _yaml_files(path)]
+    checked_paths = list(paths) or [
+        path for path in (Path("protocols"), Path("raw")) if path.is_dir()
+    ]
+    files = [file for path in checked_paths for file in _yaml_files(path)]
     report.faults += [
-        _unusable(path) for path in wanted or [Path("protocols")] if not _yaml_files(path)
+        _describe_unusable_path(path)
+        for path in checked_paths or [Path("protocols")]
+        if not _yaml_files(path)
     ]
     for file in dict.fromkeys(files):
-        load = _loader_of(file)
+        load = _select_loader(file)
         if file.name == SHEET_NAME:
             report.tests.append(file)
         elif load is None:
@@ -94,7 +98,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
             report.plans.append(file)
             report.attempt(partial(load, file))
     sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
-    report.faults += _duplicate_test_names({file: sheet for file, sheet in sheets.items() if sheet})
+    report.faults += _find_duplicate_names({file: sheet for file, sheet in sheets.items() if sheet})
     report.faults = list(dict.fromkeys(report.faults))
     return report
 
@@ -107,16 +111,16 @@ def _yaml_files(path: Path) -> list[Path]:
     return [path] if path.suffix in _YAML_SUFFIXES and path.is_file() else []
 
 
-def _unusable(path: Path) -> str:
-    """Describe a path with nothing to check."""
+def _describe_unusable_path(path: Path) -> str:
+    """Describe a path that holds nothing to check."""
     found = "nothing of that name"
     if path.exists():
         found = "a folder without any" if path.is_dir() else "another file"
     return str(ProtocolError.about("process.nothing_to_check", path, found=found))
 
 
-def _loader_of(path: Path) -> Callable[[Path], object] | None:
-    """Return the loader of a plan; None for a protocol, even a misspelt one."""
+def _select_loader(path: Path) -> Callable[[Path], object] | None:
+    """Select the function that loads a plan or harness file; None for a protocol."""
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import PLAN_NAME, CalibrationPlan
 
@@ -142,20 +146,25 @@ def _check_protocol(path: Path, report: CheckReport) -> None:
 
 
 def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
-    """Check a test up to its steps that need no markers; return its sheet if that is valid."""
+    """Check the sheet of a test, its exports, and the steps without markers.
+
+    Returns
+    -------
+    The sheet; None if it is not valid.
+    """
     sheet = report.attempt(partial(load_test_sheet, path))
     if sheet is None:
         return None
     protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
-    before = len(report.faults)
+    n_faults_before = len(report.faults)
     if protocol is not None and (results := results_needing_span(protocol)):
         listed = ", ".join(results)
         error = ProtocolError.about("process.span_missing", path, "specimen.span", results=listed)
         report.faults.append(str(error))
-        before += 1
+        n_faults_before += 1
     missing = find_missing_exports(sheet, path)
     report.faults += str(missing).splitlines() if missing else []
-    parts: dict[str, list[Recording]] = {role: [] for role in sheet.files}
+    recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
         for file in filter(path_exists, (path.parent / name for name in names)):
             if protocol is None:
@@ -163,10 +172,10 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
                 continue
             part = report.attempt(partial(read_role, file, protocol.sources[role]))
             if part is not None:
-                parts[role].append(part)
-                report.faults += _marker_faults(part.markers, protocol.markers, file)
-    if protocol is not None and len(report.faults) == before:
-        _check_steps(path, sheet, protocol, parts, report)
+                recordings_by_role[role].append(part)
+                report.faults += _find_missing_markers(part.markers, protocol.markers, file)
+    if protocol is not None and len(report.faults) == n_faults_before:
+        _check_steps(path, sheet, protocol, recordings_by_role, report)
     return sheet
 
 
@@ -174,19 +183,19 @@ def _check_steps(
     path: Path,
     sheet: TestSheet,
     protocol: Protocol,
-    parts: Mapping[str, list[Recording]],
+    recordings_by_role: Mapping[str, list[Recording]],
     report: CheckReport,
 ) -> None:
-    """Find what `labpipe process` would refuse although each export alone is valid."""
+    """Report what `labpipe process` would refuse although each export alone is valid."""
 
-    def calibrated() -> Prepared:
+    def join_and_calibrate() -> Prepared:
         recordings: dict[str, Recording] = {
-            role: join_exports(parts[role], sheet.files[role], path.parent)
+            role: join_exports(recordings_by_role[role], sheet.files[role], path.parent)
             for role in protocol.sources
         }
         return calibrate(recordings, protocol)[0]
 
-    prepared, place = report.attempt(calibrated, place=f"{path}, "), f"{path}, "
+    prepared, place = report.attempt(join_and_calibrate, place=f"{path}, "), f"{path}, "
     for step in protocol.steps:
         if (
             prepared is not None
@@ -214,10 +223,10 @@ def results_needing_span(protocol: Protocol) -> list[str]:
     ]
 
 
-def _marker_faults(
+def _find_missing_markers(
     tracks: MarkerTracks | None, markers: Markers | None, path: Path
 ) -> Iterator[str]:
-    """Find a clamp or markers that are missing in the take."""
+    """Report a clamp or markers that the protocol names and the take lacks."""
     if tracks is None or markers is None:
         return
     bodies, names = [body.name for body in tracks.bodies], list(tracks.names)
@@ -239,11 +248,11 @@ def _marker_faults(
         )
 
 
-def _duplicate_test_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
-    """Find tests of one campaign with the same name: they would overwrite each other."""
-    seen: dict[tuple[Path, str], Path] = {}
+def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
+    """Report tests of one campaign with the same name: they would overwrite each other."""
+    first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
-        first = seen.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
+        first = first_paths.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
         if first != path:
             name = sheet.test
             yield str(

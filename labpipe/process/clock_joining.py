@@ -1,4 +1,4 @@
-"""Join the clocks of force and motion: by turning points, by a common start, or as stated."""
+"""Join the clock of the force to that of the motion: by turns, by a common start, or as stated."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def join_clocks(
     if not strokes or isinstance(align, AlignNone):
         return None, [], []
     force = signals.raw[align.channel or signals.force]
-    by_turns = isinstance(align, AlignTurningPoints)
-    if not by_turns and force.clock == signals.raw[signals.displacement].clock:
+    is_by_turns = isinstance(align, AlignTurningPoints)
+    if not is_by_turns and force.clock == signals.raw[signals.displacement].clock:
         return None, [], []
     turns = find_motion_turns(motion, strokes, window=align.motion_window)
     fit: ClockFit | None
@@ -94,7 +94,7 @@ def fit_turning_points(
     The fit, or None if there is none, and the findings.
     """
     if _is_constant(force):
-        return None, [_constant(force, align.channel)]
+        return None, [_report_constant_force(force, align.channel)]
     force, findings = orient_force(force), list[Finding]()
     pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
     events = find_turn_events(force, pairs, turns, align.force_window)
@@ -126,7 +126,7 @@ def _is_constant(force: Signal) -> bool:
     return not np.nanmax(force.values) > np.nanmin(force.values)
 
 
-def _constant(force: Signal, channel: str) -> Finding:
+def _report_constant_force(force: Signal, channel: str) -> Finding:
     level = float(np.nanmean(force.values))
     return Finding.of(
         "process.constant_channel",
@@ -145,13 +145,12 @@ def _measure_repeat(
 
     The first cycle is omitted, because it deforms the specimen for the first time.
     """
-    # s, omitted at both ends of a cycle.
-    trim = 1.0
-    tops = {turn.stroke: turn.middle for turn in turns}
+    trim = 1.0  # s, omitted at both ends of a cycle
+    top_times = {turn.stroke: turn.middle for turn in turns}
     cycles = [
-        (float(motion.time[up.start]), tops[number], float(motion.time[down.stop]))
+        (float(motion.time[up.start]), top_times[number], float(motion.time[down.stop]))
         for number, (up, down) in enumerate(pairwise(strokes))
-        if up.sign > 0 > down.sign and number in tops
+        if up.sign > 0 > down.sign and number in top_times
     ]
     if len(cycles) < 3:
         return None
@@ -167,7 +166,7 @@ def _measure_repeat(
         hysteresis=False,
     )
     begin, top, end = (fit.to_force_time(time) for time in (start, turn, stop))
-    lag_of = partial(
+    fit_force_lag = partial(
         fit_lag,
         start=begin,
         turn=top,
@@ -175,30 +174,34 @@ def _measure_repeat(
         guess=guess * (1.0 + fit.drift),
         hysteresis=True,
     )
-    pulled = lag_of(force.time, force.values)
-    if isinstance(moved, Failure) or isinstance(pulled, Failure):
+    force_lag = fit_force_lag(force.time, force.values)
+    if isinstance(moved, Failure) or isinstance(force_lag, Failure):
         return None
-    error = float(np.hypot(moved.error, pulled.error))
+    error = float(np.hypot(moved.error, force_lag.error))
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time, values = _block_means(force.time), _block_means(force.values)
+    time, values = _average_blocks(force.time), _average_blocks(force.values)
     waves = compute_drift_modes(time - time[0], drift)
-    lags = [lag_of(time, values + wave) for wave in (np.zeros_like(time), *waves)] if waves else []
+    lags = (
+        [fit_force_lag(time, values + wave) for wave in (np.zeros_like(time), *waves)]
+        if waves
+        else []
+    )
     known = [lag.value for lag in lags if not isinstance(lag, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
-    return Repeat(moved.value, pulled.value, error, drift_error)
+    return Repeat(moved.value, force_lag.value, error, drift_error)
 
 
-def _block_means(values: Floats) -> Floats:
-    """Return the means of blocks, at least 50 000 of a long record."""
+def _average_blocks(values: Floats) -> Floats:
+    """Return means over blocks; a long record keeps at least 50 000."""
     block = max(1, len(values) // 50_000)
     means: Floats = values[: len(values) // block * block].reshape(-1, block).mean(axis=1)
     return means
 
 
 def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
-    """Check whether the force relaxes in the dwells, so that cycles are not alike."""
-    # Share of the range that the force loses in a dwell. With 0.04 the drift was off by two
-    # standard errors.
+    """Check whether the force relaxes in the dwells; cycles are then not comparable."""
+    # Share of the range that the force may lose in a dwell: at 0.04 the fitted drift of the clocks
+    # was wrong by two standard errors.
     max_relaxation_share = 0.01
     levels = []
     for turn in turns:
@@ -216,8 +219,7 @@ def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
 
 def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
     """Return the lag of the repeated cycle, unless the turning points contradict it."""
-    # In standard errors.
-    max_lag_difference = 4.0
+    max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
     expected = (1.0 + fit.drift) * repeat.motion
@@ -231,17 +233,17 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
 def _fit_events(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
     method = "turning points: lines through the travel, smooth pieces of the force"
     return fit_clocks(
-        *_event_table(events, shape_errors=len(events) - 1),
+        *_tabulate_events(events, shape_errors=len(events) - 1),
         method=method if repeat is None else f"{method}; lag of the repeated cycle",
         repeat=repeat,
     )
 
 
-def _event_table(events: list[tuple[Corner, Reversal]], *, shape_errors: int) -> Floats:
+def _tabulate_events(events: list[tuple[Corner, Reversal]], *, shape_errors: int) -> Floats:
     """Return times on both clocks and the errors of their differences: shape (3, events), s.
 
-    The shape error is common to all events of a specimen and does not average out, so that it is
-    added several times.
+    The shape error is common to all events of a specimen and does not average out; it is therefore
+    multiplied by the square root of `shape_errors`.
     """
     rows = [
         (
@@ -258,8 +260,8 @@ def _event_table(events: list[tuple[Corner, Reversal]], *, shape_errors: int) ->
 
 
 def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
-    # Allowed rms residual over the rms error of the turning points. A noisy turn widens the
-    # interval of the offset, and needs no doubt of its own.
+    # Allowed rms residual over the rms error of the turning points: a noisy turn only widens the
+    # interval of the offset.
     chance_factor = 2.0
     chance = chance_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, chance):
@@ -308,8 +310,7 @@ def use_stated_clocks(
     The default uncertainty of the offset is one sample of the slower recorder. That of the drift
     is 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM 100:2008, sec. 4.3.7).
     """
-    # Between two recorders that were never compared.
-    max_rate_difference = 1e-4
+    max_rate_difference = 1e-4  # between two recorders that were never compared
     error = align.uncertainty
     if error is None:
         error = max(median(np.diff(motion.time)), median(np.diff(force.time)))
@@ -340,10 +341,8 @@ def _check_stated_offset(
     force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> Iterator[Finding]:
     """Report a stated offset with which the force peaks long before or after the motion turns."""
-    # s
-    smoothing, peak_share = 0.5, 0.3
-    # s, and standard errors of the stated offset.
-    max_peak_lag, lag_error_factor = 1.0, 3.0
+    smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
+    max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
     if not strokes or _is_constant(force):
         return
     force = orient_force(force)
@@ -351,10 +350,10 @@ def _check_stated_offset(
     if not len(peaks):
         return
     ends = [motion.time[[before.stop, after.start]] for before, after in pairwise(strokes)]
-    tops = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
+    top_times = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
     lags = [
         max(0.0, float(np.abs(peaks - top.mean()).min()) - 0.5 * float(np.ptp(top)))
-        for top in tops
+        for top in top_times
         if force.time[0] <= top[0] and top[1] <= force.time[-1]
     ]
     error = float(fit.event_errors[0])
@@ -370,7 +369,7 @@ def fit_common_start(
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> tuple[ClockFit, list[Finding]]:
-    """Fit the clock of the force to that of the motion, both started by one trigger.
+    """Fit the clock of the force to that of the motion if one trigger started both recorders.
 
     Parameters
     ----------
@@ -380,7 +379,7 @@ def fit_common_start(
 
     Returns
     -------
-    The fit, and a doubt if the two did not start together.
+    The fit and the findings; the clocks are doubtful if the recorders did not start together.
 
     Notes
     -----
@@ -392,18 +391,23 @@ def fit_common_start(
     """
     findings: list[Finding] = []
     if _is_constant(force):
-        findings.append(_constant(force, align.channel))
+        findings.append(_report_constant_force(force, align.channel))
     force = orient_force(force)
-    pairs = _rough_turns(motion, force, strokes, align)
+    pairs = _find_rough_turns(motion, force, strokes, align)
     events = find_turn_events(force, pairs, turns, align.force_window)
-    shared_turns = _event_table(events, shape_errors=0)
-    at_turn = _weighted_difference(shared_turns)
-    together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
-    fit = _fit_turns(shared_turns, align, together=together)
-    return fit, [*findings, _start_finding(fit, align, at_turn, together=together)]
+    shared_turns = _tabulate_events(events, shape_errors=0)
+    lag_at_turns = _average_lag(shared_turns)
+    started_together = (
+        lag_at_turns is None or abs(lag_at_turns[0]) - 1.96 * lag_at_turns[1] <= align.max_offset
+    )
+    fit = _fit_common_start_clock(shared_turns, align, started_together=started_together)
+    return fit, [
+        *findings,
+        _report_start(fit, align, lag_at_turns, started_together=started_together),
+    ]
 
 
-def _rough_turns(
+def _find_rough_turns(
     motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
 ) -> list[tuple[int, float]]:
     """Pair the strokes that load with the rough times at which the force turns."""
@@ -414,7 +418,7 @@ def _rough_turns(
     return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 
 
-def _weighted_difference(shared_turns: Floats) -> tuple[float, float] | None:
+def _average_lag(shared_turns: Floats) -> tuple[float, float] | None:
     """Return the mean difference at the turns and its standard error, s."""
     motion, force, errors = shared_turns
     if not len(errors):
@@ -423,13 +427,15 @@ def _weighted_difference(shared_turns: Floats) -> tuple[float, float] | None:
     return float(np.average(force - motion, weights=weights)), float(weights.sum() ** -0.5)
 
 
-def _fit_turns(shared_turns: Floats, align: AlignCommonStart, *, together: bool) -> ClockFit:
+def _fit_common_start_clock(
+    shared_turns: Floats, align: AlignCommonStart, *, started_together: bool
+) -> ClockFit:
     motion, force, spread = shared_turns
     design: Floats = np.vstack([np.column_stack([np.ones_like(motion), motion]), [0.0, 1.0]])
     differences = np.append(force - motion, 0.0)
     errors = np.append(spread, align.max_drift / sqrt(3.0))
     start_error = align.max_offset / sqrt(3.0)
-    if together:
+    if started_together:
         design = np.vstack([design, [1.0, 0.0]])
         differences, errors = np.append(differences, 0.0), np.append(errors, start_error)
     weighted = design / errors[:, None]
@@ -439,8 +445,8 @@ def _fit_turns(shared_turns: Floats, align: AlignCommonStart, *, together: bool)
     if not len(spread):  # the trigger
         motion, force, spread = np.zeros(1), np.zeros(1), np.array([start_error])
     residuals = force - offset - (1.0 + drift) * motion
-    evidence = "the force's corner at the turn"
-    evidence = f"common start and {evidence}" if together else f"{evidence} alone"
+    basis = "the force's corner at the turn"
+    basis = f"common start and {basis}" if started_together else f"{basis} alone"
     return ClockFit(
         offset=offset,
         drift=drift,
@@ -450,27 +456,27 @@ def _fit_turns(shared_turns: Floats, align: AlignCommonStart, *, together: bool)
         event_times_motion=motion,
         event_times_force=force,
         event_errors=spread,
-        method=f"{evidence}, drift taken as zero within a bound",
+        method=f"{basis}, drift taken as zero within a bound",
     )
 
 
-def _start_finding(
+def _report_start(
     fit: ClockFit,
     align: AlignCommonStart,
-    at_turn: tuple[float, float] | None,
+    lag_at_turns: tuple[float, float] | None,
     *,
-    together: bool,
+    started_together: bool,
 ) -> Finding:
     channel, within = align.channel, 1e3 * align.max_offset
-    if at_turn is None:
+    if lag_at_turns is None:
         return Finding.of("process.start_unchecked", "align", channel=channel, within=within)
     return Finding.of(
-        "process.common_start" if together else "process.not_started_together",
+        "process.common_start" if started_together else "process.not_started_together",
         "align",
-        *(() if together else ("clock", "force")),
+        *(() if started_together else ("clock", "force")),
         channel=channel,
-        later=1e3 * at_turn[0],
-        known_to=1.96e3 * at_turn[1],
+        later=1e3 * lag_at_turns[0],
+        known_to=1.96e3 * lag_at_turns[1],
         within=within,
         offset=1e3 * fit.offset,
     )

@@ -1,4 +1,4 @@
-"""Check a record for contradictions: cycle against cycle, rest against rest, force against travel.
+"""Check a record for contradictions: between cycles, rests, and force and displacement.
 
 Each check compares one statistic with one threshold. The thresholds are multiples of the maxima
 in real and simulated cyclic tests (docs/explanations/intervals.md), so that a clean record fails
@@ -44,7 +44,11 @@ class Cycle:
 
 
 def check_consistency(
-    signals: Signals, curve: Curve, limits: Limits = LIMITS, *, known: Findings = NO_FINDINGS
+    signals: Signals,
+    curve: Curve,
+    limits: Limits = LIMITS,
+    *,
+    earlier_findings: Findings = NO_FINDINGS,
 ) -> Iterator[Finding]:
     """Compare the parts of a record.
 
@@ -63,12 +67,12 @@ def check_consistency(
     if not curve.branches:
         return
     yield from _check_repetition(where, curve)
-    yield from _check_displacement(signals.displacement, curve, largest, known)
+    yield from _check_displacement_jumps(signals.displacement, curve, largest, earlier_findings)
     if largest > 0.0:
         cycles = list(_cycles(curve))
         yield from _check_rest_force(signals, curve, largest, limits.rest_force)
         changes = list(_check_cycles(where, curve, cycles, largest, limits.cycle_change))
-        jumps = list(_check_force(where, curve, known))
+        jumps = list(_check_force_jumps(where, curve, earlier_findings))
         is_level = any(change.code == "cycle_level" for change in changes)
         yield from jumps or _check_drift(where, curve, limits.rest_force_drift, is_level=is_level)
         yield from changes
@@ -81,24 +85,24 @@ def _cycles(curve: Curve) -> Iterator[Cycle]:
     for first, second in pairwise(curve.branches):
         if first.direction is not Direction.LOADING or second.cycle != first.cycle:
             continue
-        paths = _path(curve, first), _path(curve, second)
+        paths = _make_path(curve, first), _make_path(curve, second)
         if min(len(path[0]) for path in paths) >= MIN_COMPARED_SAMPLES:
             yield Cycle(first, second, paths)
 
 
-def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
+def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
     part = slice(branch.start, branch.stop)
-    both = np.stack([curve.displacement[part], curve.force[part]])
-    both = both[:, ~np.isnan(both).any(axis=0)]
+    samples = np.stack([curve.displacement[part], curve.force[part]])
+    samples = samples[:, ~np.isnan(samples).any(axis=0)]
     max_means = 400
-    size = max(1, both.shape[1] // max_means)
-    means = both[:, : both.shape[1] // size * size].reshape(2, -1, size).mean(axis=2)
+    size = max(1, samples.shape[1] // max_means)
+    means = samples[:, : samples.shape[1] // size * size].reshape(2, -1, size).mean(axis=2)
     displacement, force = means[:, np.argsort(means[0], kind="stable")]
     return displacement, force
 
 
-def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
-    """Return the forces of several paths at common displacements; empty if they hardly overlap."""
+def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
+    """Interpolate the forces of paths at common displacements; empty if they hardly overlap."""
     min_common_share = 0.5
     if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
         return ()
@@ -106,8 +110,8 @@ def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)
     if not high - low > min_common_share * span:
         return ()
-    places = np.linspace(low, high, COMPARED_POINTS + 2)[1:-1]
-    return tuple(np.interp(places, *path) for path in paths)
+    displacements = np.linspace(low, high, COMPARED_POINTS + 2)[1:-1]
+    return tuple(np.interp(displacements, *path) for path in paths)
 
 
 def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
@@ -127,7 +131,7 @@ def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
     same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
     for start, stop in find_runs(same):
         if len(np.unique(force[start:stop])) >= min_repeated:
-            at, count = _at(curve, start), stop - start
+            at, count = _format_time(curve, start), stop - start
             quantities = "force", "displacement"
             yield Finding.of(
                 "process.samples_repeated", where, *quantities, count=count, at=at, lag=lag
@@ -135,14 +139,14 @@ def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
             return
 
 
-def _jumps(
-    curve: Curve, quantity: Literal["force", "displacement"], known: Findings
+def _find_jumps(
+    curve: Curve, quantity: Literal["force", "displacement"], earlier_findings: Findings
 ) -> list[tuple[int, float]]:
-    """Return jumps of a quantity by sample, without those that end a stuck run of its channel."""
+    """Find jumps of a quantity: sample and size, without jumps at the end of a frozen run."""
     max_samples_after_run = 2
     stuck_until = [
         int(np.searchsorted(curve.time, doubt.during[1]))
-        for finding in known.entries
+        for finding in earlier_findings.entries
         for doubt in finding.doubts
         if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
     ]
@@ -153,31 +157,34 @@ def _jumps(
     ]
 
 
-def _check_displacement(
-    where: str, curve: Curve, largest: float, known: Findings
+def _check_displacement_jumps(
+    where: str, curve: Curve, largest: float, earlier_findings: Findings
 ) -> Iterator[Finding]:
     """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
-    jumps = _jumps(curve, "displacement", known)
+    jumps = _find_jumps(curve, "displacement", earlier_findings)
     falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
     if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-    mm, at, count = 1e3 * size, _at(curve, sample), len(jumps)
+    mm, at, count = 1e3 * size, _format_time(curve, sample), len(jumps)
     quantities = "displacement", "force"
     yield Finding.of("process.zero_jump", where, *quantities, mm=mm, at=at, count=count)
 
 
-def _check_force(where: str, curve: Curve, known: Findings) -> Iterator[Finding]:
-    """Report a jump of the force up in a loading, or in an unloading, as no specimen makes."""
+def _check_force_jumps(where: str, curve: Curve, earlier_findings: Findings) -> Iterator[Finding]:
+    """Report a jump of the force that no specimen causes: up in a loading, any in an unloading."""
     turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
-    sense = _sense(curve, curve.branches[0])
-    jumps = _jumps(curve, "force", known)
+    sense = _find_sense(curve, curve.branches[0])
+    jumps = _find_jumps(curve, "force", earlier_findings)
     for sample, size in jumps if len(jumps) <= max_jumps else ():
         for branch in curve.branches:
             is_odd = branch.direction is Direction.UNLOADING or sense * size > 0.0
             if is_odd and branch.start + turn_reach < sample < branch.stop - turn_reach:
-                during, at = (float(curve.time[sample]), float(curve.time[-1])), _at(curve, sample)
+                during, at = (
+                    (float(curve.time[sample]), float(curve.time[-1])),
+                    _format_time(curve, sample),
+                )
                 yield Finding.of(
                     "process.force_jump", where, "force", during=during, size=size, at=at
                 )
@@ -189,7 +196,7 @@ def _check_rest_force(
 ) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
-    name, before = signals.force, _finite(curve.force[: curve.branches[0].start])
+    name, before = signals.force, _drop_missing(curve.force[: curve.branches[0].start])
     if (
         name in signals.zero_stretches
         or name in signals.moving_zero_stretches
@@ -209,15 +216,18 @@ def _check_rest_force(
 def _check_drift(where: str, curve: Curve, share: float, *, is_level: bool) -> Iterator[Finding]:
     """Compare the force at rest before and after a test that returns to its first position.
 
-    A specimen with friction or permanent set pushes back after unloading, so that a force against
-    the sense of loading is a drift only if the level also changes between cycles (`is_level`).
+    A specimen with friction or permanent set pushes back after unloading. A force against the sense
+    of loading is therefore a drift only if the level also changes between cycles (`is_level`).
     """
     return_share = 0.02  # largest distance from the first position, share of the stroke
     first, last = curve.branches[0], curve.branches[-1]
-    before, after = _finite(curve.force[: first.start]), _finite(curve.force[last.stop :])
+    before, after = (
+        _drop_missing(curve.force[: first.start]),
+        _drop_missing(curve.force[last.stop :]),
+    )
     distance = abs(curve.displacement[last.stop - 1] - curve.displacement[first.start])
     has_returned = last.direction is Direction.UNLOADING and distance <= return_share * np.ptp(
-        _finite(curve.displacement)
+        _drop_missing(curve.displacement)
     )
     if not has_returned or min(len(before), len(after)) < MIN_REST_SAMPLES:
         return
@@ -240,14 +250,14 @@ def check_break(
     Parameters
     ----------
     where : name of the force
-    curve, failure : of the test. Remains of a specimen may carry a small force, so that a force
-        above zero is allowed, and so is a rebound of a few samples
+    curve, failure : of the test. A force above zero is allowed, because the remains of a specimen
+        may carry it; so is a rebound of a few samples
     limits : of the lab
     """
     min_tail_samples = 10  # fewer may be a rebound
     if not isinstance(failure, FailurePoint):
         return
-    after = _finite(curve.force[failure.sample + 1 :])
+    after = _drop_missing(curve.force[failure.sample + 1 :])
     if len(after) < min_tail_samples:
         return
     level, largest = median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
@@ -269,12 +279,12 @@ def _check_cycles(
     from all others.
     """
     for before, after in pairwise(cycles):
-        change = _instrument_change(before, after, largest, least)
+        change = _find_instrument_change(before, after, largest, least)
         if change is None:
             continue
         kind, size = change
         # An offset of the travel looks like one of the force, but its turns are elsewhere, too.
-        is_force_alone = kind == "level" and not _turns_elsewhere(before, after, least)
+        is_force_alone = kind == "level" and not _differ_in_turns(before, after, least)
         yield Finding.of(
             "process.cycle_level"
             if kind == "level"
@@ -285,28 +295,27 @@ def _check_cycles(
             *(("force",) if is_force_alone else ("force", "displacement")),
             during=(float(curve.time[before.unloading.stop - 1]), float(curve.time[-1])),
             cycle=after.loading.cycle,
-            at=_at(curve, after.loading.start),
+            at=_format_time(curve, after.loading.start),
             size=size,
         )
 
 
-def _turns_elsewhere(before: Cycle, after: Cycle, least: float) -> bool:
-    """Return whether the largest displacements of two cycles differ by a share of the travel."""
+def _differ_in_turns(before: Cycle, after: Cycle, least: float) -> bool:
+    """Check whether the largest displacements of two cycles differ by a share of the travel."""
     (old, _), (new, _) = before.paths[1], after.paths[1]
     return bool(abs(new[-1] - old[-1]) > least * (old[-1] - old[0]))
 
 
-def _instrument_change(
+def _find_instrument_change(
     before: Cycle, after: Cycle, largest: float, least: float
 ) -> tuple[str, float] | None:
-    """Return what changed from one cycle to the next, level (N), scale or travel, and how much."""
-    # Misfit of two cycles as recorded, over the misfit after a change of scale or level. It is at
-    # most 2.0 in 246 pairs of real and simulated cycles, where the material changes the shape of
-    # the curve.
+    """Find whether level (N), scale or travel changed between two cycles, and by how much."""
+    # Ratio of the misfit of two cycles as recorded to that after a change of scale or level. In 246
+    # pairs of real and simulated cycles, where the material changes the shape of the curve, it is
+    # at most 2.0 in whole cycles, and 4.0 (scale) and 6.2 (level) in unloading alone.
     min_scale_ratio = 3.0
-    # The ratios of unloading alone are at most 4.0 and 6.2 in the same pairs.
     unloading_scale_ratio, unloading_level_ratio = 5.5, 8.0
-    forces = _common(*before.paths, *after.paths)
+    forces = _interpolate_common_forces(*before.paths, *after.paths)
     if not forces:
         return None
     old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
@@ -321,9 +330,13 @@ def _instrument_change(
             return "scale", scale
         if abs(level) > least * largest and recorded > level_ratio * level_misfit:
             return "level", level
-    first_back, back = before.paths[1], after.paths[1]
-    stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
-    scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
+    old_unloading, back = before.paths[1], after.paths[1]
+    stretch = back[0][-1] / old_unloading[0][-1] if old_unloading[0][-1] > 0.0 else 1.0
+    scaled = (
+        _interpolate_common_forces(old_unloading, (back[0] / stretch, back[1]))
+        if stretch > 0.0
+        else ()
+    )
     misfit = _rms(scaled[1] - scaled[0]) if scaled else np.inf
     recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
     is_stretched = abs(stretch - 1.0) >= least and recorded >= min_scale_ratio * misfit
@@ -333,7 +346,7 @@ def _instrument_change(
 def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
     """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
-    sense = _sense(curve, curve.branches[0])
+    sense = _find_sense(curve, curve.branches[0])
     min_growth = noise_factor * estimate_noise_level(curve.force)
     growths = []
     for before, after in pairwise(curve.branches):
@@ -341,8 +354,12 @@ def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> It
             continue
         up = sense if before.direction is Direction.LOADING else -sense
         tenths = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
-        end = up * _finite(curve.force[max(before.start, before.stop - tenths[0]) : before.stop])
-        begin = up * _finite(curve.force[after.start : min(after.stop, after.start + tenths[1])])
+        end = up * _drop_missing(
+            curve.force[max(before.start, before.stop - tenths[0]) : before.stop]
+        )
+        begin = up * _drop_missing(
+            curve.force[after.start : min(after.stop, after.start + tenths[1])]
+        )
         width = max(1, min(len(end), len(begin)) // 10)
         if min(len(end), len(begin)) >= 3:
             last, first = (
@@ -353,13 +370,19 @@ def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> It
             growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
-    usual = median(np.array([growth for _, growth in growths]))
+    median_growth = median(np.array([growth for _, growth in growths]))
     branch, growth = max(growths, key=lambda turn: turn[1])
-    if usual > max(limits.force_lag * largest, min_growth):
-        yield Finding.of("process.force_late", where, "clock", growth=usual, share=usual / largest)
+    if median_growth > max(limits.force_lag * largest, min_growth):
+        yield Finding.of(
+            "process.force_late",
+            where,
+            "clock",
+            growth=median_growth,
+            share=median_growth / largest,
+        )
     elif growth > max(limits.turn_jump * largest, min_growth):
         during = float(curve.time[branch.start]), float(curve.time[-1])
-        at, cycle = _at(curve, branch.start), branch.cycle
+        at, cycle = _format_time(curve, branch.start), branch.cycle
         yield Finding.of(
             "process.turn_jump", where, "force", during=during, growth=growth, at=at, cycle=cycle
         )
@@ -369,18 +392,18 @@ def _check_energy(where: str, curve: Curve, cycles: list[Cycle], most: float) ->
     """Report cycles whose specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
-        forces = _common(*cycle.paths)
-        sense = _sense(curve, cycle.loading)
-        put_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
-        loss = sense * float(np.mean(forces[0] - forces[1])) / put_in if put_in else 0.0
+        forces = _interpolate_common_forces(*cycle.paths)
+        sense = _find_sense(curve, cycle.loading)
+        work_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
+        loss = sense * float(np.mean(forces[0] - forces[1])) / work_in if work_in else 0.0
         if loss < -most:
             gains.append((cycle, -loss))
-    # in most cycles: the columns may be exchanged, or the record reversed
-    touches_all = len(gains) > len(cycles) / 2
-    quantities = ("force", "displacement", "clock") if touches_all else ("force",)
-    for cycle, gain in gains[:1] if touches_all else gains:
+    # If most cycles gain energy, columns may be exchanged, or the record may be reversed.
+    affects_most_cycles = len(gains) > len(cycles) / 2
+    quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
+    for cycle, gain in gains[:1] if affects_most_cycles else gains:
         inner = curve.time[[cycle.loading.start + 1, cycle.unloading.stop - 2]]
-        during = None if touches_all else (float(inner[0]), float(inner[1]))
+        during = None if affects_most_cycles else (float(inner[0]), float(inner[1]))
         number = cycle.loading.cycle
         yield Finding.of(
             "process.energy_gained", where, *quantities, during=during, cycle=number, gain=gain
@@ -391,14 +414,16 @@ def _check_second_specimen(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
     """Report a record that goes on with another specimen after the first one broke."""
-    unloading_quantile = 0.8  # below it, a broken specimen carries no force on the way back
+    force_quantile = 0.8  # a broken specimen carries no force over this share of an unloading
     for before in cycles:
         later = [branch for branch in curve.branches if branch.start >= before.unloading.stop][:1]
-        forces = _common(*before.paths, _path(curve, later[0])) if later else ()
+        forces = (
+            _interpolate_common_forces(*before.paths, _make_path(curve, later[0])) if later else ()
+        )
         if not forces:
             continue
         first, back, second = (
-            float(np.quantile(np.abs(force), unloading_quantile)) for force in forces
+            float(np.quantile(np.abs(force), force_quantile)) for force in forces
         )
         if back < limits.broken_force * first and second > limits.second_loading * first:
             yield Finding.of(
@@ -414,11 +439,11 @@ def _check_second_specimen(
             return
 
 
-def _sense(curve: Curve, branch: Branch) -> float:
+def _find_sense(curve: Curve, branch: Branch) -> float:
     return compute_loading_sign(curve.force[branch.start : branch.stop])
 
 
-def _finite(values: Floats) -> Floats:
+def _drop_missing(values: Floats) -> Floats:
     return values[~np.isnan(values)]
 
 
@@ -426,5 +451,5 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _at(curve: Curve, sample: int) -> str:
+def _format_time(curve: Curve, sample: int) -> str:
     return f"{curve.time[sample]:.3f} s" if curve.time_unit == "s" else f"sample {sample + 1}"

@@ -1,4 +1,4 @@
-"""The curve: force and displacement on one clock, corrected for frame, grips and slack.
+"""Build the curve, force and displacement on one clock, and correct it: frame, grips, slack.
 
 Corrections are made in the order of the keys of the protocol, after the split into branches; the
 aligned signals stay as measured.
@@ -24,7 +24,7 @@ from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import (
-    add_back,
+    add_slips_back,
     find_piece_starts,
     make_trace,
     replicate_curves,
@@ -51,7 +51,7 @@ from labpipe.signal.turning_points import number_branches
 from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
 
-Corrected: TypeAlias = tuple[ReducedTest, list[Finding]]
+CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
 def align_signals(test: ReducedTest) -> Aligned:
@@ -107,7 +107,7 @@ def _branch_on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branc
     )
 
 
-def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
+def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     """Correct the curve as the protocol says.
 
     Parameters
@@ -119,16 +119,16 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     -------
     The test with corrected curve, failure, slips and slack; and the findings.
     """
-    rule = lost = None
+    rule = loss_start = None
     if block.failure is not None:
         failure = block.failure
         rule = LossOfForce(failure.force_below, failure.loss, failure.within, failure.at_end_below)
-        lost = find_final_loss(test, rule)  # in the unfiltered force
-    test, findings = _filter_branches(test, lost), list[Finding]()
+        loss_start = find_final_loss(test, rule)  # in the unfiltered force
+    test, findings = _filter_branches(test, loss_start), list[Finding]()
     if block.compliance is not None and block.compliance.value > 0.0:
         test, findings = _subtract_compliance(test, block.compliance)
     if rule is not None and test.curve is not None:
-        test = replace(test, failure=_find_failure(test.curve, lost, rule))
+        test = replace(test, failure=_find_failure(test.curve, loss_start, rule))
     if block.slips is not None:
         test, more_findings = _correct_slips(test, block.slips)
         findings += more_findings
@@ -140,7 +140,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
         choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
         test = replace(test, pull=fit_pull(test, choice))
     # Reported last, because slack shifts the origin of the displacement.
-    return test, [*findings, *(_slip_note(test.signals.force, slip) for slip in test.slips)]
+    return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 
 
 def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
@@ -169,14 +169,14 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     return replace(signal, values=bridge_spikes(signal.values, outliers)), [note]
 
 
-def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Corrected:
-    """Compute the displacement of the specimen alone, also with a higher compliance."""
+def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> CorrectionOutcome:
+    """Subtract the displacement of the frame, and add the change with a higher compliance."""
     curve = test.curve
     if curve is None:
         return test, []
     value = compliance.value
     signal = test.displacement.map_values(lambda displacement: displacement - value * curve.force)
-    _refuse_backwards(test, curve, signal.values, value)
+    _check_compliance(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
         other = curve.displacement - higher * curve.force
@@ -184,11 +184,11 @@ def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Co
     largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     where, size = test.signals.displacement, 1e6 * value
     note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
-    return replace(_with_displacement(test, curve, signal), compliance=value), [note]
+    return replace(_replace_displacement(test, curve, signal), compliance=value), [note]
 
 
-def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
-    """Refuse a compliance larger than that of frame and specimen together."""
+def _check_compliance(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
+    """Refuse a compliance with which the specimen would get shorter in loading."""
     branch = test.first_loading
     if branch is None:
         return
@@ -215,7 +215,7 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
 
     Returns
     -------
-    Its number, or why there is no loss; None without a loading.
+    Its number, or the reason why there is no loss; None without a curve or a loading.
     """
     curve, branch = test.curve, test.first_loading
     if curve is None or branch is None:
@@ -226,49 +226,52 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
         is_back[other_branch.start : other_branch.stop] = (
             other_branch.direction is Direction.UNLOADING
         )
-    force = _sign(curve) * curve.force[after]
+    force = _find_force_sign(curve) * curve.force[after]
     sample = find_loss_start(curve.time[after], force, rule, is_back[after])
     return sample if isinstance(sample, Failure) else sample + branch.start
 
 
 def _find_failure(
-    curve: Curve, lost: int | Failure | None, rule: LossOfForce
+    curve: Curve, loss_start: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
-    if isinstance(lost, Failure) and lost.code == "no_break":
+    if isinstance(loss_start, Failure) and loss_start.code == "no_break":
         loading = slice(curve.branches[0].start, None)
-        force = _sign(curve) * curve.force[loading]
+        force = _find_force_sign(curve) * curve.force[loading]
         finite = np.flatnonzero(~np.isnan(force))
         if rule.at_end_below and force[finite[-1]] < rule.at_end_below * np.nanmax(force):
             return FailurePoint(loading.start + int(finite[-1]))
         sense = compute_loading_sign(curve.displacement[loading])
         sample = find_slow_loss(sense * curve.displacement[loading], force, rule)
         return (
-            lost
+            loss_start
             if sample is None
             else FailurePoint(loading.start + sample, slow_below=rule.force_below)
         )
-    if lost is None or isinstance(lost, Failure):
-        return lost
-    loading = slice(find_loading_before(curve, lost).start, lost + 1)
+    if loss_start is None or isinstance(loss_start, Failure):
+        return loss_start
+    loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
     return FailurePoint(
-        lost, measure_earlier_loss(curve.time[loading], _sign(curve) * curve.force[loading], rule)
+        loss_start,
+        measure_earlier_loss(
+            curve.time[loading], _find_force_sign(curve) * curve.force[loading], rule
+        ),
     )
 
 
-def _sign(curve: Curve) -> float:
+def _find_force_sign(curve: Curve) -> float:
     """Return the sign of the force in the first loading."""
     first = curve.branches[0]
     return compute_loading_sign(curve.force[first.start : first.stop])
 
 
-def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement again, each branch separately: the corners are known now."""
+def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
+    """Filter force and displacement again, each branch separately, as the turns are now known."""
     curve, signals = test.curve, test.signals
     names = {"force": signals.force, "displacement": signals.displacement}
     if curve is None or not set(names.values()) & signals.filters.keys():
         return test
     ends = [end for branch in curve.branches for end in (branch.start_time, branch.stop_time)]
-    ends += [float(curve.time[lost])] if isinstance(lost, int) else []
+    ends += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
     raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
     curve_values = {"force": curve.force, "displacement": curve.displacement}
     for quantity, name in names.items():
@@ -291,7 +294,7 @@ def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTe
     return replace(test, signals=signals, curve=corrected)
 
 
-def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
+def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
     curve = test.curve
     if (
         curve is None
@@ -315,7 +318,7 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     return _cut_at_slip(test, curve) if slips and decision is SlipDecision.CUT else test, []
 
 
-def _slip_note(where: str, slip: Slip) -> Finding:
+def _make_slip_note(where: str, slip: Slip) -> Finding:
     return Finding.of(
         "process.slip_marked"
         if slip.decision is SlipDecision.MARKED
@@ -330,7 +333,7 @@ def _slip_note(where: str, slip: Slip) -> Finding:
 
 def _add_slips_back(test: ReducedTest, curve: Curve) -> ReducedTest:
     """Add the drops back, except after the failure of the specimen."""
-    force = add_back(curve.force, test.slips)
+    force = add_slips_back(curve.force, test.slips)
     if isinstance(test.failure, FailurePoint):
         broken = slice(test.failure.sample + 1, None)
         force[broken] = curve.force[broken]
@@ -356,7 +359,7 @@ def _cut_at_slip(test: ReducedTest, curve: Curve) -> ReducedTest:
     )
 
 
-def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
+def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
     curve, where = test.curve, test.signals.displacement
     if curve is None:
         return test, []
@@ -374,7 +377,7 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
         return test, [note]
     offset = slack.value
     corrected = replace(
-        _with_displacement(
+        _replace_displacement(
             test, curve, test.displacement.map_values(lambda values: values - offset)
         ),
         replicates=test.replicates and subtract_slack(test.replicates, decide, slack),
@@ -395,8 +398,7 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
     -------
     The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `decide`.
     """
-    # Share of the replicate curves.
-    max_falling_share = 0.025
+    max_falling_share = 0.025  # of the replicate curves
     measured = return_failure(test.measure)(decide)
     if isinstance(measured, Failure):
         return measured
@@ -405,26 +407,27 @@ def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start
     first, load = float(trace.displacement[start]), float(trace.force[start])
-    if slack.value < first and not _preload_explains(slack, decide, trace, start):
+    if slack.value < first and not _is_preloaded(slack, decide, trace, start):
         zero, first = 1e3 * slack.value, 1e3 * first
         return Failure.of("process.steepest_at_begin", zero=zero, first=first, load=load)
     return slack
 
 
-def _preload_explains(slack: Measured, decide: Decide, trace: Trace, start: int) -> bool:
-    """Check whether the line meets zero force before the first sample because of a preload.
+def _is_preloaded(slack: Measured, decide: Decide, trace: Trace, start: int) -> bool:
+    """Check whether a preload explains that the line meets zero force before the first sample.
 
-    The line reaches the force of the first sample near that sample if the curve is straight from
-    there on, and close to the slack if the curve is steeper than the line.
+    The force less that of the first sample is extrapolated to zero as well. If the curve is
+    straight from the first sample on, this zero lies near that sample, as after a preload. If the
+    curve is steeper there than the line, this zero lies closer to the slack.
     """
     first = float(trace.displacement[start])
     if slack.interval.upper >= first:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[start])
-    above = return_failure(decide)(preloaded)
-    if isinstance(above, Failure):
+    region = return_failure(decide)(preloaded)
+    if isinstance(region, Failure):
         return False
-    place = float(above.numbers(preloaded)[0])
+    place = float(region.numbers(preloaded)[0])
     return place - slack.value >= 0.5 * (first - slack.value)
 
 
@@ -434,7 +437,7 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
     return replace(slip, position=slip.position - slack, position_interval=moved)
 
 
-def _with_displacement(test: ReducedTest, curve: Curve, displacement: Signal) -> ReducedTest:
+def _replace_displacement(test: ReducedTest, curve: Curve, displacement: Signal) -> ReducedTest:
     return replace(
         test,
         signals=test.signals.with_filtered(test.signals.displacement, displacement),

@@ -1,4 +1,4 @@
-"""Describe an export without processing it: program, channels, rates, gaps, notes."""
+"""Describe one export for `labpipe inspect`: program, channels, rates, gaps, notes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from labpipe.readers import recognise_export
 from labpipe.readers.recording_checks import (
     SAMPLED_ON_EVENT,
     TIME_VARIABLE,
-    blank,
+    find_blank_frames,
     find_holes,
-    longest,
-    unchanged,
+    find_longest_stretch,
+    find_unchanged_steps,
 )
 from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -30,7 +30,7 @@ _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
 """Units of pure numbers that mean an angle."""
 
 _TABLE_NOTES = frozenset({"marker_gaps", "body_gaps"})
-"""Notes that repeat the table of objects."""
+"""Codes of notes that say the same as the table of rigid bodies and markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,8 +84,8 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
         "reader": recording.reader,
         "program": recording.program,
         "version": recording.program_version,
-        "streams": [_stream(clock, recording) for clock in recording.clocks],
-        "markers": None if recording.markers is None else _markers(recording.markers),
+        "streams": [_describe_stream(clock, recording) for clock in recording.clocks],
+        "markers": None if recording.markers is None else _describe_markers(recording.markers),
         "notes": [
             {key: str(getattr(note, key)) for key in ("code", "severity", "where", "message")}
             for note in recording.notes
@@ -94,7 +94,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
     }
 
 
-def _stream(clock: Clock, recording: Recording) -> dict[str, Any]:
+def _describe_stream(clock: Clock, recording: Recording) -> dict[str, Any]:
     notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
     is_uneven = clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
     channels = [channel for channel in recording.channels if channel.clock == clock.name]
@@ -102,27 +102,27 @@ def _stream(clock: Clock, recording: Recording) -> dict[str, Any]:
         "clock": clock.name,
         "unit": clock.unit,
         "samples": len(clock.time),
-        **_timing(clock.time, is_uneven=is_uneven),
-        "channels": [_channel(channel) for channel in channels],
+        **_describe_times(clock.time, is_uneven=is_uneven),
+        "channels": [_describe_channel(channel) for channel in channels],
     }
 
 
-def _timing(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
-    """Describe a time axis; long steps of a program that samples unevenly are no losses."""
+def _describe_times(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
+    """Describe a time axis; long steps of a program that samples unevenly are not holes."""
     steps = np.diff(time)
     holes = () if is_uneven else find_holes(time)
     return {
-        "start": _number(time[:1]),
-        "end": _number(time[-1:]),
-        "step_median": _number([median(steps)] if len(steps) else []),
-        "step_min": _number(steps, np.min),
-        "step_max": _number(steps, np.max),
+        "start": _finite_or_none(time[:1]),
+        "end": _finite_or_none(time[-1:]),
+        "step_median": _finite_or_none([median(steps)] if len(steps) else []),
+        "step_min": _finite_or_none(steps, np.min),
+        "step_max": _finite_or_none(steps, np.max),
         "holes": [{"at": hole.at, "length": hole.length} for hole in holes],
     }
 
 
-def _channel(channel: Channel) -> dict[str, Any]:
-    unit, factor = _si(channel)
+def _describe_channel(channel: Channel) -> dict[str, Any]:
+    unit, factor = _find_si_unit(channel)
     values = channel.values * factor
     finite = values[~np.isnan(values)]
     return {
@@ -130,15 +130,15 @@ def _channel(channel: Channel) -> dict[str, Any]:
         "path": channel.path,
         "unit": unit,
         "unit_in_file": channel.unit_in_file,
-        "first": _number(values[:1]),
-        "last": _number(values[-1:]),
-        "min": _number(finite, np.min),
-        "max": _number(finite, np.max),
+        "first": _finite_or_none(values[:1]),
+        "last": _finite_or_none(values[-1:]),
+        "min": _finite_or_none(finite, np.min),
+        "max": _finite_or_none(finite, np.max),
         "missing": len(values) - len(finite),
     }
 
 
-def _si(channel: Channel) -> tuple[str | None, float]:
+def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
     """Return the SI unit of a channel and the factor to it; None and 1 without a unit."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
@@ -148,48 +148,50 @@ def _si(channel: Channel) -> tuple[str | None, float]:
     return None, 1.0
 
 
-def _number(values: Floats | Sequence[float], pick: Callable[[Any], Any] = np.min) -> float | None:
-    """Return one number of some, such as the largest; None if it is not finite."""
-    number = pick(values) if len(values) else np.nan
+def _finite_or_none(
+    values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
+) -> float | None:
+    """Reduce values to one number, such as the largest; None without values or if not finite."""
+    number = reduce(values) if len(values) else np.nan
     return float(number) if np.isfinite(number) else None
 
 
-def _markers(tracks: MarkerTracks) -> dict[str, Any]:
+def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
     columns = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     return {
         "frames": len(tracks.time),
-        "rate": _number([tracks.rate]),
-        **_timing(tracks.time),
-        "first_frame": _number(tracks.frames[:1]),
-        "last_frame": _number(tracks.frames[-1:]),
+        "rate": _finite_or_none([tracks.rate]),
+        **_describe_times(tracks.time),
+        "first_frame": _finite_or_none(tracks.frames[:1]),
+        "last_frame": _finite_or_none(tracks.frames[-1:]),
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
         "missing": tracks.missing,
-        "gaps": {name: _gaps(track) for name, track in columns.items()},
-        "frozen": {name: _frozen(track) for name, track in columns.items()},
-        "rigid_bodies": [_body(body) for body in tracks.bodies],
+        "gaps": {name: _describe_gaps(track) for name, track in columns.items()},
+        "frozen": {name: _count_unchanged(track) for name, track in columns.items()},
+        "rigid_bodies": [_describe_body(body) for body in tracks.bodies],
     }
 
 
-def _gaps(track: Floats) -> dict[str, Any]:
-    max_ranges = 100  # the count in the output is of all gaps
-    missing = blank(track)
+def _describe_gaps(track: Floats) -> dict[str, Any]:
+    max_ranges = 100  # listed; the count includes all gaps
+    missing = find_blank_frames(track)
     gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
-    return {"count": len(gaps), "longest": longest(missing), "ranges": ranges}
+    return {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges}
 
 
-def _frozen(track: Floats) -> dict[str, int]:
-    still = unchanged(track)
-    return {"steps": int(still.sum()), "longest": longest(still)}
+def _count_unchanged(track: Floats) -> dict[str, int]:
+    is_unchanged = find_unchanged_steps(track)
+    return {"steps": int(is_unchanged.sum()), "longest": find_longest_stretch(is_unchanged)}
 
 
-def _body(body: RigidBody) -> dict[str, Any]:
-    frozen = _frozen(body.position)
+def _describe_body(body: RigidBody) -> dict[str, Any]:
+    frozen = _count_unchanged(body.position)
     return {
         "name": body.name,
-        "missing": int(blank(body.position).sum()),
-        "gaps": _gaps(body.position),
+        "missing": int(find_blank_frames(body.position).sum()),
+        "gaps": _describe_gaps(body.position),
         "frozen_steps": frozen["steps"],
         "longest_frozen_run": frozen["longest"],
         "has_rotation": bool(np.isfinite(body.rotation).any()),
@@ -212,9 +214,9 @@ def as_text(inspection: Inspection) -> str:
     program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
     lines = [facts["file"], f"  {program}, read by {facts['reader']}"]
     for stream in facts["streams"]:
-        lines += ["", *_stream_lines(stream)]
+        lines += ["", *_format_stream(stream)]
     if facts["markers"] is not None:
-        lines += ["", *_marker_lines(facts["markers"])]
+        lines += ["", *_format_markers(facts["markers"])]
     notes = [
         f"  {note['severity']:7}  {note['where']}: {note['message']}"
         for note in facts["notes"]
@@ -223,20 +225,20 @@ def as_text(inspection: Inspection) -> str:
     return "\n".join([*lines, *(["", "Notes"] if notes else []), *notes])
 
 
-def _stream_lines(stream: dict[str, Any]) -> list[str]:
-    head = f"Clock {stream['clock']}: {_timing_text(stream, 'samples')}"
+def _format_stream(stream: dict[str, Any]) -> list[str]:
+    head = f"Clock {stream['clock']}: {_format_times(stream, 'samples')}"
     if stream["unit"] != "s":
         head = f"Rows, no clock: {stream['samples']} samples"
     rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
     for channel in stream["channels"]:
         unit = channel["unit"] or channel["unit_in_file"] or "-"
-        numbers = [_short(channel[key]) for key in ("first", "last", "min", "max")]
+        numbers = [_format_number(channel[key]) for key in ("first", "last", "min", "max")]
         rows.append([channel["path"], unit, *numbers, str(channel["missing"])])
-    return [head, *_table(rows)]
+    return [head, *_format_table(rows)]
 
 
-def _marker_lines(facts: dict[str, Any]) -> list[str]:
-    timing = _timing_text(facts, "frames")
+def _format_markers(facts: dict[str, Any]) -> list[str]:
+    timing = _format_times(facts, "frames")
     head = f"Markers: {timing}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
     rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
     objects = [
@@ -247,27 +249,29 @@ def _marker_lines(facts: dict[str, Any]) -> list[str]:
         (name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"])
         for name, gaps in facts["gaps"].items()
     ]
-    for name, kind, missing, gaps, still in objects:
-        rows.append([name, kind, *map(str, (missing, gaps["count"], gaps["longest"], still))])
-    return [head, *(_table(rows) if objects else ["  no rigid body and no marker"])]
+    for name, kind, missing, gaps, is_unchanged in objects:
+        rows.append(
+            [name, kind, *map(str, (missing, gaps["count"], gaps["longest"], is_unchanged))]
+        )
+    return [head, *(_format_table(rows) if objects else ["  no rigid body and no marker"])]
 
 
-def _timing_text(timing: dict[str, Any], what: str) -> str:
+def _format_times(timing: dict[str, Any], what: str) -> str:
     """Describe a time axis in one line: count, start, end, rate, holes."""
     text = f"{timing[what]} {what}"
     if timing["start"] is not None:
-        text += f", {_short(timing['start'])} to {_short(timing['end'])} s"
+        text += f", {_format_number(timing['start'])} to {_format_number(timing['end'])} s"
     step = timing["step_median"]
     if step is not None and step > 0.0:
         text += f", step {1e3 * step:.6g} ms ({1.0 / step:.5g} per second)"
     return f"{text}, holes: {len(timing['holes'])}" if timing["holes"] else text
 
 
-def _short(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "-" if value is None else f"{value:.6g}"
 
 
-def _table(rows: list[list[str]]) -> list[str]:
+def _format_table(rows: list[list[str]]) -> list[str]:
     """Format a table: two columns of text aligned left, numbers aligned right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     form = "  " + "  ".join(

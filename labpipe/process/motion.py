@@ -1,4 +1,4 @@
-"""The motion of a test: its strokes, where it turns, and where the force turns with it."""
+"""Find strokes, turns and branches of the motion, and the corners of the force at the turns."""
 
 from __future__ import annotations
 
@@ -34,15 +34,14 @@ MAX_CORNER_CUT = 5e-6
 def find_motion_strokes(
     motion: Signal, block: Branches
 ) -> tuple[tuple[Stroke, ...], list[Finding]]:
-    """Find the strokes of a motion, or a blocking finding if it has none.
+    """Find the strokes of a motion; without any, return a finding that blocks the curve.
 
     Parameters
     ----------
     motion : the channel that splits the branches
     block : of the protocol, with channel name and minimum stroke
     """
-    # Standard deviations that noise alone may reach.
-    noise_factor = 5.0
+    noise_factor = 5.0  # standard deviations that noise alone may reach
     min_stroke, noise = block.min_stroke, estimate_noise_level(motion.values)
     strokes = find_strokes(motion.time, motion.values, min_stroke=min_stroke)
     where = block.channel
@@ -120,13 +119,13 @@ def find_motion_turns(motion: Signal, strokes: tuple[Stroke, ...], *, window: fl
 
     Notes
     -----
-    At 1 mm/s, with 10 um of noise and 50 frames per second, a wait of 80 ms is detected at a single
-    turn, and one of 50 ms sometimes if there are five turns. A wait of fewer than three samples is
-    treated as a corner.
+    At 1 mm/s, with 10 um of noise and 50 frames per second, a dwell of 80 ms is found at a single
+    turn; one of 50 ms is found in some tests with five turns. A dwell of fewer than three samples
+    is treated as a corner.
     """
-    # A wait at one turn is at least this multiple of the apparent wait that noise causes.
-    single_wait_factor = 2.4
-    min_wait_samples = 3
+    # Multiple of the apparent dwell that noise causes, from which a single dwell is real.
+    min_dwell_factor = 2.4
+    min_dwell_samples = 3
     candidates = []
     for number, (before, after) in enumerate(pairwise(strokes)):
         ends = motion.time[[before.start, before.stop, after.start, after.stop]]
@@ -134,13 +133,13 @@ def find_motion_turns(motion: Signal, strokes: tuple[Stroke, ...], *, window: fl
         candidate = _fit_turn(motion, number, (float(ends[1]), float(ends[2])), reach)
         if candidate is not None:
             candidates.append(candidate)
-    all_wait = _waits_everywhere(motion, [wait for _, wait in candidates])
-    shortest = min_wait_samples * median(np.diff(motion.time))
+    dwells_everywhere = _dwells_everywhere(motion, [wait for _, wait in candidates])
+    shortest = min_dwell_samples * median(np.diff(motion.time))
     turns = []
     for turn, wait in candidates:
         waits = wait is not None and (
-            all_wait
-            or wait.dwell > max(single_wait_factor * _apparent_wait(motion, wait), shortest)
+            dwells_everywhere
+            or wait.dwell > max(min_dwell_factor * _estimate_apparent_dwell(motion, wait), shortest)
         )
         chosen = wait if waits or turn is None else turn
         if chosen is not None:
@@ -151,7 +150,7 @@ def find_motion_turns(motion: Signal, strokes: tuple[Stroke, ...], *, window: fl
 def split_at_turns(
     motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
 ) -> tuple[Branch, ...]:
-    """Split a motion into branches, at interpolated times where its turns are known."""
+    """Split a motion into branches; known turns give their ends between samples."""
     times = np.full((len(strokes), 2), np.nan)
     for turn in turns:
         times[turn.stroke, 1] = turn.arrival.time
@@ -168,48 +167,47 @@ def _fit_turn(
     motion: Signal, number: int, near: tuple[float, float], window: float
 ) -> tuple[Turn | None, Turn | None] | None:
     """Fit a turn as one corner and as a dwell; None if samples are missing there."""
-    # s on each side of a turning point.
-    half_window = 0.5
-    max_missing_share = 0.3
-    # s, tried where the strokes show no wait.
-    first_wait = 0.2
+    half_window, max_missing_share = 0.5, 0.3  # s on each side of a turn; of samples in it
+    assumed_dwell = 0.2  # s, start of the fit if the strokes show no dwell
     nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in near)
     if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in nearby):
         return None
-    at_once = None
+    corner_turn = None
     if near[0] == near[1]:
         corner = fit_corner(motion.time, motion.values, near=near[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return None
-        at_once = Turn(number, corner, corner)
-        near = corner.time - 0.5 * first_wait, corner.time + 0.5 * first_wait
+        corner_turn = Turn(number, corner, corner)
+        near = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
     stop = fit_stop(motion.time, motion.values, near=near, window=window)
-    return at_once, None if stop is None else Turn(number, *stop)
+    return corner_turn, None if stop is None else Turn(number, *stop)
 
 
-def _apparent_wait(motion: Signal, turn: Turn) -> float:
-    """Estimate the apparent wait that noise causes at a corner, s.
+def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
+    """Estimate the apparent dwell that noise causes at a corner, s.
 
-    A level of n samples is known to noise / sqrt(n), and is a quarter of the wait times the speed
-    below the mean of a corner. Both are equal for (16 noise^2 / (speed^2 rate))^(1/3).
+    The mean of n samples has the error noise / sqrt(n). A dwell lowers the mean around a corner by
+    a quarter of the dwell times the speed. Both are equal for a dwell of
+    (16 noise^2 / (speed^2 rate))^(1/3).
     """
-    speed = float(np.min(np.abs(_speeds(motion, turn))))
+    speed = float(np.min(np.abs(_measure_speeds(motion, turn))))
     if not speed > 0.0:
         return 0.0
     step = median(np.diff(motion.time))
     return float(np.cbrt(16.0 * estimate_noise_level(motion.values) ** 2 * step / speed**2))
 
 
-def _waits_everywhere(motion: Signal, waits: list[Turn | None]) -> bool:
-    """Check whether the machine waits at every turn, by the median over all turns."""
-    # s
-    min_noise_wait = 1e-6
-    min_turns, all_waits_factor = 3, 1.5
+def _dwells_everywhere(motion: Signal, waits: list[Turn | None]) -> bool:
+    """Check whether the machine dwells at every turn, by the median over all turns."""
+    min_apparent_dwell = 1e-6  # s
+    min_turns, min_median_ratio = 3, 1.5
     shares = [
-        0.0 if wait is None else wait.dwell / max(_apparent_wait(motion, wait), min_noise_wait)
+        0.0
+        if wait is None
+        else wait.dwell / max(_estimate_apparent_dwell(motion, wait), min_apparent_dwell)
         for wait in waits
     ]
-    return len(waits) >= min_turns and median(np.array(shares)) > all_waits_factor
+    return len(waits) >= min_turns and median(np.array(shares)) > min_median_ratio
 
 
 def check_turns(
@@ -242,17 +240,17 @@ def check_turns(
                 clock=motion.clock,
                 time=turn_time,
             )
-    for finding in (corner for turn in turns for corner in _rounded_corners(motion, turn)):
+    for finding in (corner for turn in turns for corner in _find_rounded_corners(motion, turn)):
         yield finding
         if for_clock:
             yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
-def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
-    """Find turns at which the machine rounds the corner."""
-    noise, speeds = estimate_noise_level(motion.values), _speeds(motion, turn)
+def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
+    """Find a turn at which the motion rounds the corner; report it once."""
+    noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
     for width in CORNER_WIDTHS:
-        deviations = _corner_deviations(motion, turn, speeds, width)
+        deviations = _measure_corner_deviations(motion, turn, speeds, width)
         if not len(deviations):
             continue
         if turn.dwell == 0.0:
@@ -275,7 +273,7 @@ def _rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
             return
 
 
-def _corner_deviations(
+def _measure_corner_deviations(
     motion: Signal, turn: Turn, speeds: tuple[float, float], width: float
 ) -> Floats:
     """Return the deviations of the motion from straight lines near the corners, m."""
@@ -285,7 +283,7 @@ def _corner_deviations(
     return np.asarray((motion.values - turn.arrival.value - lines)[near], dtype=np.float64)
 
 
-def _speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
+def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
     """Return the speeds before arrival and after departure, by means half a second apart, m/s."""
     before = [_mean_near(motion, turn.arrival.time - shift) for shift in (1.0, 0.5)]
     after = [_mean_near(motion, turn.departure.time + shift) for shift in (0.5, 1.0)]
@@ -304,7 +302,7 @@ def _mean_near(motion: Signal, centre: float) -> tuple[float, float]:
 
 
 MAX_CORNER_ERROR = 0.1
-"""s, of corners of the force that may join clocks."""
+"""s, standard error below which a corner of the force may join clocks."""
 
 
 def match_strokes(
@@ -325,25 +323,32 @@ def match_strokes(
         in mid-test
     counted : text with the numbers of peaks
     """
-    tops = [
+    turn_times = [
         (number, 0.5 * float(motion.time[before.stop] + motion.time[after.start]))
         for number, (before, after) in enumerate(pairwise(strokes))
         if before.sign == sign
     ]
     peaks = find_rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    times = np.array([top for _, top in tops])
+    times = np.array([top for _, top in turn_times])
     pairs, is_ambiguous = match_peaks(times, peaks)
-    if len(pairs) and len(times) > 1 and not (_is_whole(motion) and _is_whole(force)):
+    if (
+        len(pairs)
+        and len(times) > 1
+        and not (_begins_and_ends_at_rest(motion) and _begins_and_ends_at_rest(force))
+    ):
         lag = float(np.median(peaks[pairs[:, 1]] - times[pairs[:, 0]]))
         is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
-    matched = [(tops[first][0], float(peaks[second])) for first, second in pairs.tolist()]
-    return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(peaks)} of the force"
+    matched = [(turn_times[first][0], float(peaks[second])) for first, second in pairs.tolist()]
+    return (
+        matched,
+        is_ambiguous,
+        f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force",
+    )
 
 
-def _is_whole(signal: Signal) -> bool:
+def _begins_and_ends_at_rest(signal: Signal) -> bool:
     """Check whether a record begins and ends at rest, far below its peaks."""
-    # Share of the range of the signal.
-    max_rest_share = 0.2
+    max_rest_share = 0.2  # of the range of the signal
     finite = signal.values[~np.isnan(signal.values)]
     size = max(1, len(finite) // 200)
     ends = float(finite[:size].mean()), float(finite[-size:].mean())
@@ -364,12 +369,12 @@ def find_turn_event(
 
     Returns
     -------
-    The corner of the motion and that of the force; None if the latter is not known to 0.1 s. With
-    a dwell both corners of the force are one event, because the motion gives their distance: up to
-    two windows they are fitted together, so that they cannot be confused, else separately.
+    The corner of the motion and that of the force; None if the error of the latter is 0.1 s or
+    more. With a dwell, both corners of the force give one event, because their distance is known
+    from the motion. They are fitted together in a dwell of up to two windows, so that they cannot
+    be confused, and separately in a longer one.
     """
-    # s around the rough turn of the force in which the corner is searched.
-    search_reach = 1.0
+    search_reach = 1.0  # s around the rough turn of the force
     dwell = turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
     first = find_turn_near(
@@ -390,20 +395,20 @@ def find_turn_event(
         reversal = fit_reversal(*inside, near=time, window=window, dwell=wait)
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             events.append((corner, reversal))
-    return _mean_event(events)
+    return _average_events(events)
 
 
-def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal] | None:
+def _average_events(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal] | None:
     """Combine the corners of a turn into one event, weighted by their errors."""
     if len(events) < 2:
         return events[0] if events else None
     motion_events, force_events = [event[0] for event in events], [event[1] for event in events]
     times = np.array([[one.time, two.corner.time] for one, two in events])
     errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
-    together = np.hypot(errors[:, 0], errors[:, 1])
-    weights = together**-2.0 / (together**-2.0).sum()
+    lag_errors = np.hypot(errors[:, 0], errors[:, 1])
+    weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     lags = times[:, 1] - times[:, 0]
-    scatter_factor = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
+    scatter_factor = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*lag_errors)))
     mean_time, error = weights @ times, scatter_factor * np.sqrt(weights**2 @ errors**2)
     shape_error = float(weights @ [reversal.shape_error for reversal in force_events])
     corner = replace(force_events[0].corner, time=float(mean_time[1]), time_error=float(error[1]))

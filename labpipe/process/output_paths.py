@@ -1,4 +1,4 @@
-"""Resolve paths of a command line: tests to process, results to report, copies."""
+"""Find the tests and results in the paths of a command line, and tests that occur twice."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.store.replace import STAGES, exists_or_is_staged
 
 
 def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
-    """Identify the recording from which a test was made.
+    """Make a key of the recording from which a test was made.
 
     Parameters
     ----------
@@ -134,13 +134,13 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
     return sorted(paths)
 
 
-def refuse_duplicates(marks: Iterable[tuple[str, Path]], what: str) -> None:
-    """Refuse two tests with the same name or results folder, ignoring case.
+def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
+    """Refuse two tests with the same name or results folder; case is ignored.
 
     Parameters
     ----------
-    marks : name or results folder of each test, and its file
-    what : which of the two it is
+    names : name or results folder of each test, and its file
+    kind : ``name`` or ``folder of results``
 
     Raises
     ------
@@ -149,10 +149,10 @@ def refuse_duplicates(marks: Iterable[tuple[str, Path]], what: str) -> None:
     """
     first: dict[str, Path] = {}
     faults = []
-    for mark, file in marks:
-        earlier = first.setdefault(mark.casefold(), file)
+    for name, file in names:
+        earlier = first.setdefault(name.casefold(), file)
         if earlier != file:
-            error = UsageError.about("process.repeated", file, what=what, mark=mark, first=earlier)
+            error = UsageError.about("process.repeated", file, kind=kind, name=name, first=earlier)
             faults.append(str(error))
     if faults:
         raise UsageError("\n".join(faults))

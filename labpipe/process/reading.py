@@ -28,27 +28,27 @@ from labpipe.records.result import InputFile
 from labpipe.units import find_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
-"""Entries of programs for an unknown unit."""
+"""Entries by which programs mark an unknown unit."""
 _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
     | {"newton": "N", "kilonewton": "kN", "lb": "lbf", "pound": "lbf", "inch": "in"}
 )
-"""Spellings that labpipe does not know, also with an s, and the only unit that each can mean."""
+"""Unit of each spelling that the unit parser refuses; a plural s is removed first."""
 
 
-def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str]:
-    """Describe what is wrong with the unit of a channel.
+def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str]:
+    """Describe the fault of the unit of a channel: at most one message.
 
-    No unit is stated, that of the export is unknown or of another quantity, or `unit` contradicts
-    it and `wrong_unit_in_file` does not name it.
+    Faults are: export and protocol state no unit; the unit in the export is unknown or of another
+    quantity; or `unit` in the protocol contradicts it and `wrong_unit_in_file` does not name it.
     """
     stated, key = channel.unit_in_file, source.key
-    si_unit = _si_unit(source, source.unit or stated)
-    place, likely = f"channel {channel.path!r}", _known_unit(stated)
+    si_unit = _find_si_unit(source, source.unit or stated)
+    place, likely = f"channel {channel.path!r}", _find_known_spelling(stated)
     another = format_overrides(f"{key}.channel", "...")
     if source.unit is not None:
         is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
-        is_same = _same_unit(likely, source.unit, si_unit)
+        is_same = _are_equal_units(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
             return []
         error = ReadError.about(
@@ -59,7 +59,7 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
             key=f"{key}.unit: {source.unit}",
             likely=(
                 f"Write {likely} there"
-                if _same_unit(likely, likely, si_unit)
+                if _are_equal_units(likely, likely, si_unit)
                 else f"Name another channel with {another}"
             ),
             wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
@@ -67,7 +67,7 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     elif not stated:
         unit = format_overrides(f"{key}.unit", source.target_unit)
         error = ReadError.about("process.no_unit", path, place, unit=unit)
-    elif _same_unit(stated, stated, si_unit):
+    elif _are_equal_units(stated, stated, si_unit):
         return []
     elif source.target_unit == "N" and has_dimension_of(stated, "kg"):
         error = ReadError.about(
@@ -90,7 +90,7 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
             calibration=f"{key}.calibration",
         )
     else:
-        is_spelt_otherwise = _same_unit(likely, likely, source.target_unit)
+        is_spelt_otherwise = _are_equal_units(likely, likely, source.target_unit)
         unit = format_overrides(f"{key}.unit", likely if is_spelt_otherwise else "...")
         error = ReadError.about(
             "process.unit_unknown", path, place, si_unit=si_unit, stated=stated, unit=unit
@@ -98,30 +98,32 @@ def _unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str
     return [str(error)]
 
 
-def _si_unit(source: ChannelSource, stated: str) -> str:
+def _find_si_unit(source: ChannelSource, stated: str) -> str:
     """Return the SI unit of a channel; an extensometer may also give strain."""
     unit = source.channel_unit or source.target_unit
-    is_strain = source.is_extension and _same_unit(stated, stated, "1")
+    is_strain = source.is_extension and _are_equal_units(stated, stated, "1")
     return "1" if is_strain else unit
 
 
-def _known_unit(stated: str) -> str:
-    """Return the known unit for the spelling of an export, such as kN for KN."""
+def _find_known_spelling(stated: str) -> str:
+    """Return the known spelling of a unit in an export, such as kN for KN; else as written."""
     word = stated.casefold()
     spelt = _UNIT_SPELLINGS.get(word) or _UNIT_SPELLINGS.get(word.removesuffix("s"), stated)
     return stated if is_unit(stated) else spelt
 
 
-def _same_unit(one: str, other: str, si_unit: str) -> bool:
-    """Check whether two units of a dimension are equal."""
+def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
+    """Check whether two units are equal and of the dimension of an SI unit."""
     try:
-        return isclose(find_si_factor(one, si_unit), find_si_factor(other, si_unit), rel_tol=1e-9)
+        return isclose(
+            find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit), rel_tol=1e-9
+        )
     except ValueError:
         return False
 
 
 DIALECT = "dialect"
-"""Role of dialect cards of the lab among the inputs of a test."""
+"""Role of the dialect cards of the lab among the inputs of a test."""
 
 
 def read_inputs(
@@ -138,7 +140,7 @@ def read_inputs(
     Returns
     -------
     recordings : by role; channels have the names of the protocol and SI units
-    inputs : the files with their fingerprints, in the same order; then the dialect cards of the lab
+    inputs : the files with their SHA-256, in the same order; then the dialect cards of the lab
 
     Raises
     ------
@@ -179,7 +181,7 @@ def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, 
 
 
 def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
-    """Take fingerprints of the dialect cards of the lab, which define how an export is read.
+    """Compute the SHA-256 of the dialect cards of the lab, which define how exports are read.
 
     Parameters
     ----------
@@ -296,11 +298,11 @@ def read_role(path: Path, source: Source) -> Recording:
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(_channel_fault(error, source, path), code=error.code) from error
+        raise ReadError(_describe_channel_fault(error, source, path), code=error.code) from error
 
 
-def _channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
-    """Complete an error with the key that names the channel, or the specimen."""
+def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
+    """Add to an error the key of the test sheet that names the channel or the specimen."""
     max_listed = 8
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
@@ -343,15 +345,20 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         try:
             channel = select_channel(recording, spec.channel, path)
         except NoChannelError as error:
-            faults.append(_channel_fault(error, source, path))
+            faults.append(_describe_channel_fault(error, source, path))
             code = error.code
             continue
-        if unit_fault := _unit_fault(channel, spec, path):
+        if unit_fault := _find_unit_fault(channel, spec, path):
             faults += unit_fault
             continue
-        channels.append(_in_si(channel, name, spec))
+        channels.append(_convert_to_si(channel, name, spec))
         own, stated = spec.unit, channel.unit_in_file
-        if own and stated and own != stated and not _same_unit(own, stated, _si_unit(spec, own)):
+        if (
+            own
+            and stated
+            and own != stated
+            and not _are_equal_units(own, stated, _find_si_unit(spec, own))
+        ):
             notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
         if not is_exact_name(spec.channel, channel):
             wanted = " or ".join(map(repr, spec.channel[:3]))
@@ -371,9 +378,9 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     )
 
 
-def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
+def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel and convert its numbers to SI."""
-    unit = _si_unit(source, source.unit or channel.unit_in_file)
+    unit = _find_si_unit(source, source.unit or channel.unit_in_file)
     factor = find_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
@@ -381,7 +388,7 @@ def _in_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
 
 
 def fingerprint(path: Path, role: str, name: str) -> InputFile:
-    """Take the fingerprint of an input file.
+    """Compute the SHA-256 of an input file.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The per-test command: export -> result.h5, summary.json, figures."""
+"""Process one test: read its exports, reduce it, and write result.h5, summary.json and figures."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Processed:
     folder : holds result.h5, summary.json and figures
     result : of the test
     figures : files of figures
-    finished : whether unfinished work of a killed process was finished first
+    finished : whether files that a killed process left behind were completed first
     """
 
     folder: Path
@@ -90,15 +90,15 @@ class Task:
     Parameters
     ----------
     sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    goal : folder of its results; None for that of `labpipe process`
+    results_folder : of the test; None for that of `labpipe process`
     figures : whether to draw figures as SVG
     png : whether to draw them as PNG as well
     follow_links : whether exports may be links out of the folder of the test
-    run : key of its results, if it is known before
+    run : key of its inputs (`run_key`), if it is known before they are read; else empty
     """
 
     sheet: Path
-    goal: Path | None = None
+    results_folder: Path | None = None
     figures: bool = True
     png: bool = False
     follow_links: bool = False
@@ -125,7 +125,7 @@ def process_test(
     LabpipeError
         If an input is bad; earlier results are then unchanged.
     """
-    return process(Task(source, out and out / name_of(source), figures), say)
+    return process(Task(source, out and out / read_test_name(source), figures), say)
 
 
 def process(task: Task, say: Say) -> Processed:
@@ -143,28 +143,28 @@ def process(task: Task, say: Say) -> Processed:
     """
     say("read")
     source, finished = task.sheet, False
-    is_in_place = source.suffix == ".h5" and task.goal in (None, source.parent)
+    is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_cut_off(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_cut_off(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = task.goal or find_results_folder(source, None, lambda: result.test)
-    owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=task.figures)]
+    folder = task.results_folder or find_results_folder(source, None, lambda: result.test)
+    owned = [FAILURE_FILE, *_list_outdated_figures(folder, result.run, is_drawn=task.figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             writing = compressor.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
-            drawn: tuple[Path, ...] = ()
+            figure_paths: tuple[Path, ...] = ()
             if task.figures:
                 say("draw")
                 from labpipe.report.figures import save_figures
 
-                drawn = tuple(save_figures(result, stage / FIGURES, png=task.png))
+                figure_paths = tuple(save_figures(result, stage / FIGURES, png=task.png))
             writing.result()
-    files = tuple(folder / path.relative_to(stage) for path in drawn)
+    files = tuple(folder / path.relative_to(stage) for path in figure_paths)
     return Processed(folder, result, files, finished)
 
 
@@ -188,9 +188,9 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
-        with replacing_together(folder, owned=_all_figures()) as stage:
-            drawn = save_figures(result, stage / FIGURES)
-    return tuple(folder / path.relative_to(stage) for path in drawn)
+        with replacing_together(folder, owned=_list_figure_files()) as stage:
+            figure_paths = save_figures(result, stage / FIGURES)
+    return tuple(folder / path.relative_to(stage) for path in figure_paths)
 
 
 def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, Protocol]:
@@ -281,18 +281,18 @@ def find_day_and_operator(
     dates = [entries.get("date")]
     dates += [recording.metadata.get(key) for recording in recordings.values() for key in _DAY_KEYS]
     operator = entries.get("operator")
-    day = next(filter(None, map(_day, dates)), None)
+    day = next(filter(None, map(_parse_day, dates)), None)
     return day, operator if isinstance(operator, str) else ""
 
 
-def _day(written: object) -> date | None:
+def _parse_day(written: object) -> date | None:
     try:
         return date.fromisoformat(str(written)[:10])
     except ValueError:
         return None
 
 
-def name_of(source: Path) -> str:
+def read_test_name(source: Path) -> str:
     """Read the name of a test.
 
     Parameters
@@ -308,7 +308,7 @@ def name_of(source: Path) -> str:
 
 
 def run_key(raw: RawTest) -> str:
-    """Return the key of the inputs of a result: equal keys mean equal numbers.
+    """Make the key of the inputs of a test: equal keys mean equal numbers.
 
     Parameters
     ----------
@@ -319,11 +319,11 @@ def run_key(raw: RawTest) -> str:
     SHA-256, hexadecimal, of these and `PROCESSING_VERSION`, independent of time and machine.
     """
     exports = [(file.role, file.sha256) for file in raw.inputs]
-    return key_of(exports, raw.test_yaml, raw.protocol_yaml)
+    return make_input_key(exports, raw.test_yaml, raw.protocol_yaml)
 
 
-def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
-    """Return the key of inputs, see `run_key`.
+def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
+    """Make the key of inputs, see `run_key`.
 
     Parameters
     ----------
@@ -336,16 +336,16 @@ def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str
     return sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _outdated_figures(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
-    """List figures in a folder that would show other numbers than the result of this run."""
+def _list_outdated_figures(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
+    """List the figures of a folder, which are outdated; none if they show this run."""
     if not is_drawn:
         with suppress(StoreError):
             if read_run(folder / RESULT_FILE) == run:
                 return []
-    return _all_figures()
+    return _list_figure_files()
 
 
-def _all_figures() -> list[str]:
+def _list_figure_files() -> list[str]:
     names = get_args(FigureName)
     return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 
@@ -402,7 +402,7 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
     Parameters
     ----------
     source, out : see `process_test`
-    name : function that returns the name of the test
+    name : returns the name of the test; called only if it is needed
 
     Returns
     -------
@@ -466,7 +466,7 @@ def attempt(
         return refuse(task, error.code, str(error))
     except Exception as error:
         code = find_error_code(error)
-        refused = refuse(task, code, _fault_text(code, task.sheet, error))
+        refused = refuse(task, code, _describe_fault(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
@@ -489,28 +489,28 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
     The refusal. If the results folder is not known, not writable, or in use by another process,
     there is no failure.json, or an earlier one remains.
     """
-    folder = _folder_of(task)
+    folder = _try_results_folder(task)
     failure = FailedTest("", code, reason, task.run)
     if is_read:
-        failure = _with_inputs(failure, task)
+        failure = _add_inputs(failure, task)
     if folder is not None and code != "in_use":
         with suppress(LabpipeError):
             write_failure(failure, folder)
     return Refused(task.sheet, code, reason, folder, failure.run)
 
 
-def _folder_of(task: Task) -> Path | None:
-    if task.goal is not None:
-        return task.goal
+def _try_results_folder(task: Task) -> Path | None:
+    if task.results_folder is not None:
+        return task.results_folder
     with suppress(LabpipeError, OSError, MemoryError):
-        return find_results_folder(task.sheet, None, partial(name_of, task.sheet))
+        return find_results_folder(task.sheet, None, partial(read_test_name, task.sheet))
     return None
 
 
-def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
+def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
     """Add name and inputs of the test to a failure, as far as they can be read."""
     try:
-        failure = replace(failure, test=name_of(task.sheet))
+        failure = replace(failure, test=read_test_name(task.sheet))
         if task.sheet.suffix == ".h5":
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
@@ -522,14 +522,14 @@ def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
         exports_by_role, folder = list_named_exports(sheet, protocol), task.sheet.parent
         exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
-        run = key_of([(file.role, file.sha256) for file in inputs], text, resolved)
+        run = make_input_key([(file.role, file.sha256) for file in inputs], text, resolved)
         return replace(failure, inputs=inputs, run=failure.run or run)
     except Exception:  # noqa: BLE001  the same fault may occur here, and is reported already
         return failure
 
 
-def _fault_text(code: str, test: Path, error: Exception) -> str:
-    """Describe an error that is no `LabpipeError`; one of labpipe with the line that raised it."""
+def _describe_fault(code: str, test: Path, error: Exception) -> str:
+    """Describe an error that is not a `LabpipeError`; a fault of labpipe with its line of code."""
     if code == "system_refused":
         return f"{test}: {describe_system_error(error)}"
     if code == "out_of_memory":

@@ -1,4 +1,4 @@
-"""Check a test against its protocol, and whether its record is complete."""
+"""Check a test against its protocol: sizes, signs, zeros, start and end of its record."""
 
 from __future__ import annotations
 
@@ -60,11 +60,16 @@ def check_rig(
         weight += compute_prop_force(
             GRAVITY * (specimen.mass_per_length or 0.0), specimen.length or 0.0
         )
-        yield from _check_negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
+        yield from _check_negative(
+            _average_per_second(force), -1.2 * weight - 2e-3, "a string cannot push"
+        )
     if specimen.span is not None and force.has_time and not is_blocked:
-        means, reason = _per_second(force), "a load that presses on a specimen cannot pull it"
-        least = -protocol.limits.pulling_force * float(np.nanmax(means))
-        yield from _check_negative(means, least, reason)
+        means, reason = (
+            _average_per_second(force),
+            "a load that presses on a specimen cannot pull it",
+        )
+        lower_limit = -protocol.limits.pulling_force * float(np.nanmax(means))
+        yield from _check_negative(means, lower_limit, reason)
     if specimen.length is None or block is None or block.clamp is None or shape is None:
         return
     seen, stated = shape.length, specimen.length
@@ -88,12 +93,12 @@ def _check_motion(
             "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=rig.cycles
         )
     if rig.stroke is not None and not is_full_stroke(motion, rig.stroke):
-        measured, expected = 1e3 * _travel(motion.values), 1e3 * rig.stroke
+        measured, expected = 1e3 * _measure_travel(motion.values), 1e3 * rig.stroke
         yield Finding.of(
             "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected
         )
     if speed is not None and motion.has_time:
-        moved = _travel(motion.values[first.start : first.stop])
+        moved = _measure_travel(motion.values[first.start : first.stop])
         measured = moved / max(first.stop_time - first.start_time, 1e-9)
         if abs(measured - speed) > protocol.limits.speed_deviation * speed:
             yield Finding.of(
@@ -106,7 +111,7 @@ def _check_motion(
             )
 
 
-def _travel(values: Floats) -> float:
+def _measure_travel(values: Floats) -> float:
     return float(np.nanmax(values) - np.nanmin(values))
 
 
@@ -118,18 +123,20 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     motion : the channel that splits the branches
     expected : m
     """
-    return expected is not None and abs(_travel(motion.values) - expected) <= 0.02 * expected
+    return (
+        expected is not None and abs(_measure_travel(motion.values) - expected) <= 0.02 * expected
+    )
 
 
-def _check_negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
+def _check_negative(smooth: Floats, lower_limit: float, why: str) -> Iterator[Finding]:
     """Report a force whose means over a second fall below the minimum of its load."""
     lowest = float(np.nanmin(smooth))
-    if lowest < least - 5.0 * estimate_noise_level(smooth):
+    if lowest < lower_limit - 5.0 * estimate_noise_level(smooth):
         yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
 
 
-def _per_second(force: Signal) -> Floats:
-    """Return moving means over a second, every tenth of a second."""
+def _average_per_second(force: Signal) -> Floats:
+    """Return moving averages over a second, every tenth of a second."""
     size = max(1, seconds_to_window(0.1, force.time))
     blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
     window = max(1, seconds_to_window(1.0, force.time[::size]))
@@ -165,14 +172,14 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
 def check_mid_span(
     prepared: Prepared, motion: Motion, limits: Limits = LIMITS
 ) -> tuple[Prepared, list[Finding]]:
-    """Discard cameras that began under load; doubt a displacement that differs from theirs.
+    """Reject cameras that began under load, and report a displacement that differs from theirs.
 
     Parameters
     ----------
     prepared : its ``mid_span`` is used if there is one
     motion : the displacement, with clocks that are joined
-    limits : of the lab. Round rollers alone cause up to a tenth: the specimen rolls up on them, and
-        is below them at the nominal supports.
+    limits : of the lab. Round rollers alone cause a difference of up to a tenth, because the
+        specimen rolls on them and is below the nominal supports.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -183,7 +190,7 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    seen, measured = _travel(mid_span.values), _travel(motion.signal.values)
+    seen, measured = _measure_travel(mid_span.values), _measure_travel(motion.signal.values)
     if abs(seen - measured) <= limits.mid_span_deviation * measured:
         return prepared, []
     facts = Finding.of(
@@ -207,10 +214,10 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
 
     Notes
     -----
-    The specimen is loaded in the branch with the largest growth of the absolute force, if it has
-    the direction of the first one. If both signals fall, as in compression, numbers without a sign
-    (energy, stiffness) are not affected. A force that has both signs, with more than a fifth of the
-    largest in each, has no wrong sign, nor has its motion.
+    Loading is the branch in which the absolute force grows most. The displacement is reversed only
+    if it falls in that branch and in the first one. If both signals fall, as in compression,
+    numbers without a sign (energy, stiffness) are not affected. A force with both signs, each with
+    more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
     max_opposite_share, error_factor = 0.2, 10.0  # of the largest force; of a block mean
     curve, displacement = protocol.curve, signals.raw[signals.displacement]
@@ -219,9 +226,9 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     time = displacement.time
     force = motion.clocks.interpolate(signals.raw[signals.force], time)
     parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
-    sizes = [np.abs(_means(force[part])) for part in parts]
+    sizes = [np.abs(_average_blocks(force[part])) for part in parts]
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
-    means = _means(force)
+    means = _average_blocks(force)
     if len(means) < 2 or not max(growths) > 0.0:
         return []
     noise = error_factor * estimate_noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
@@ -229,16 +236,18 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     opposite = float((-np.sign(top) * means).max())
     if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
         return []
-    wrong = {"force": f"the force goes to {top:.3g} N"} if top < 0.0 else {}
+    reversed_texts = {"force": f"the force goes to {top:.3g} N"} if top < 0.0 else {}
     loading, first = parts[int(np.argmax(growths))], parts[0]
     if signals.displacement in protocol.channels and all(
-        _falls(displacement.values[part]) for part in (loading, first)
+        _is_falling(displacement.values[part]) for part in (loading, first)
     ):
         lowest = 1e3 * float(np.nanmin(displacement.values))
-        wrong["displacement"] = f"the displacement goes to {lowest:.3g} mm"
+        reversed_texts["displacement"] = f"the displacement goes to {lowest:.3g} mm"
     if curve.reverse is not None:
-        wrong = {name: text for name, text in wrong.items() if name in curve.reverse}
-    is_reversed, names = bool(curve.reverse), ", ".join(wrong)
+        reversed_texts = {
+            name: text for name, text in reversed_texts.items() if name in curve.reverse
+        }
+    is_reversed, names = bool(curve.reverse), ", ".join(reversed_texts)
     remedy = format_sentence(
         "process.signs_reversed" if is_reversed else "process.signs_to_reverse",
         names=names if is_reversed else format_overrides("curve.reverse", f"[{names}]"),
@@ -248,29 +257,29 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
         Finding.of(
             "process.force_reversed" if name == "force" else "process.displacement_reversed",
             getattr(signals, name),
-            f"{name}_sign" if len(wrong) > 1 else name,
+            f"{name}_sign" if len(reversed_texts) > 1 else name,
             *(clock if name == "force" else ()),
-            signs=" and ".join(wrong.values()),
+            signs=" and ".join(reversed_texts.values()),
             remedy=remedy,
         )
-        for name in wrong
+        for name in reversed_texts
     ]
 
 
-def _means(values: Floats) -> Floats:
+def _average_blocks(values: Floats) -> Floats:
     """Return means of the finite values over at most 200 blocks."""
     finite = values[~np.isnan(values)]
     starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
     return average_between(finite, starts) if len(finite) else finite
 
 
-def _falls(values: Floats) -> bool:
+def _is_falling(values: Floats) -> bool:
     finite = values[~np.isnan(values)]
     return len(finite) > 1 and bool(finite[-1] < finite[0])
 
 
 def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
-    """Report a record that begins under load and mark the results that depend on its start.
+    """Report a record that begins under load, and doubt the results that depend on its start.
 
     Parameters
     ----------
@@ -285,14 +294,14 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
 
     Notes
     -----
-    A record that begins at rest is not doubted, because its load cell may have an offset; nor is a
-    test in cycles that return to the load at its beginning. A small force is a load if it lies on
-    one line through zero with the displacement, within a factor of three.
+    A record that begins at rest is not doubted, because its load cell may have an offset. Nor is a
+    test whose cycles return to the load at its beginning. A small force counts as a load if it is
+    proportional to the displacement within a factor of three.
     """
-    record = _first_branch(signals, motion) if motion.branches else None
-    if record is None:
+    branch_data = _read_first_branch(signals, motion) if motion.branches else None
+    if branch_data is None:
         return
-    time, force, path, inside = record
+    time, force, path, inside = branch_data
     load, share = float(force[inside][0]), float(force[inside][0] / np.ptp(force))
     if share > 0.5 and force[inside][-1] < 0.5 * load:
         yield Finding.of(
@@ -309,9 +318,11 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
-    lined = [name for name in signals.quantities if name in signals.moving_zero_stretches]
-    restored = () if signals.force in lined or not has_slack else (signals.displacement,)
-    doubtful = [signals.quantities[name] for name in lined if name not in restored]
+    zeroed_in_motion = [
+        name for name in signals.quantities if name in signals.moving_zero_stretches
+    ]
+    restored = () if signals.force in zeroed_in_motion or not has_slack else (signals.displacement,)
+    doubtful = [signals.quantities[name] for name in zeroed_in_motion if name not in restored]
     first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
     for quantities, during in ((["start"], first), (doubtful, None)):
         if quantities:
@@ -323,14 +334,19 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
                 load=load,
                 share=share,
                 place=1e3 * float(path[0]),
-                zeroed=f"; {' and '.join(lined)} zeroed there" if lined else "",
+                zeroed=f"; {' and '.join(zeroed_in_motion)} zeroed there"
+                if zeroed_in_motion
+                else "",
             )
 
 
-def _first_branch(signals: Signals, motion: Motion) -> tuple[Floats, Floats, Floats, Flags] | None:
+def _read_first_branch(
+    signals: Signals, motion: Motion
+) -> tuple[Floats, Floats, Floats, Flags] | None:
     """Return time, force and path as exported, positive in loading, and flags of the first branch.
 
-    None without force and travel, or if the record begins at rest, or without force.
+    None if force or path is constant, or if the record begins at rest or within the noise of the
+    force.
     """
     noise_factor, min_samples = 5.0, 4
     time = signals.raw[signals.displacement].time
@@ -364,8 +380,8 @@ def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> 
     return share >= sure_share or bool(share >= min_load_share and has_moved and is_on_line)
 
 
-_CUT_FILES = {"truncated", "rows_differ"}
-"""Notes of readers of exports whose last rows may be missing."""
+_CUT_FILE_CODES = {"truncated", "rows_differ"}
+"""Codes of readers' notes on exports whose last rows may be missing."""
 
 
 def find_cut_ends(
@@ -409,7 +425,7 @@ def find_cut_ends(
 
 def is_file_cut(findings: Findings) -> bool:
     """Check the notes of readers for exports whose last rows may be missing."""
-    return any(finding.code in _CUT_FILES for finding in findings.entries)
+    return any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
 
 
 def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
@@ -425,7 +441,7 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     moved, branches = motion.signal, motion.branches
     if not branches:
         return
-    unit, least = ("s", limits.hold_time) if moved.has_time else ("rows", min_rows)
+    unit, lower_limit = ("s", limits.hold_time) if moved.has_time else ("rows", min_rows)
     is_finite = ~np.isnan(moved.values)
     time, values = moved.time[is_finite], moved.values[is_finite]
     ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
@@ -433,7 +449,7 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     is_away = abs(values[-1] - moved.values[branches[0].start]) > return_share * stroke
     if is_away and len(last) and np.ptp(last) <= still_share * stroke:
         ends.append((branches[-1].stop_time, float(time[-1])))
-    holds = [(start, stop) for start, stop in ends if stop - start >= least]
+    holds = [(start, stop) for start, stop in ends if stop - start >= lower_limit]
     if holds:
         yield Finding.of(
             "process.hold",

@@ -233,7 +233,7 @@ def read_folder(folder: Path) -> FolderContents:
             try:
                 reader = recognise_export(path)
             except ReadError:
-                contents.others[path.name] = describe_unknown(path).what
+                contents.others[path.name] = describe_unknown(path).kind
             else:
                 contents.exports[path] = reader.read(path)
         except (LabpipeError, OSError) as error:

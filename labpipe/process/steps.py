@@ -1,4 +1,4 @@
-"""Run the steps of a protocol."""
+"""Run the steps of a protocol on the signals of a test: zeros, filters, markers, travel."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from labpipe.signal.turning_points import find_sharpest_turn
 def travel_from_speed(
     signals: Signals, step: TravelFromSpeed, rig: Rig
 ) -> tuple[Signals, list[Finding]]:
-    """Carry out ``travel-from-speed``: the displacement, on the clock of the force.
+    """Run ``travel-from-speed``: compute the displacement on the clock of the force.
 
     Parameters
     ----------
@@ -71,24 +71,27 @@ def travel_from_speed(
     Notes
     -----
     The turn is the corner of the force; loading began stroke / speed before it (the dissertation,
-    App. A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
-    standard error later, or are faster by the uncertainty of the speed.
+    App. A.6, uses the largest force as the turn, and 58.8 s). In the perturbed signals the turn is
+    one standard error later, or the speed is higher by its uncertainty.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
     force, duration = orient_force(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
-    corner = _turn(force, step)
+    corner = _find_turn(force, step)
     start, speed = corner.time - duration, rig.crosshead_speed
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
 
-    def travel(late: float) -> Floats:
-        """Return the displacement if loading began late: 0 before it and after the return."""
-        up = np.clip(time - start - late, 0.0, duration)
-        down = np.clip(time - corner.time - late, 0.0, duration)
+    def compute_travel(delay: float) -> Floats:
+        """Return the displacement with a delayed loading: 0 before it and after the return."""
+        up = np.clip(time - start - delay, 0.0, duration)
+        down = np.clip(time - corner.time - delay, 0.0, duration)
         return np.asarray(speed * (up - down), dtype=np.float64)
 
-    values = travel(0.0)
-    moved = {TURN: travel(corner.time_error), SPEED: (1.0 + step.speed_uncertainty) * values}
+    values = compute_travel(0.0)
+    moved = {
+        TURN: compute_travel(corner.time_error),
+        SPEED: (1.0 + step.speed_uncertainty) * values,
+    }
     signal = Signal(time, values, "m", force.clock, perturbed=moved)
     note = Finding.of(
         "process.displacement_from_speed",
@@ -99,12 +102,12 @@ def travel_from_speed(
         error=1e3 * corner.time_error,
     )
     delay = float(force.time[0]) - start
-    within = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
-    late = Finding.of("process.start_missed", "force", "force", delay=delay, within=within)
-    return signals.add_signal(step.channel, signal), [note, late] if delay > within else [note]
+    tolerance = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
+    missed = Finding.of("process.start_missed", "force", "force", delay=delay, within=tolerance)
+    return signals.add_signal(step.channel, signal), [note, missed] if delay > tolerance else [note]
 
 
-def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
+def _find_turn(force: Signal, step: TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
@@ -119,7 +122,7 @@ def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
     return reversal.corner
 
 
-Stepped: TypeAlias = tuple[Prepared, list[Finding]]
+StepOutcome: TypeAlias = tuple[Prepared, list[Finding]]
 
 
 class ShortStretchError(ValueError):
@@ -160,8 +163,8 @@ def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Fi
     return prepared, findings
 
 
-def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
-    """Run one step, with errors that have its key and a remedy.
+def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcome:
+    """Run one step; add its key and a remedy to the message of an error.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
         raise ProcessingError(message) from error
 
 
-def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
+def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcome:
     """Run one step.
 
     Parameters
@@ -202,23 +205,23 @@ def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
     """
     match step:
         case RepairMarkers() | SpecimenFrame() | FitShape() | ThreePointShape():
-            return _take_marker_step(prepared, step, protocol)
+            return _apply_marker_step(prepared, step, protocol)
         case TravelFromSpeed():
             signals, findings = travel_from_speed(prepared.signals, step, protocol.rig)
         case Zero():
             signals, findings = zero_signal(prepared.signals, step)
         case Smooth() | LowPass() | Decimate():
-            signals, findings = _filter(prepared.signals, step, protocol)
+            signals, findings = _filter_signal(prepared.signals, step, protocol)
         case _ as never:
             assert_never(never)
     return replace(prepared, signals=signals), findings
 
 
-def _take_marker_step(
+def _apply_marker_step(
     prepared: Prepared,
     step: RepairMarkers | SpecimenFrame | FitShape | ThreePointShape,
     protocol: Protocol,
-) -> Stepped:
+) -> StepOutcome:
     # Tests without markers do not load these modules.
     from labpipe.process.camera_steps import (
         find_specimen_axes,
@@ -253,15 +256,15 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     """
     name = step.channel
     signal = signals.filtered[name]
-    _need_time(signal, name, "a stretch in s")
-    first, last = _stretch(signal, step)
+    _require_time(signal, name, "a stretch in s")
+    first, last = _find_zero_stretch(signal, step)
     duration = max(step.over, float(signal.time[last - 1] - signal.time[first]))
     start = float(signal.time[0] if step.at == "start" else signal.time[-1] - duration)
     rest = signal.values[first:last]
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := required_samples(other_values)):
-        time_step = _step_of(signal)
+        time_step = _median_step(signal)
         message = format_sentence(
             "process.short_stretch",
             channel=name,
@@ -300,8 +303,8 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     return signals.subtract_level(name, level, error), [note]
 
 
-def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
-    """Return start and stop of the samples of a zero: at least `MIN_SAMPLES_NOISE_KNOWN`."""
+def _find_zero_stretch(signal: Signal, step: Zero) -> tuple[int, int]:
+    """Return first and last sample of a zero, at least `MIN_SAMPLES_NOISE_KNOWN` samples apart."""
     time = signal.time
     if step.at == "start":
         last = int(np.searchsorted(time, time[0] + step.over, side="right"))
@@ -310,28 +313,28 @@ def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
     return max(min(first, len(time) - MIN_SAMPLES_NOISE_KNOWN), 0), len(time)
 
 
-def _need_time(signal: Signal, name: str, what: str) -> None:
-    """Refuse a length in seconds if the export has no time."""
+def _require_time(signal: Signal, name: str, what: str) -> None:
+    """Refuse a setting in seconds or hertz if the export has no times."""
     if not signal.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=name, what=what))
 
 
-def _filter(
+def _filter_signal(
     signals: Signals, step: Smooth | LowPass | Decimate, protocol: Protocol
 ) -> tuple[Signals, list[Finding]]:
-    """Filter a signal; after its corners are known this is repeated branch by branch."""
+    """Filter a signal; `curve_corrections` repeats this for each branch once its ends are known."""
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
     filter_step: Filter
     match step:
         case Smooth():
-            window = _window(step.span, signal, protocol)
-            length = f" ({window * _step_of(signal):.4g} s)" if signal.has_time else ""
+            window = _window_samples(step.span, signal, protocol)
+            length = f" ({window * _median_step(signal):.4g} s)" if signal.has_time else ""
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
         case LowPass():
-            _need_time(signal, name, "a cutoff in Hz")
-            filter_step = Butterworth(step.cutoff, 1.0 / _step_of(signal), step.order), 1
+            _require_time(signal, name, "a cutoff in Hz")
+            filter_step = Butterworth(step.cutoff, 1.0 / _median_step(signal), step.order), 1
         case Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, kept = (Smoothing(window), step.factor), step.factor
@@ -341,20 +344,20 @@ def _filter(
     return signals.with_filtered(name, signal, filter_step), findings
 
 
-def _step_of(signal: Signal) -> float:
+def _median_step(signal: Signal) -> float:
     """Return the median step of the clock of a signal, s.
 
-    With few distinct steps `labpipe.records.arrays.median` takes thirty times as long as numpy's.
+    `labpipe.records.arrays.median` takes thirty times as long as numpy's if few values differ.
     """
     return float(np.median(np.diff(signal.time)))
 
 
-def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
+def _window_samples(span: Span, signal: Signal, protocol: Protocol) -> int:
     """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":
         return compute_window(max(1.0, span.value), count)
-    _need_time(signal, "smooth", f"a span of {span.kind}")
+    _require_time(signal, "smooth", f"a span of {span.kind}")
     if span.kind == "time":
         return seconds_to_window(span.value, signal.time)
     speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke

@@ -94,14 +94,14 @@ def reduce_recordings(
     prepared, new_findings = run_steps(prepared, protocol)
     findings += new_findings
     if protocol.curve is None or protocol.branches is None:
-        return add_results(_reduced_test(prepared, Clocks(), protocol, findings), protocol)
+        return add_results(_build_reduced_test(prepared, Clocks(), protocol, findings), protocol)
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
     prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
     findings += new_findings
     findings = check_signals(prepared, motion, protocol, findings)
-    test = replace(_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
+    test = replace(_build_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
     return add_results(add_curve(test, motion, protocol, protocol.curve), protocol)
 
 
@@ -155,7 +155,7 @@ def split_motion(
 def recheck_rest(
     prepared: Prepared, motion: Motion, limits: Limits
 ) -> tuple[Prepared, list[Finding]]:
-    """Check what was measured at rest again, now that the times of rest are known."""
+    """Check and correct what was measured at rest, now that the times of the motion are known."""
     prepared, findings = check_mid_span(prepared, motion, limits)
     signals, zero_findings = rezero_at_rest(prepared.signals, motion)
     return replace(prepared, signals=signals), [*findings, *zero_findings]
@@ -210,7 +210,7 @@ def add_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_consistency(test.signals, curve, protocol.limits, known=findings)
+    findings += check_consistency(test.signals, curve, protocol.limits, earlier_findings=findings)
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
@@ -220,7 +220,7 @@ def add_curve(
     return replace(test, findings=findings)
 
 
-def _reduced_test(
+def _build_reduced_test(
     prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
@@ -230,7 +230,7 @@ def _reduced_test(
     setup = Setup(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
-        uncertainties=_uncertainties(protocol),
+        uncertainties=_collect_uncertainties(protocol),
         string=None
         if string is None
         else LoadString(string.length, string.counterweight, string.at_rest),
@@ -252,15 +252,15 @@ def _reduced_test(
     )
 
 
-def _uncertainties(protocol: Protocol) -> dict[str, float]:
-    """Return the uncertainties of sizes, of the specimen or else of a bending stiffness."""
+def _collect_uncertainties(protocol: Protocol) -> dict[str, float]:
+    """Collect the standard uncertainties of sizes: of the specimen, or else of a result."""
     stated = protocol.specimen.uncertainty
-    of_results = {
+    uncertainty_in_results = {
         entry.length: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return of_results | (stated.by_key if stated is not None else {})
+    return uncertainty_in_results | (stated.by_key if stated is not None else {})
 
 
 def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
@@ -279,7 +279,7 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
         computed = entry.compute(test)
-        results += [_with_remedy(result, entry, protocol) for result in computed.results]
+        results += [_add_remedy(result, entry, protocol) for result in computed.results]
         lines += computed.lines
         test = replace(
             test,
@@ -289,8 +289,8 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
     return Reduction(test, tuple(results), tuple(lines))
 
 
-def _with_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
-    """Add to a result that the record cannot give how to leave it out."""
+def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
+    """Add the override that leaves a result out, if the record of the test cannot give it."""
     codes = {"not_reached", "too_few_samples", "no_break"}
     if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
         return result

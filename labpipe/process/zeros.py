@@ -1,4 +1,4 @@
-"""Zeros: their level at rest and its error, from few samples beside the rest of a record."""
+"""Measure the zero of a signal: its level at rest and the standard error of that level."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_l
 from labpipe.uncertainty.linear_fits import fit_linear
 
 MIN_SAMPLES_NOISE_UNKNOWN = 8
-"""Samples that a level needs if the rest of the record does not show the noise."""
+"""Samples that a zero needs if the rest of the record is too short to show its noise."""
 MIN_SAMPLES_NOISE_KNOWN = 3
-"""Samples that a level needs if the rest of the record shows the noise."""
+"""Samples that a zero needs if the rest of the record shows its noise."""
 SHORT_STRETCH = 100
 """Samples below which the noise of a stretch is taken from the rest of the record."""
 
 
 def required_samples(other_values: Floats) -> int:
-    """Return the number of samples that a zero needs.
+    """Find how many samples a zero needs.
 
     Parameters
     ----------
@@ -40,7 +40,9 @@ def required_samples(other_values: Floats) -> int:
     is 73 % for one of ten samples, because so short a record does not separate such noise from its
     curve.
     """
-    return MIN_SAMPLES_NOISE_KNOWN if _noise_stretches(other_values) else MIN_SAMPLES_NOISE_UNKNOWN
+    return (
+        MIN_SAMPLES_NOISE_KNOWN if _cut_noise_stretches(other_values) else MIN_SAMPLES_NOISE_UNKNOWN
+    )
 
 
 def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
@@ -50,36 +52,40 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     ----------
     values : shape (n,), the stretch, evenly sampled, without NaN
     other_values : shape (m,), the rest of the record, for the correlation of the noise
+
+    Returns
+    -------
+    Mean and its standard error, in the unit of `values`.
     """
-    stretches = _stretches_beside_short_one(values, other_values)
+    stretches = _noise_for_short_stretch(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
         half = float(fit.half_widths[0])
         return float(fit.coefficients[0]), Interval(-half, half).standard_error
-    blocks = _blocks(values)
+    blocks = _average_blocks(values)
     error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
 
 def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
-    """Return the first value of a line through a stretch and its standard error.
+    """Fit a line to a stretch, and return its first value and the standard error of that value.
 
     Parameters
     ----------
     values, other_values : as for `average_level`
     """
-    blocks = _blocks(values)
+    blocks = _average_blocks(values)
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, beside=_stretches_beside_short_one(values, other_values))
+    fit = fit_linear(design, blocks, beside=_noise_for_short_stretch(values, other_values))
     # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
 
 
 def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
-    """Return the level before a machine moved, from a stretch in which it moves.
+    """Measure the level before a machine moved, from a stretch in which it moves.
 
     Parameters
     ----------
@@ -102,26 +108,26 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
     return *fit_end_level(moving, other_values), 0
 
 
-def _stretches_beside_short_one(values: Floats, other_values: Floats) -> Sequence[Floats]:
-    return _noise_stretches(other_values) if len(values) < SHORT_STRETCH else ()
+def _noise_for_short_stretch(values: Floats, other_values: Floats) -> Sequence[Floats]:
+    return _cut_noise_stretches(other_values) if len(values) < SHORT_STRETCH else ()
 
 
-def _noise_stretches(other_values: Floats) -> Sequence[Floats]:
+def _cut_noise_stretches(other_values: Floats) -> Sequence[Floats]:
     short_width = 25
     return cut_smooth_stretches(
         other_values, width=SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
     )
 
 
-def _blocks(values: Floats) -> Floats:
-    """Average over at most 1000 blocks, which makes correlations quick."""
+def _average_blocks(values: Floats) -> Floats:
+    """Return means over blocks, 1000 to 1999 of a long record: correlations are then quick."""
     size = max(1, len(values) // 1000)
     means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
     return means
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute zeros whose stretch overlaps the motion from the part at rest.
+    """Recompute each zero whose stretch overlaps the motion, from the part at rest.
 
     Parameters
     ----------
@@ -130,12 +136,12 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
 
     Returns
     -------
-    The signals, shifted, and a note for each.
+    The shifted signals, and a note on each recomputed zero.
 
     Notes
     -----
-    The standard error accounts for the shorter stretch. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
-    at rest the zero is not recomputed, and `check_rest` doubts it.
+    The standard error is that of the shorter stretch. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
+    samples at rest the zero is not recomputed, and `check_rest` makes it doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches

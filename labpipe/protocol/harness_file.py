@@ -511,8 +511,10 @@ def find_unreachable_places(harness: HarnessFile) -> Iterator[Fault]:
     A fault for each place beyond the end of the line and for each two boundaries that are too far
     apart, of a sweep for its shortest such line; for each boundary that holds the axis nearer to a
     plane than half the diameter in the file; for each rotation of 180 deg or more per step, which
-    is ambiguous; and for a curl of more than 90 deg per element.
+    is ambiguous; for a curl of more than 90 deg per element; for each ring that the line cannot
+    reach, each release before the line arrives, and a line that falls because nothing holds it.
     """
+    yield from _find_release_faults(harness)
     yield from _find_places_in_planes(harness)
     yield from _find_large_turns(harness)
     yield from _find_large_curl(harness)
@@ -535,6 +537,35 @@ def _find_places_off_line(harness: HarnessFile, length: float, path: KeyPath) ->
         if math.isfinite(place) and place > length * REACH_FACTOR:
             here = path or ("boundaries", number, "at")
             yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=1e3 * place)
+
+
+def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
+    """Find releases before the line arrives, and the step from which nothing holds the line."""
+    releases: dict[int, int | None] = {}
+    for number, holder in enumerate(harness.boundaries):
+        if isinstance(holder, HOLDERS):
+            releases[number] = holder.release
+            arrival = (
+                min((point.step for point in holder.path), default=None)
+                if isinstance(holder, Grip)
+                else holder.by
+            )
+            if holder.release is not None and arrival is not None and holder.release <= arrival:
+                path = ("boundaries", number, "release")
+                yield Fault.of(
+                    "protocol.early_release",
+                    path,
+                    arrival=arrival,
+                    name=holder.name,
+                    found=holder.release,
+                )
+    section = harness.line.section
+    has_weight = section.bending_stiffness is None or section.mass_per_length
+    has_support = any(not isinstance(part, (*HOLDERS, Load)) for part in harness.boundaries)
+    steps = {number: step for number, step in releases.items() if step is not None}
+    if has_weight and any(harness.gravity) and not has_support and len(steps) == len(releases):
+        last = max(steps, key=lambda number: steps[number])
+        yield Fault.of("protocol.falls", ("boundaries", last, "release"), step=steps[last])
 
 
 def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
@@ -636,3 +667,19 @@ def _find_distant_places(harness: HarnessFile, length: float, path: KeyPath) -> 
                 found=1e3 * distances.max(),
                 step=distances.argmax(),
             )
+    fixed = [place for place in places if not place.string_length]
+    for number, ring in enumerate(harness.boundaries):
+        if isinstance(ring, Ring) and fixed:
+            distances_to = [math.dist(ring.position, place.path[-1]) for place in fixed]
+            # length needed and length available: of both ends of the line, and between its holders
+            spans = [
+                (distances_to[0], fixed[0].along),
+                (distances_to[-1], length - fixed[-1].along),
+            ]
+            between = zip(pairwise(distances_to), pairwise(fixed), strict=True)
+            spans += [(sum(pair), second.along - first.along) for pair, (first, second) in between]
+            needed, reach = min(spans, key=lambda span: span[0] - span[1])
+            if needed > reach * REACH_FACTOR:
+                here, needed, reach = path or ("boundaries", number), 1e3 * needed, 1e3 * reach
+                name = ring.name
+                yield Fault.of("protocol.ring_too_far", here, reach=reach, found=needed, ring=name)

@@ -43,7 +43,7 @@ ORIGINS = {
     "statistics": "groups",
     "mechanics.wire": "wires",
     "mechanics.rod": "wires",
-    "mechanics.studies": "wires",
+    "mechanics.studies": "calibration",
 }
 """Origin of the notes of a room if their template states none; for others ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")

@@ -14,7 +14,7 @@ from labpipe.records.quality import Severity
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
 
 if TYPE_CHECKING:
-    from labpipe.readers.channels import ReportOptions
+    from labpipe.readers.channels import ChannelChoice
     from labpipe.records.recording import Recording
 
 __all__ = ["READERS", "Reader", "read_export", "recognise_export"]
@@ -42,7 +42,7 @@ class Reader:
         return is_of_kind and bool(self.module.recognise(path))
 
     def read(self, path: Path, **choices: object) -> Recording:
-        """Read a file; faults of the time axis become notes of severity error."""
+        """Read a file; an unusable time axis gives a note of severity error."""
         recording: Recording = self.module.read(path, **choices)
         return recording
 
@@ -53,7 +53,7 @@ READERS: dict[str, Reader] = {
 
 
 def recognise_export(path: Path) -> Reader:
-    """Find the reader of an export from its content.
+    """Find the reader of an export by its content.
 
     Parameters
     ----------
@@ -75,15 +75,15 @@ def recognise_export(path: Path) -> Reader:
         open_sheets(path)  # raises if it cannot be opened
     from labpipe.readers.unknown_files import describe_unknown
 
-    what, remedy = describe_unknown(path)
+    kind, remedy = describe_unknown(path)
     formats = ", ".join(READERS)
-    raise ReadError.about("readers.unknown_format", path, formats=formats, what=what, remedy=remedy)
+    raise ReadError.about("readers.unknown_format", path, formats=formats, kind=kind, remedy=remedy)
 
 
 def read_export(
     path: Path,
     reader: str | Sequence[str] | None = None,
-    channels: Sequence[ReportOptions] | None = None,
+    channels: Sequence[ChannelChoice] | None = None,
     *,
     dialect: Sequence[str] | None = None,
     part: str | None = None,
@@ -107,7 +107,7 @@ def read_export(
     ------
     ReadError
         If the content is of another format, is damaged, lacks a wanted channel, or has a time
-        axis that runs backwards (`Reader.read` leaves that as a note, for `labpipe inspect`).
+        axis that runs backwards (for `labpipe inspect`, `Reader.read` gives a note instead).
     """
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     export_reader = _find_reader(path, allowed, dialect)
@@ -123,7 +123,7 @@ def read_export(
 
 
 def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | None) -> Reader:
-    """Return the reader by content; if none fits, that of load frames if a card is named."""
+    """Find the reader by content; if none fits and a card is named, that of load frames."""
     for name in allowed:  # avoids loading the other readers
         if READERS[name].recognise(path):
             return READERS[name]

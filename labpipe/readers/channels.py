@@ -1,4 +1,4 @@
-"""Channels of an export: search by name, and quality notes."""
+"""Search for channels by name, unique names of channels, and quality notes on channels."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
 
-ReportOptions: TypeAlias = str | tuple[str, ...]
-"""Name or path of a channel, or alternatives of which the first existing one counts."""
+ChannelChoice: TypeAlias = str | tuple[str, ...]
+"""Name or path of a channel, or alternatives: the first one that the export has counts."""
 
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: an underscore, or the number of the channel."""
@@ -24,7 +24,7 @@ _MAX_NOTED = 3
 
 
 class NoChannelError(ReadError):
-    """A name matches no channel of an export, or more than one.
+    """A wanted name matches no channel of an export, or several.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class NoChannelError(ReadError):
     parts: tuple[str, ...] = ()
 
 
-def select_channel(recording: Recording, wanted: ReportOptions, file: object) -> Channel:
+def select_channel(recording: Recording, wanted: ChannelChoice, file: object) -> Channel:
     """Return the channel with a name.
 
     Parameters
@@ -69,7 +69,7 @@ def select_channel(recording: Recording, wanted: ReportOptions, file: object) ->
 
 
 def find_in_parts(
-    wanted: Sequence[ReportOptions], channels: Sequence[Channel], file: object
+    wanted: Sequence[ChannelChoice], channels: Sequence[Channel], file: object
 ) -> list[int]:
     """Find channels of a load-frame export, whose specimens each have a clock.
 
@@ -100,10 +100,10 @@ def find_in_parts(
 
 def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
     names = [(channel.name, channel.name) for channel in channels if channel.clock == part]
-    return any(matches(name, names) for matches in (_exact, _loose) for name in wanted)
+    return any(matches(name, names) for matches in (_find_exact, _find_similar) for name in wanted)
 
 
-def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: object) -> int:
+def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
     """Return the index of the (name, path) pair that a name matches.
 
     Parameters
@@ -123,18 +123,18 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
     paths = [path for _, path in pairs]
-    for matches, name in product((_exact, _loose), names):
+    for matches, name in product((_find_exact, _find_similar), names):
         indices = matches(name, pairs)
         if len(indices) == 1:
             return indices[0]
         if indices:
-            same, place = _quoted_list([paths[i] for i in indices]), f"channel {name!r}"
+            same, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
             error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=same)
             break
     else:
         near = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
         shown, place = (
-            _quoted_list([*near][:5]) or "none",
+            _quote_paths([*near][:5]) or "none",
             f"channel {' or '.join(map(repr, names[:6]))}",
         )
         error = NoChannelError.about(
@@ -144,7 +144,7 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
     raise error
 
 
-def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
+def is_exact_name(wanted: ChannelChoice, channel: Channel) -> bool:
     """Return whether a channel has one of the names exactly.
 
     Parameters
@@ -153,7 +153,7 @@ def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
     channel : of the export
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
-    return any(_exact(name, [(channel.name, channel.path)]) for name in names)
+    return any(_find_exact(name, [(channel.name, channel.path)]) for name in names)
 
 
 def plain_name(name: str) -> str:
@@ -175,28 +175,30 @@ def plain_name(name: str) -> str:
     return " ".join(rest.replace("_", " ").rstrip(" .").split())
 
 
-def _exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Return the (name, path) pairs that a name matches."""
+def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Find the indices of channels with a path or name; a path takes precedence."""
     exact = [i for i, (_, path) in enumerate(pairs) if path == wanted]
-    spelt = [i for i, (_, path) in enumerate(pairs) if _spellings(path) & _spellings(wanted)]
+    spelt = [
+        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
+    ]
     named = [i for i, (name, _) in enumerate(pairs) if name == wanted]
     return exact or spelt or named
 
 
-def _loose(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Return the (name, path) pairs that a name matches apart from prefix and spelling."""
+def _find_similar(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Find the indices of channels with a name, apart from its prefix and spelling."""
     plain = plain_name(wanted)
     return [i for i, (name, _) in enumerate(pairs) if plain and plain_name(name) == plain]
 
 
-def _spellings(path: str) -> set[str]:
-    """Return spellings of a path: with or without quotes and Simulink's line breaks."""
+def _list_spellings(path: str) -> set[str]:
+    """List spellings of a path: with or without quotes and Simulink's line breaks."""
     plain = path.replace('"', "")
     unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, plain)}
     return {path, plain} | unbroken
 
 
-def _quoted_list(paths: list[str]) -> str:
+def _quote_paths(paths: list[str]) -> str:
     return ", ".join(f"'{path}'" for path in paths)
 
 
@@ -209,8 +211,8 @@ def unique_names(names: Sequence[str]) -> list[str]:
     ]
 
 
-def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
-    """Return notes on the channels of an export.
+def make_channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
+    """Make notes on the channels of an export.
 
     Parameters
     ----------
@@ -222,10 +224,10 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     """
     notes, total = [], len(channels)
     if constant := [channel.path for channel in channels if _is_constant(channel.values)]:
-        which = _first_paths(constant, total)
+        which = _describe_paths(constant, total)
         notes.append(QualityNote.of("readers.constant_channel", "channels", which=which))
     if without_unit := [channel.path for channel in channels if not channel.unit_in_file]:
-        which = _first_paths(without_unit, total)
+        which = _describe_paths(without_unit, total)
         notes.append(QualityNote.of("readers.units_not_stated", "channels", which=which))
     names = Counter(channel.name for channel in channels)
     if shared := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
@@ -234,14 +236,14 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     return notes
 
 
-def _first_paths(paths: list[str], total: int) -> str:
+def _describe_paths(paths: list[str], total: int) -> str:
     if len(paths) == total:
         return "any channel"
     more = " ..." if len(paths) > _MAX_NOTED else ""
-    return f"{len(paths)} of {total} channels: {_quoted_list(paths[:_MAX_NOTED])}{more}"
+    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_NOTED])}{more}"
 
 
 def _is_constant(values: Floats) -> bool:
     """Return whether two or more samples are all equal; comparing the ends first is fast."""
-    alike = len(values) > 1 and values[0] == values[-1]
-    return alike and bool(values.min() == values.max())
+    has_equal_ends = len(values) > 1 and values[0] == values[-1]
+    return has_equal_ends and bool(values.min() == values.max())

@@ -1,4 +1,4 @@
-"""Common parts of the readers of dSPACE ControlDesk exports."""
+"""Recordings from dSPACE ControlDesk exports: common parts of the readers of csv, mat and mf4."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions, channel_notes, find_channel, unique_names
-from labpipe.readers.recording_checks import clock_notes
+from labpipe.readers.channels import ChannelChoice, find_channel, make_channel_notes, unique_names
+from labpipe.readers.recording_checks import make_clock_notes
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
@@ -24,14 +24,14 @@ _PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A channel of an export whose samples are not loaded yet.
+    """A channel of an export with a function that loads its samples.
 
     Parameters
     ----------
     name, path, unit_in_file : as in `Channel`
     clock : index of its time axis
-    load : returns its samples
-    about : its other properties in the export
+    load : function that returns the samples
+    about : other properties in the export
     """
 
     name: str
@@ -44,15 +44,15 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """The contents of one export, not loaded yet.
+    """The content of one export, before its samples are loaded.
 
     Parameters
     ----------
     axes : name (raster, may be empty) and samples of each time axis
     traces : the channels in the order of the file
-    origin : the export's text on model and program
-    metadata : its properties
-    notes : notes from its header
+    origin : text of the export about model and program
+    metadata : properties of the export
+    notes : quality notes on its header
     """
 
     axes: Sequence[tuple[str, Callable[[], object]]]
@@ -63,7 +63,7 @@ class Export:
 
 
 def load_export(
-    export: Export, *, reader: str, path: Path, channels: Sequence[ReportOptions] | None
+    export: Export, *, reader: str, path: Path, channels: Sequence[ChannelChoice] | None
 ) -> Recording:
     """Load the wanted channels on their time axes.
 
@@ -98,7 +98,7 @@ def load_export(
     clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
     channels_and_notes = [_channel(trace, clocks[trace.clock], path) for trace in traces]
     loaded = [channel for channel, _ in channels_and_notes]
-    notes = [note for clock in clocks.values() for note in clock_notes(clock)]
+    notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
     notes += [note for _, its_notes in channels_and_notes for note in its_notes]
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
@@ -108,7 +108,7 @@ def load_export(
         clocks=tuple(clocks.values()),
         channels=tuple(loaded),
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
-        notes=(*export.notes, *notes, *channel_notes(loaded)),
+        notes=(*export.notes, *notes, *make_channel_notes(loaded)),
     )
 
 
@@ -136,7 +136,11 @@ def _channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[Qual
 
 
 def to_json(value: object) -> object:
-    """Convert a value for JSON: infinities and NaN become text, arrays become lists."""
+    """Convert a value for JSON.
+
+    Infinities and NaN become text, arrays become lists of at most 16 items, and lists of one item
+    become that item.
+    """
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -149,8 +153,8 @@ def to_json(value: object) -> object:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def day_of_saving(header: str) -> date | None:
-    """Return the day in the header text of a MAT file, which is always in English.
+def parse_saving_day(header: str) -> date | None:
+    """Parse the day in the header text of a MAT file, which is always in English.
 
     Parameters
     ----------
@@ -164,7 +168,7 @@ def day_of_saving(header: str) -> date | None:
     return _day(*parsed[:3]) if parsed else None
 
 
-def written_date(text: str, near: date | None) -> str:
+def resolve_date(text: str, near: date | None) -> str:
     """Resolve the order of day and month in a date by a known nearby day.
 
     Parameters
@@ -178,7 +182,7 @@ def written_date(text: str, near: date | None) -> str:
 
     Examples
     --------
-    >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
+    >>> resolve_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
     max_days_to_saving = 7

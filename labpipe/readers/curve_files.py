@@ -11,8 +11,8 @@ lengths side by side. One blank cell is refused.
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, the same in the whole file. Rows above the names are
 skipped. A file without names is read if its columns are numbered. Of a workbook, the first sheet.
-An incomplete last line without line end (`number_table.whole_lines`) is refused, as are words among
-the numbers: a curve has no notes, and its last point is often its largest force.
+An incomplete last line without line end is refused, and so is text among the numbers: a curve has
+no notes, and its last point often has the largest force.
 
 A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read
 directly: deflection and force of a pushed tip at each increment, from ``*NODE PRINT`` of ``U``
@@ -37,17 +37,17 @@ from typing import NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError, sort_by_likeness
-from labpipe.readers.number_table import Body, read_columns, sheet_text
-from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content
+from labpipe.readers.number_table import Body, format_sheet_rows, read_columns
+from labpipe.readers.raw_files import decode, is_binary, read_content, split_lines
 from labpipe.readers.text_cells import (
     NUMERAL,
     are_units,
     has_dimension_of,
     is_sample,
     is_unit,
-    name_and_unit,
     split_line,
-    without_brackets,
+    split_name_and_unit,
+    strip_brackets,
 )
 from labpipe.readers.workbooks import is_workbook, open_sheets, workbook_cells
 from labpipe.records.arrays import Floats
@@ -74,14 +74,14 @@ class CurveColumn:
 
     Parameters
     ----------
-    what : ``deflection`` or ``force``
+    quantity : ``deflection`` or ``force``
     si_unit : unit of the result
     column : its name, or its number counted from 1; None for the usual name
     unit : unit in the file; None for that in the heading
     sign : -1 if the file counts against the direction of bending
     """
 
-    what: str
+    quantity: str
     si_unit: str
     column: str | None = None
     unit: str | None = None
@@ -132,13 +132,15 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         is not above the one before, the largest force is negative, or there are fewer than 3
         points.
     """
-    table = _sheet_table(path) if is_workbook(path) else _text_table(path)
+    table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
     wanted = (deflection, force)
     columns = [_find_column(table, column) for column in wanted]
     if columns[0] == columns[1]:
         raise ReadError.about("readers.one_column_twice", path, table.head, number=columns[0] + 1)
-    factors = [_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)]
-    rows, points = _points(table, columns)
+    factors = [
+        _compute_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)
+    ]
+    rows, points = _read_points(table, columns)
     across, up = (
         column.sign * factor * values
         for column, factor, values in zip(wanted, factors, points, strict=True)
@@ -164,21 +166,21 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     return across, up
 
 
-def _sheet_table(path: Path) -> _Table:
+def _read_sheet_table(path: Path) -> _Table:
     unread = next((cell for row in workbook_cells(path) for cell in row if cell.unread), None)
     if unread is not None:
         raise ReadError.about("readers.cell_without_value", path, unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
-    return _table(lines_of(sheet_text(rows)), "\t", path, f"sheet '{name}'")
+    return _table(split_lines(format_sheet_rows(rows)), "\t", path, f"sheet '{name}'")
 
 
-def _text_table(path: Path) -> _Table:
+def _read_text_table(path: Path) -> _Table:
     content = read_content(path)
     if is_binary(content):
         raise ReadError.about("readers.binary_curve", path)
-    lines = lines_of(decode(content.data, content, ("utf-8", "latin-1"), path))
+    lines = split_lines(decode(content.data, content, ("utf-8", "latin-1"), path))
     if is_calculix(lines):
-        lines = _tip_lines(lines, path)
+        lines = _format_tip_lines(lines, path)
     return _table(lines, "\t;, ", path)
 
 
@@ -199,7 +201,7 @@ def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -
     above = [i for i, row in enumerate(rows[:first]) if any(row)]
     units: list[str] = []
     if len(above) > 1 and are_units(rows[above[-1]]):
-        units = [without_brackets(cell) for cell in rows[above.pop()]]
+        units = [strip_brackets(cell) for cell in rows[above.pop()]]
     names = rows[above[-1]] if above else []
     if names:  # a comment mark may stand before them
         names[:1] = [names[0].lstrip("# ")] if names[0].lstrip("# ") else []
@@ -216,8 +218,8 @@ def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -
     return _Table(path, names, [*units, *[""] * (width - len(units))], head, body)
 
 
-def _points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
-    """Return the rows with values, and both columns."""
+def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
+    """Read the indices of filled rows, and the values of both columns there."""
     body = replace(table.body, columns=sorted(columns))
     arrays, notes = read_columns(body, table.path)
     if notes:
@@ -235,13 +237,13 @@ def _points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floa
 
 
 def _find_column(table: _Table, wanted: CurveColumn) -> int:
-    """Return the index of a column by its name, or by its number if none has that name."""
-    names = _USUAL_NAMES[wanted.what] if wanted.column is None else (wanted.column,)
+    """Find the index of a column by its name, or by its number if no column has that name."""
+    names = _USUAL_NAMES[wanted.quantity] if wanted.column is None else (wanted.column,)
     spellings = {name.strip().casefold() for name in names}
     matches = [
         i
         for i, name in enumerate(table.names)
-        if spellings & {name.casefold(), _split_unit(name, wanted.si_unit)[0].casefold()}
+        if spellings & {name.casefold(), _split_heading(name, wanted.si_unit)[0].casefold()}
     ]
     if len(matches) == 1:
         return matches[0]
@@ -255,34 +257,39 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
         table.head,
         name=names[0],
         found=", ".join(str(i + 1) for i in matches) or near or "numbers alone",
-        entry=f"{wanted.what}: {{column: 1, unit: {wanted.example}}}",
+        entry=f"{wanted.quantity}: {{column: 1, unit: {wanted.example}}}",
     )
 
 
-def _split_unit(text: str, si_unit: str) -> tuple[str, str]:
-    """Return name and unit of a heading; the unit is empty if there is none.
+def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
+    """Split a heading into name and unit; the unit is empty if there is none.
 
     After an underscore only a unit of the wanted dimension counts: ``deflection_mm``, but not
     ``force_m``.
     """
-    pair = name_and_unit(text)
+    pair = split_name_and_unit(text)
     if pair is not None and is_unit(pair[1]):
         return pair
     name, _, tail = text.rpartition("_")
     return (name, tail) if name and tail and has_dimension_of(tail, si_unit) else (text, "")
 
 
-def _unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
-    """Return the factor from the unit of a column to SI; refuse units that contradict."""
+def _compute_unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
+    """Compute the factor from the unit of a column to SI; refuse contradicting units."""
     head = table.names[at] if at < len(table.names) else ""
-    stated = _split_unit(head, wanted.si_unit)[1] or table.units[at]
+    stated = _split_heading(head, wanted.si_unit)[1] or table.units[at]
     place = f"{table.head}, column {at + 1}"
     unit = wanted.unit or stated
     for text in {unit, stated or unit}:
         if not has_dimension_of(text, wanted.si_unit):
-            what, example = wanted.what, wanted.example
+            quantity, example = wanted.quantity, wanted.example
             raise ReadError.about(
-                "readers.unit_of_column", table.path, place, what=what, example=example, unit=text
+                "readers.unit_of_column",
+                table.path,
+                place,
+                quantity=quantity,
+                example=example,
+                unit=text,
             )
     factor = find_si_factor(unit, wanted.si_unit)
     if stated and not math.isclose(find_si_factor(stated, wanted.si_unit), factor):
@@ -310,8 +317,8 @@ def is_calculix(lines: Sequence[str]) -> bool:
     return _HEADING.fullmatch(next((line for line in lines if line.strip()), "")) is not None
 
 
-def _tip_lines(lines: Sequence[str], path: Path) -> list[str]:
-    """Return lines of deflection and force of the tip, with units and line numbers of the file."""
+def _format_tip_lines(lines: Sequence[str], path: Path) -> list[str]:
+    """Convert the blocks to lines of deflection and force, each on the line of its block."""
     blocks = list(_blocks(lines, path))
     names = sorted({block.set_name for block in blocks})
     deflections, forces = (

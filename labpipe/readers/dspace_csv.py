@@ -27,8 +27,8 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions
-from labpipe.readers.controldesk import Export, Trace, load_export, written_date
+from labpipe.readers.channels import ChannelChoice
+from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_content, read_head, reading
 from labpipe.records.arrays import Floats
@@ -49,7 +49,7 @@ def recognise(path: Path) -> bool:
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
 
-def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Recording:
     """Read a ControlDesk CSV file.
 
     Parameters
@@ -93,14 +93,14 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
-    about = _descriptions(rows)
+    about = _parse_descriptions(rows)
     general, measurement = about.get("General", {}), about.get("Measurement", {})
-    saved = _reference_day(measurement.get("ReferenceTime", ""))
+    saved = _parse_reference_day(measurement.get("ReferenceTime", ""))
     export = Export(
         axes=[(traces[0].get("raster", ""), lambda: samples[1])],
         traces=[_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
-        metadata={"date": written_date(general.get("DateTime", ""), saved), **about},
+        metadata={"date": resolve_date(general.get("DateTime", ""), saved), **about},
         notes=notes,
     )
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
@@ -118,7 +118,7 @@ def _trace(properties: Mapping[str, str], values: Floats) -> Trace:
     )
 
 
-def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
+def _parse_descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
     """Return the values of the description rows by group and key."""
     about: dict[str, dict[str, str]] = {}
     for row in rows:
@@ -127,7 +127,7 @@ def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
     return about
 
 
-def _reference_day(nanoseconds: str) -> date | None:
+def _parse_reference_day(nanoseconds: str) -> date | None:
     """Return the day of ReferenceTime, ns since 1970 UTC."""
     seconds = parse_count(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:

@@ -31,14 +31,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions
+from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import (
     Export,
     Trace,
-    day_of_saving,
     load_export,
+    parse_saving_day,
+    resolve_date,
     to_json,
-    written_date,
 )
 from labpipe.readers.raw_files import read_head, reading
 from labpipe.records.quality import QualityNote
@@ -71,7 +71,7 @@ def recognise(path: Path) -> bool:
     return head.startswith(headers) or head[512:520] == _HDF5_SIGNATURE
 
 
-def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Recording:
     """Read a ControlDesk MAT file.
 
     Parameters
@@ -112,22 +112,22 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
         with reading(path, "a whole MAT v7.3 file"):
             _refuse_links(file)
             size = path.stat().st_size
-            nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
+            nodes = {key: _convert_node(file[key], file, size) for key in file if key != "#refs#"}
         yield nodes, header_text
 
 
-def _from_hdf5(node: Any, file: h5py.File, size: int) -> MatValue:
+def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
     import h5py
 
     if not isinstance(node, h5py.Group):
-        return _from_dataset(node, file, size)
+        return _convert_dataset(node, file, size)
     _refuse_links(node)
     rows = [len(item) for item in node.values() if _holds_references(item)]
     if not rows:
-        return [{key: _from_hdf5(item, file, size) for key, item in node.items()}]
+        return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     table = {key: np.ravel(item[()]) for key, item in node.items() if _holds_references(item)}
     return [
-        {key: _from_hdf5(file[refs[i]], file, size) for key, refs in table.items()}
+        {key: _convert_node(file[refs[i]], file, size) for key, refs in table.items()}
         for i in range(min(rows))
     ]
 
@@ -148,7 +148,7 @@ def _holds_references(item: Any) -> bool:
     return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
 
 
-def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
+def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
     """Return text, a small array, or a data set that is read on demand."""
     # No deflated data set is larger than 1032 times its file.
     max_deflate_ratio = 1100
@@ -156,7 +156,7 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
     if item.attrs.get("MATLAB_empty"):
         return "" if is_text else np.empty(0)
     if _holds_references(item):
-        return [_from_hdf5(file[ref], file, size) for ref in np.ravel(item[()])]
+        return [_convert_node(file[ref], file, size) for ref in np.ravel(item[()])]
     if item.is_virtual or item.external:
         message = f"{item.name} keeps its samples in another file"
         raise ValueError(message)
@@ -183,7 +183,7 @@ def _find_recording(
     variables: Mapping[str, MatValue], path: Path
 ) -> tuple[str, dict[str, MatValue]]:
     """Return the only variable with the fields X and Y, whatever its name."""
-    structs = {name: _nested(variables, name) for name in variables}
+    structs = {name: _find_struct(variables, name) for name in variables}
     structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
     if len(structs) == 1:
         return next(iter(structs.items()))
@@ -192,28 +192,30 @@ def _find_recording(
 
 
 def _parse(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
-    axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
-    general = _nested(tree, "Description", "General")
-    written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
-    revision = _revision(tree, path)
+    axes, traces = _find_structs(tree, "X", path), _find_structs(tree, "Y", path)
+    general = _find_struct(tree, "Description", "General")
+    written = _text(general, "DateTime") or _text(_find_struct(tree, "Capture"), "DateTime")
+    revision = _find_revision(tree, path)
     is_known = revision in _KNOWN_REVISIONS
     note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
-        axes=[(_text(axis, "Raster"), _loader(axis, "X", path)) for axis in axes],
+        axes=[(_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
         traces=[_trace(item, len(axes), path) for item in traces],
         origin=_text(general, "Origin"),
         metadata={
             "variable": name,
             "created": header_text,
             "revision": revision,
-            "date": written_date(written, day_of_saving(header_text)),
+            "date": resolve_date(written, parse_saving_day(header_text)),
             **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
         },
         notes=() if is_known else (note,),
     )
 
 
-def _structs(tree: Mapping[str, MatValue], field: str, path: Path) -> list[dict[str, MatValue]]:
+def _find_structs(
+    tree: Mapping[str, MatValue], field: str, path: Path
+) -> list[dict[str, MatValue]]:
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
@@ -233,12 +235,12 @@ def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
         path=full,
         unit_in_file=_text(item, "Unit"),
         clock=int(index) - 1,
-        load=_loader(item, full, path),
+        load=_build_loader(item, full, path),
         about={key: to_json(field) for key, field in item.items() if key != "Data"},
     )
 
 
-def _loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[], object]:
+def _build_loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[], object]:
     """Return a function that loads the samples of an axis or a channel as floats."""
 
     def load() -> object:
@@ -252,7 +254,7 @@ def _loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[],
     return load
 
 
-def _nested(tree: Mapping[str, MatValue], *keys: str) -> dict[str, MatValue]:
+def _find_struct(tree: Mapping[str, MatValue], *keys: str) -> dict[str, MatValue]:
     """Return the nested struct at the keys, empty if there is none."""
     for key in keys:
         below = tree.get(key)
@@ -272,10 +274,10 @@ def _number(value: MatValue) -> float | None:
     return float(array.ravel()[0]) if array.size == 1 and array.dtype.kind in "biuf" else None
 
 
-def _revision(tree: Mapping[str, MatValue], path: Path) -> str:
-    info = _nested(tree, "Info")
+def _find_revision(tree: Mapping[str, MatValue], path: Path) -> str:
+    info = _find_struct(tree, "Info")
     numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
-    match = _REVISION.search(_text(_nested(tree, "Description"), "GeneratorVersion"))
+    match = _REVISION.search(_text(_find_struct(tree, "Description"), "GeneratorVersion"))
     revision = match[1] if match else ""
     if None not in numbers:
         revision = ".".join(f"{number:g}" for number in numbers)
@@ -352,12 +354,12 @@ def parse_mat5(content: bytes) -> dict[str, MatValue]:
         if kind == _MI_COMPRESSED:
             kind, data = cursor.inside(memoryview(zlib.decompress(data))).element()
         if kind == _MI_MATRIX:
-            name, value = _matrix(cursor.inside(data))
+            name, value = _parse_matrix(cursor.inside(data))
             variables[name] = value
     return variables
 
 
-def _matrix(cursor: _Cursor) -> tuple[str, MatValue]:
+def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
     """Return name and value of one array; an array of no bytes is empty."""
     cell, struct_, object_, char = 1, 2, 3, 4
     complex_flag = 0x0800
@@ -371,25 +373,25 @@ def _matrix(cursor: _Cursor) -> tuple[str, MatValue]:
     if kind == object_:
         cursor.element()  # its class name
     if kind in {struct_, object_}:
-        value = _struct_array(cursor, count)
+        value = _parse_struct_array(cursor, count)
     elif kind == cell:
-        value = [_part(cursor) for _ in range(_bounded(count, cursor))]
+        value = [_parse_part(cursor) for _ in range(_check_count(count, cursor))]
     elif kind == char:
-        value = _mat5_text(cursor)
+        value = _parse_text(cursor)
     elif kind in _NUMERIC_CLASSES and not flags & complex_flag:
-        value = _array(cursor, count)
+        value = _parse_array(cursor, count)
     return bytes(name).decode("latin-1"), value
 
 
-def _part(cursor: _Cursor) -> MatValue:
+def _parse_part(cursor: _Cursor) -> MatValue:
     kind, data = cursor.element()
     if kind != _MI_MATRIX:
         message = f"type {kind} instead of an array"
         raise ValueError(message)
-    return _matrix(cursor.inside(data))[1]
+    return _parse_matrix(cursor.inside(data))[1]
 
 
-def _struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
+def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
     """Return the elements of a struct array, each with its fields in order."""
     width = int(cursor.numbers()[0])
     _, names = cursor.element()
@@ -398,10 +400,12 @@ def _struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
         return []
     keys = [packed[i : i + width].split(b"\0")[0] for i in range(0, len(packed), width)]
     fields = [key.decode("latin-1") for key in keys]
-    return [{field: _part(cursor) for field in fields} for _ in range(_bounded(count, cursor))]
+    return [
+        {field: _parse_part(cursor) for field in fields} for _ in range(_check_count(count, cursor))
+    ]
 
 
-def _bounded(count: int, cursor: _Cursor) -> int:
+def _check_count(count: int, cursor: _Cursor) -> int:
     """Return a count of parts if there are eight bytes for each of them."""
     if not 0 <= count <= len(cursor.data) // 8:
         message = f"{count} parts in {len(cursor.data)} bytes"
@@ -409,7 +413,7 @@ def _bounded(count: int, cursor: _Cursor) -> int:
     return count
 
 
-def _mat5_text(cursor: _Cursor) -> str:
+def _parse_text(cursor: _Cursor) -> str:
     kind, data = cursor.element()
     if kind in {4, 17}:
         name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
@@ -417,7 +421,7 @@ def _mat5_text(cursor: _Cursor) -> str:
     return bytes(data).decode(_ENCODING_BY_MI_TYPE[kind], errors="replace")
 
 
-def _array(cursor: _Cursor, count: int) -> np.ndarray:
+def _parse_array(cursor: _Cursor, count: int) -> np.ndarray:
     values = cursor.numbers()
     if len(values) != count:
         message = f"{len(values)} numbers instead of {count}"

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions
+from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.raw_files import read_head, reading
 from labpipe.records.arrays import Floats
@@ -45,7 +45,7 @@ def recognise(path: Path) -> bool:
     return read_head(path, 64).startswith(b"MDF     4")
 
 
-def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Recording:
     """Read a ControlDesk MF4 file.
 
     Parameters
@@ -106,7 +106,7 @@ def _parse(file: Any) -> Export:
         master = file.masters_db.get(number)
         if master is None:
             continue
-        axes.append((group.channels[master].name, _loader(file, number, master)))
+        axes.append((group.channels[master].name, _build_loader(file, number, master)))
         traces += [
             _trace(file, number, index, len(axes) - 1)
             for index in range(len(group.channels))
@@ -128,12 +128,12 @@ def _trace(file: Any, group: int, index: int, clock: int) -> Trace:
         path=channel.name,
         unit_in_file=channel.unit or "",
         clock=clock,
-        load=_loader(file, group, index),
+        load=_build_loader(file, group, index),
         about={"comment": channel.comment or ""},
     )
 
 
-def _loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
+def _build_loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
     max_record_bytes = 1 << 24
 
     def load() -> Floats:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.motive_takes import derived_rate, unique_names
+from labpipe.readers.motive_takes import derive_rate, unique_names
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import parse_count
@@ -201,7 +201,7 @@ def _tracks(take: _Take) -> MarkerTracks:
     return MarkerTracks(
         time=time,
         frames=np.array(take.numbers),
-        rate=derived_rate(time),
+        rate=derive_rate(time),
         names=unique_names([*columns]),
         positions=positions,
         bodies=tuple(_rigid_body(body, len(time)) for body in take.bodies.values()),

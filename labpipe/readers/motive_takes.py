@@ -30,12 +30,12 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions
-from labpipe.readers.number_table import Body, read_columns, rows_note, sheet_columns
+from labpipe.readers.channels import ChannelChoice
+from labpipe.readers.number_table import Body, compare_row_counts, read_columns, read_sheet_columns
 from labpipe.readers.raw_files import read_content, read_head, reading
-from labpipe.readers.recording_checks import clock_notes, track_notes
+from labpipe.readers.recording_checks import make_clock_notes, track_notes
 from labpipe.readers.text_cells import as_text
-from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
+from labpipe.readers.workbooks import clear_sheet_cache, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
@@ -77,7 +77,7 @@ def _find_sheet(path: Path) -> str | None:
     return next((name for name, rows in sheets if rows and "Format Version" in rows[0][:1]), None)
 
 
-def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:  # noqa: ARG001
+def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Recording:  # noqa: ARG001
     """Read a Motive export.
 
     Parameters
@@ -130,12 +130,12 @@ def _read_workbook(path: Path) -> Recording:
     sheets, name = open_sheets(path), _find_sheet(path)
     if name is None:
         raise ReadError.about("readers.no_sheet_of_take", path)
-    forget_sheets()
+    clear_sheet_cache()
     rows = sheets[name]
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
     wanted = {column: header.names[column] for column in header.needed_columns}
-    columns, notes = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
-    notes += rows_note(header.stated_rows, len(columns[0]))
+    columns, notes = read_sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
+    notes += compare_row_counts(header.stated_rows, len(columns[0]))
     return _table_recording("motive-xlsx", header, columns, notes, path)
 
 
@@ -145,9 +145,9 @@ def _table_recording(
     if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
         notes = [*notes, QualityNote.of("readers.infinite_numbers", "take", count=count)]
-    tracks, track_notes = _marker_tracks(header, columns, path)
+    tracks, track_notes = _convert_tracks(header, columns, path)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
-    notes = [*_header_notes(header, path), *notes, *track_notes]
+    notes = [*_make_header_notes(header, path), *notes, *track_notes]
     return _recording(reader, header.version, tracks, {**header.about, "objects": objects}, notes)
 
 
@@ -164,7 +164,7 @@ def _recording(
         program_version=version,
         markers=tracks,
         metadata=about,
-        notes=(*notes, *clock_notes(Clock("frames", tracks.time)), *track_notes(tracks)),
+        notes=(*notes, *make_clock_notes(Clock("frames", tracks.time)), *track_notes(tracks)),
     )
 
 
@@ -273,19 +273,19 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
         If a row that is needed is missing, the version is not of the 1.x family, the unit of
         length is unknown, or columns of data have no type.
     """
-    about = _key_values(rows[0])
+    about = _parse_keys(rows[0])
     version, unit = (about.get(key, "") for key in ("Format Version", "Length Units"))
     if not re.fullmatch(r"1\.\d+", version):
         raise ReadError.about("readers.take_version", path, "line 1", version=version)
     last = next((i for i, row in enumerate(rows) if row and row[0].strip() == "Frame"), None)
     if last is None:
         raise ReadError.about("readers.no_row_of_frames", path, f"lines 1 to {len(rows)}")
-    start, time_column = _leading_columns(rows[last])
-    labels = _labels(rows[1:last], start, last, path)
+    start, time_column = _find_leading_columns(rows[last])
+    labels = _find_label_rows(rows[1:last], start, last, path)
     if unit not in _LENGTH_UNITS:
         units = ", ".join(_LENGTH_UNITS)
         raise ReadError.about("readers.length_units", path, "line 1", units=units, unit=unit)
-    groups = _groups(labels, rows[last], start, last, path)
+    groups = _group_columns(labels, rows[last], start, last, path)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
     return Header(
         about=about,
@@ -296,7 +296,7 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
     )
 
 
-def _key_values(cells: Cells) -> dict[str, str]:
+def _parse_keys(cells: Cells) -> dict[str, str]:
     """Return the values of line 1 by key; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
@@ -306,7 +306,7 @@ def _key_values(cells: Cells) -> dict[str, str]:
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
 
 
-def _leading_columns(row: Cells) -> tuple[int, int | None]:
+def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
     """Return the first column of an object, and the column of times.
 
     An optional column ``TimeCode`` is between them (1.24).
@@ -321,7 +321,7 @@ def _leading_columns(row: Cells) -> tuple[int, int | None]:
     return start, time_column
 
 
-def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[str, Cells]:
+def _find_label_rows(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[str, Cells]:
     """Return rows of labels by their name; by their order if the names are missing (1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
     heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
@@ -338,7 +338,7 @@ def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[st
     return labels
 
 
-def _groups(
+def _group_columns(
     labels: Mapping[str, Cells], axes: Cells, start: int, last: int, path: Path
 ) -> tuple[Group, ...]:
     """Collect the columns of each object, keyed on type, name and id."""
@@ -346,9 +346,9 @@ def _groups(
     width = max([len(axes), *(len(row) for row in labels.values())])
     for column in range(start, width):
         type_, name, id_, quantity = (
-            _cell(labels.get(word, []), column) for word in (*_LABELS, "Quantity")
+            _get_cell(labels.get(word, []), column) for word in (*_LABELS, "Quantity")
         )
-        axis = _cell(axes, column).upper()
+        axis = _get_cell(axes, column).upper()
         if not (type_ or name or quantity or axis):
             continue  # padding of a spreadsheet
         if not type_:
@@ -361,11 +361,11 @@ def _groups(
     return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
 
 
-def _cell(row: Cells, column: int) -> str:
+def _get_cell(row: Cells, column: int) -> str:
     return row[column].strip() if column < len(row) else ""
 
 
-def _marker_tracks(
+def _convert_tracks(
     header: Header, columns: Columns, path: Path
 ) -> tuple[MarkerTracks, list[QualityNote]]:
     """Convert columns to tracks in SI; return notes on the column of times and on rotations."""
@@ -373,11 +373,11 @@ def _marker_tracks(
     if len(bad := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(bad[0])}, cell 1"
         raise ReadError.about("readers.no_frame_number", path, place)
-    time, rate, notes = _time(header, columns, frames)
+    time, rate, notes = _compute_time(header, columns, frames)
     markers, bodies = (
         [group for group in header.groups if group.type == kind] for kind in _READ_TYPES
     )
-    places = [column for group in markers for column in _position(group, header, path)]
+    places = [column for group in markers for column in _find_position(group, header, path)]
     positions = _stack_columns(columns, places) * header.length_unit
     body_names = unique_names([(group.name, group.id) for group in bodies])
     tracks = MarkerTracks(
@@ -387,12 +387,12 @@ def _marker_tracks(
         names=unique_names([(group.name, group.id) for group in markers]),
         positions=positions.reshape(len(frames), len(markers), 3),
         bodies=tuple(
-            _body(name, group, header, columns, path)
+            _convert_body(name, group, header, columns, path)
             for name, group in zip(body_names, bodies, strict=True)
         ),
         unit_in_file=header.about["Length Units"],
     )
-    if turned := ", ".join(body.name for body in bodies if _euler_axes(body, header.about)):
+    if turned := ", ".join(body.name for body in bodies if _find_euler_axes(body, header.about)):
         order = header.about["Rotation Type"]
         notes.append(QualityNote.of("readers.rotation_from_euler", turned, order=order))
     return tracks, notes
@@ -427,7 +427,7 @@ def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     )
 
 
-def _header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
+def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
     if header.version not in _KNOWN_VERSIONS:
         known = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=header.version, known=known)
@@ -445,7 +445,7 @@ def _header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
         yield QualityNote.of("readers.objects_of_one_name", "markers", names=", ".join(shared[:5]))
 
 
-def _time(
+def _compute_time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Return frame / export rate if the time column agrees with it, else the time column."""
@@ -455,7 +455,7 @@ def _time(
     written = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
         time = frames * np.nan if written is None else written
-        return time, derived_rate(time), [QualityNote.of("readers.rate_not_stated", where)]
+        return time, derive_rate(time), [QualityNote.of("readers.rate_not_stated", where)]
     time = frames / header.rate
     if written is None or not len(time):
         return time, header.rate, []
@@ -468,7 +468,7 @@ def _time(
     return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=apart)]
 
 
-def derived_rate(time: Floats) -> float:
+def derive_rate(time: Floats) -> float:
     """Return the frame rate from time stamps: the inverse mean step without holes.
 
     Parameters
@@ -485,7 +485,7 @@ def derived_rate(time: Floats) -> float:
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
-def _position(group: Group, header: Header, path: Path) -> list[int]:
+def _find_position(group: Group, header: Header, path: Path) -> list[int]:
     axes = group.axes("Position", "XYZ")
     if axes is None:
         place = f"line {header.rows}, {group.type} '{group.name}'"
@@ -494,22 +494,24 @@ def _position(group: Group, header: Header, path: Path) -> list[int]:
     return axes
 
 
-def _body(name: str, group: Group, header: Header, columns: Columns, path: Path) -> RigidBody:
-    position = _stack_columns(columns, _position(group, header, path)) * header.length_unit
+def _convert_body(
+    name: str, group: Group, header: Header, columns: Columns, path: Path
+) -> RigidBody:
+    position = _stack_columns(columns, _find_position(group, header, path)) * header.length_unit
     error = next(
         (i for (what, axis), i in group.columns.items() if "Error" in what and not axis), None
     )
     return RigidBody(
         name,
         position,
-        _rotation(group, header.about, columns),
+        _convert_rotation(group, header.about, columns),
         np.full(len(position), np.nan) if error is None else columns[error] * header.length_unit,
     )
 
 
-def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
+def _convert_rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
     """Return quaternions x, y, z, w; from Euler angles if the export contains those."""
-    quaternion, angles = group.axes("Rotation", "XYZW"), _euler_axes(group, about)
+    quaternion, angles = group.axes("Rotation", "XYZW"), _find_euler_axes(group, about)
     if quaternion is not None:
         return _stack_columns(columns, quaternion)
     rotation = np.full((len(columns[0]), 4), np.nan)
@@ -524,7 +526,7 @@ def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Float
     return rotation
 
 
-def _euler_axes(group: Group, about: Mapping[str, str]) -> list[int] | None:
+def _find_euler_axes(group: Group, about: Mapping[str, str]) -> list[int] | None:
     """Return the columns of Euler angles in their order, if there are any and no quaternions."""
     order = about.get("Rotation Type", "")
     if sorted(order) != ["X", "Y", "Z"] or group.axes("Rotation", "XYZW"):

@@ -1,4 +1,4 @@
-"""Columns of numbers from the rows of a text or of a sheet, parsed by pandas; losses are noted."""
+"""Columns of numbers from the rows of a text or a sheet; quality notes report omitted rows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labpipe.readers.text_cells import (
     INFINITE_WORDS,
     NUMERAL,
     as_text,
-    cell_error,
+    build_cell_error,
     is_missing,
     is_number,
     is_summary_row,
@@ -81,7 +81,7 @@ class Body:
         return map(self.cells, self.data.split(b"\n"))
 
 
-def sheet_columns(
+def read_sheet_columns(
     rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
 ) -> tuple[dict[int, Floats], list[QualityNote]]:
     """Read columns of numbers of a sheet, converted to text for `read_columns`.
@@ -98,14 +98,14 @@ def sheet_columns(
     As `read_columns`.
     """
     wanted = ([row[i] if i < len(row) else "" for i in names] for row in rows[first:])
-    text, columns = sheet_text(wanted), range(len(names))
+    text, columns = format_sheet_rows(wanted), range(len(names))
     body = Body(text.encode(), [*names.values()], columns, first + 1, "\t", ".", sheet=where[1])
     values, notes = read_columns(body, where[0])
     return dict(zip(names, values.values(), strict=True)), notes
 
 
-def sheet_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows of a sheet as lines of cells separated by tabs, with all digits of numbers."""
+def format_sheet_rows(rows: Iterable[Sequence[object]]) -> str:
+    """Format rows of a sheet as lines with tabs between the cells and all digits of numbers."""
     text = io.StringIO()
     lines = csv.writer(text, delimiter="\t", lineterminator="\n")
     for row in rows:  # csv writes all digits of a float
@@ -135,37 +135,39 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
         If a cell is not a number with the decimal sign of the others, or is too large, a line has
         more cells than there are names, or a column lost its decimal signs.
     """
-    body, notes = _without_summary(body)
-    body, cut_notes = whole_lines(body)
+    body, notes = _drop_summary(body)
+    body, cut_notes = drop_incomplete_line(body)
     notes += cut_notes
     if is_blank(body.data):
-        return dict.fromkeys(body.columns, np.empty(0)), notes + rows_note(body.stated_rows, 0)
+        return dict.fromkeys(body.columns, np.empty(0)), notes + compare_row_counts(
+            body.stated_rows, 0
+        )
     if body.decimal == "auto":
         body = replace(body, decimal=_decimal_sign(body))
     try:
         table = _parse(body)
     except (ValueError, OverflowError) as error:
-        raise _first_error(body, path) from error
+        raise _find_first_error(body, path) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
     if not body.as_exported:
         if any(np.isinf(values).any() for values in columns.values()):
-            raise _first_error(body, path)
+            raise _find_first_error(body, path)
         for column, values in columns.items():
             _refuse_lost_decimals(body, column, values, path)
-    rows = filled_rows(columns)
-    notes += rows_note(body.stated_rows, rows)
+    rows = count_filled_rows(columns)
+    notes += compare_row_counts(body.stated_rows, rows)
     return {column: values[:rows] for column, values in columns.items()}, notes
 
 
-def rows_note(stated: int | None, held: int) -> list[QualityNote]:
-    """Return a note if the number of rows differs from the stated one."""
+def compare_row_counts(stated: int | None, held: int) -> list[QualityNote]:
+    """Make a note if the number of rows differs from the stated one."""
     if stated in {None, held}:
         return []
     return [QualityNote.of("readers.rows_differ", "file", stated=stated, held=held)]
 
 
-def _without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
-    """Omit rows of text at the end, statistics and remarks; not if all rows are text."""
+def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
+    """Omit rows of text (statistics, remarks) at the end, unless all rows are text."""
     data, at, cut = body.data, len(body.data), len(body.data)
     holding = range(len(body.names)) if body.others_numeric else body.columns
     firsts: list[str] = []
@@ -173,7 +175,7 @@ def _without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
         begin = data.rfind(b"\n", 0, at - 1) + 1
         row = body.cells(data[begin:at])
         if any(cell.strip() for cell in row):
-            cells = _cells_of(row, holding)
+            cells = _pick_cells(row, holding)
             if not is_summary_row(cells):
                 break
             firsts.insert(0, quoted([next(filter(None, cells))]))
@@ -187,18 +189,18 @@ def _without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     return replace(body, data=data[:cut]), [note]
 
 
-def _cells_of(row: Sequence[str], columns: Sequence[int]) -> list[str]:
+def _pick_cells(row: Sequence[str], columns: Sequence[int]) -> list[str]:
     """Return the cells of some columns, as far as the row has them."""
     return [row[column].strip() for column in columns if column < len(row)]
 
 
-def whole_lines(body: Body) -> tuple[Body, list[QualityNote]]:
+def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit an incomplete last line, with the note ``truncated``.
 
-    A last line without line end is complete if it has all its cells, and its last number has as
-    many decimals, or as many digits, as the one above, and as long an exponent. If trailing zeros
-    are not written, it is complete if some line above has a last number with no more of all three.
-    It is incomplete if the header states more rows.
+    A last line without line end is complete if it has all cells, and its last number has at least
+    as many decimals and exponent digits as the one above. Spreadsheets omit trailing zeros: there,
+    as many digits suffice, or no fewer decimals, digits and exponent digits than in some line
+    above. The line is incomplete if the header states more rows.
     """
     # Lines above the last one that are compared with it.
     max_lines = 200
@@ -209,32 +211,32 @@ def whole_lines(body: Body) -> tuple[Body, list[QualityNote]]:
     count = body.data.count(b"\n")
     near = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
     above = [cells[-1].strip() for line in reversed(near) if (cells := body.cells(line))]
-    if count + 1 >= (body.stated_rows or 0) and _is_whole(body.cells(last), above, body):
+    if count + 1 >= (body.stated_rows or 0) and _is_complete(body.cells(last), above, body):
         return body, []
     note = QualityNote.of("readers.truncated", "file", line=body.first_line + count)
     return replace(body, data=body.data[:end]), [note]
 
 
-def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
+def _is_complete(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     if len(last) != len(body.names) or not above:  # one more: it ends after its last separator
         return len(last) >= len(body.names) and any(cell.strip() for cell in last)
-    cells, cut = [cell for cell in _cells_of(last, body.columns) if cell], last[-1].strip()
+    cells, cut = [cell for cell in _pick_cells(last, body.columns) if cell], last[-1].strip()
     if is_missing(cut) or not all(is_number(cell) or is_missing(cell) for cell in cells):
         return is_missing(cut) and cut in above
-    decimals, digits, exponent = _number_lengths(cut)
-    its_decimals, its_digits, its_exponent = _number_lengths(above[0])
+    decimals, digits, exponent = _count_digits(cut)
+    its_decimals, its_digits, its_exponent = _count_digits(above[0])
     if exponent >= its_exponent and decimals >= its_decimals:
         return True
     if body.as_exported or not cut[-1:].isdigit():
         return False
-    others = (_number_lengths(cell) for cell in above if cell)
+    others = (_count_digits(cell) for cell in above if cell)
     return (exponent >= its_exponent and digits >= its_digits) or any(
         decimals >= d and digits >= n and exponent >= e for d, n, e in others
     )
 
 
-def _number_lengths(cell: str) -> tuple[int, int, int]:
-    """Return the numbers of decimals, of digits without leading zeros, and of exponent digits."""
+def _count_digits(cell: str) -> tuple[int, int, int]:
+    """Count the decimals, the digits without leading zeros, and the exponent digits."""
     number, _, exponent = cell.casefold().partition("e")
     _, *decimals = re.split(r"[.,]", number)
     digits = re.sub(r"\D", "", number).lstrip("0")
@@ -242,12 +244,12 @@ def _number_lengths(cell: str) -> tuple[int, int, int]:
 
 
 def _decimal_sign(body: Body) -> str:
-    """Return the decimal sign of the first cells with one; a point if there are none."""
-    # In which the decimal sign is searched.
+    """Find the decimal sign of the first cell with one; a point if there is none."""
+    # Head of the data in which the decimal sign is searched.
     head_bytes = 20000
     lines = body.data[:head_bytes].split(b"\n")
     for line in lines[:-1] or lines:
-        for cell in _cells_of(body.cells(line), body.columns):
+        for cell in _pick_cells(body.cells(line), body.columns):
             for sign in DECIMAL_SIGNS:
                 if sign in cell and NUMERAL[sign].fullmatch(cell):
                     return sign
@@ -293,28 +295,28 @@ def _read_csv(body: Body, missing: Sequence[str], dtype: type = float) -> pd.Dat
     ).iloc[1:]
 
 
-def filled_rows(columns: Mapping[int, Floats]) -> int:
-    """Return the number of rows up to the last filled one."""
+def count_filled_rows(columns: Mapping[int, Floats]) -> int:
+    """Count the rows up to the last filled one."""
     rows = max((len(values) for values in columns.values()), default=0)
     while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
         rows -= 1
     return rows
 
 
-def _first_error(body: Body, path: Path) -> ReadError:
-    """Return the error on the first cell that is not a number, or line with too many cells."""
+def _find_first_error(body: Body, path: Path) -> ReadError:
+    """Build the error on the first cell that is no number, or line with too many cells."""
     for i, row in enumerate(body.rows()):
         if any(cell.strip() for cell in row[len(body.names) :]):
-            return _extra_cells_error(row, body, body.place(i), path)
+            return _build_extra_cells_error(row, body, body.place(i), path)
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
-                return cell_error(cell, body.decimal, path, body.place(i, column))
+                return build_cell_error(cell, body.decimal, path, body.place(i, column))
     return ReadError.about("readers.no_rows_of_numbers", path, f"from {body.place(0)} on")
 
 
-def _extra_cells_error(row: Sequence[str], body: Body, place: str, path: Path) -> ReadError:
-    """Return the error on a line with more cells than names, perhaps due to decimal commas."""
+def _build_extra_cells_error(row: Sequence[str], body: Body, place: str, path: Path) -> ReadError:
+    """Build the error on a line with more cells than names, perhaps due to decimal commas."""
     has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
     return ReadError.about(
         "readers.cells_of_decimal_commas" if has_commas else "readers.extra_cells",
@@ -335,7 +337,7 @@ def _is_finite(cell: str, body: Body) -> bool:
 
 def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -> None:
     """Refuse a column of numbers without decimal signs that jumps by a thousand and back."""
-    rows = thousandfold_jump(values)
+    rows = find_thousandfold_jump(values)
     if rows is None:
         return
     before, after = (row[column].strip() for i, row in enumerate(body.rows()) if i in rows)
@@ -346,7 +348,7 @@ def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -
         raise ReadError.about("readers.thousandfold", path, place, before=before, after=after)
 
 
-def thousandfold_jump(values: Floats) -> tuple[int, int] | None:
+def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     """Find the first jump by a thousand and back in a column of whole numbers.
 
     Parameters
@@ -371,7 +373,7 @@ def thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
         return None
     rows = np.flatnonzero(values == np.rint(values))
-    jumps = (_first_jump(values[rows], factor) for factor in (1e3, 1e6))
+    jumps = (_find_jump(values[rows], factor) for factor in (1e3, 1e6))
     first = min((jump for jump in jumps if jump is not None), default=None)
     return None if first is None else (int(rows[first]), int(rows[first + 1]))
 
@@ -381,7 +383,7 @@ def _are_mostly_whole(values: Floats) -> bool:
     return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
 
 
-def _first_jump(values: Floats, factor: float) -> int | None:
+def _find_jump(values: Floats, factor: float) -> int | None:
     # The ratio may differ from `factor` by `tolerance`; up to `max_samples` lie between jump and
     # return; whole numbers below `min_size` are counters and codes.
     tolerance, max_samples, min_size = 1.5, 10, 100.0

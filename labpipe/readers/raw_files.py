@@ -1,4 +1,4 @@
-"""Raw files: library errors as ReadError, and decoding of text."""
+"""Reading of raw files: bytes, text encodings and lines; errors of any library as `ReadError`."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _BYTE_ORDER_MARKS = (
 
 
 @contextmanager
-def reading(path: Path, what: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
-    """Turn errors of a format library into a ReadError that names the file.
+def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
+    """Convert errors of a format library to a `ReadError` that names the file.
 
     Parameters
     ----------
     path : the export
-    what : the expected content, such as ``a whole MAT v5 file``
+    content : expected content, such as ``a whole MAT v5 file``
     remedy : what the operator can do
 
     Raises
@@ -48,7 +48,7 @@ def reading(path: Path, what: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[N
             raise ReadError.about("readers.cannot_open", path, reason=error.strerror) from error
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
         raise ReadError.about(
-            "readers.damaged", path, what=what, reason=reason, remedy=remedy
+            "readers.damaged", path, content=content, reason=reason, remedy=remedy
         ) from error
 
 
@@ -128,7 +128,7 @@ def as_content(data: bytes) -> Content:
     """
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
     rest = data[len(mark) :]
-    encoding = encoding or _utf16(rest[:HEAD_BYTES])
+    encoding = encoding or _detect_utf16(rest[:HEAD_BYTES])
     if encoding.startswith("utf-16"):
         even = rest[: len(rest) // 2 * 2]
         rest = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
@@ -137,8 +137,8 @@ def as_content(data: bytes) -> Content:
     return Content(rest, "utf-8" if encoding else "", encoding)
 
 
-def _utf16(head: bytes) -> str:
-    """Detect UTF-16 without a byte order mark: nearly every second byte is NUL."""
+def _detect_utf16(head: bytes) -> str:
+    """Detect UTF-16 without a byte order mark: more than 90 % of every second byte are NUL."""
     for encoding, letters, zeros in (
         ("utf-16-le", head[::2], head[1::2]),
         ("utf-16-be", head[1::2], head[::2]),
@@ -149,22 +149,22 @@ def _utf16(head: bytes) -> str:
 
 
 def is_blank(data: bytes) -> bool:
-    """Return whether there is nothing but white space."""
+    """Return whether all bytes are white space."""
     return not data[:HEAD_BYTES].strip() and not data.strip()
 
 
 def is_binary(content: Content) -> bool:
-    """Return whether the head cannot be text."""
+    """Return whether the head contains a NUL byte, which text does not."""
     return b"\0" in content.data[:HEAD_BYTES]
 
 
-def lines_of(text: str) -> list[str]:
-    """Return the lines of a text without line ends."""
+def split_lines(text: str) -> list[str]:
+    """Split a text into lines without line ends."""
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def lines_from(data: bytes, number: int) -> bytes:
-    """Return the lines from the one with this number on, counted from 0."""
+def skip_lines(data: bytes, number: int) -> bytes:
+    """Return the lines after the first `number` ones; empty if there are fewer."""
     parts = data.split(b"\n", number)
     return parts[number] if len(parts) > number else b""
 

@@ -1,4 +1,4 @@
-"""Checks of time axes (holes, jitter) and of marker tracks (gaps, frozen poses, switches)."""
+"""Quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses, switches)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Hole:
 
 
 def find_holes(time: Floats) -> tuple[Hole, ...]:
-    """Find where samples were lost.
+    """Find the holes of a time axis.
 
     Parameters
     ----------
@@ -53,17 +53,17 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
 
     Notes
     -----
-    A hole is a step above 1.5 medians that no neighbouring step compensates: after a late sample
-    follows a short step (``rec1_253.mat``: 1.51 ms, then 0.49 ms at 1 kHz), and no sample is lost.
+    A hole is a step above 1.5 medians that no neighbouring step compensates. A late sample causes a
+    long and a short step (1.51 ms and 0.49 ms at 1 kHz), but no sample is lost.
     """
     steps = np.diff(time)
     if len(steps) < 2 or _are_even(steps):
         return ()
-    return _holes(time, steps, median(steps))
+    return _find_long_steps(time, steps, median(steps))
 
 
-def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
-    """Return notes on a time axis.
+def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
+    """Make notes on a time axis.
 
     Parameters
     ----------
@@ -90,22 +90,19 @@ def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]
         count, first = len(same), same[0] + 2
         notes.append(QualityNote.of("readers.time_repeats", where, count=count, first=first))
     if clock.name not in SAMPLED_ON_EVENT and len(steps) > 1:
-        notes += _step_notes(time, steps, where, is_variable=is_variable)
+        notes += _make_step_notes(time, steps, where, is_variable=is_variable)
     if time[0] != 0.0:
         notes.append(QualityNote.of("readers.time_start_not_zero", where, start=time[0]))
     return notes
 
 
 def _are_even(steps: Floats) -> bool:
-    """Return whether the steps are so even that there are neither holes nor jitter.
-
-    This avoids the median of millions of steps in most recordings.
-    """
+    """Return whether the steps differ by less than jitter; most recordings then need no median."""
     shortest, longest = float(steps.min()), float(steps.max())
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
 
-def _holes(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
+def _find_long_steps(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
     if not median > 0.0:
         return ()
     long = np.flatnonzero(steps > _LONG_STEP_FACTOR * median)
@@ -115,7 +112,7 @@ def _holes(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
     return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in lost)
 
 
-def _step_notes(
+def _make_step_notes(
     time: Floats, steps: Floats, where: str, *, is_variable: bool
 ) -> Iterator[QualityNote]:
     # Above this count and share of all steps, long steps are normal for the program.
@@ -125,7 +122,7 @@ def _step_notes(
         typical = median(steps)
         if not typical > 0.0:
             return
-        holes, steps_text = _holes(time, steps, typical), _range_text(steps, typical)
+        holes, steps_text = _find_long_steps(time, steps, typical), _format_range(steps, typical)
         if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
             yield QualityNote.of("readers.time_variable", where, steps=steps_text)
             return
@@ -138,27 +135,29 @@ def _step_notes(
         if holes:
             lengths = [hole.length for hole in holes]
             lost = sum(round(length / typical) - 1 for length in lengths)
-            span = f"{_duration(min(lengths))} to {_duration(max(lengths))}"
+            span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
             first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
             yield QualityNote.of(
                 "readers.time_holes", where, count=count, span=span, lost=lost, first=first
             )
         regular = np.delete(steps, [hole.after for hole in holes])
         if max(regular.max() - typical, typical - regular.min()) > _MIN_JITTER * typical:
-            yield QualityNote.of("readers.time_jitter", where, steps=_range_text(regular, typical))
-    yield from _nominal_note(regular, len(steps), where)
+            yield QualityNote.of(
+                "readers.time_jitter", where, steps=_format_range(regular, typical)
+            )
+    yield from _compare_with_nominal(regular, len(steps), where)
 
 
-def _range_text(steps: Floats, typical: float) -> str:
-    ends = f"{_duration(float(steps.min()))} to {_duration(float(steps.max()))}"
-    return f"steps from {ends} around {_duration(typical)}"
+def _format_range(steps: Floats, typical: float) -> str:
+    ends = f"{_format_duration(float(steps.min()))} to {_format_duration(float(steps.max()))}"
+    return f"steps from {ends} around {_format_duration(typical)}"
 
 
-def _duration(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     return f"{seconds:.4g} s" if seconds >= 1.0 else f"{1e3 * seconds:.4g} ms"
 
 
-def _nominal_note(steps: Floats, count: int, where: str) -> Iterator[QualityNote]:
+def _compare_with_nominal(steps: Floats, count: int, where: str) -> Iterator[QualityNote]:
     """Compare the mean step with the nearest round step, or step of a round rate."""
     # Relative deviation up to which the mean step has a round nominal value.
     max_deviation = 0.002
@@ -173,7 +172,7 @@ def _nominal_note(steps: Floats, count: int, where: str) -> Iterator[QualityNote
         )
 
 
-def blank(positions: Floats) -> Flags:
+def find_blank_frames(positions: Floats) -> Flags:
     """Find the frames in which an object has no position.
 
     Parameters
@@ -187,7 +186,7 @@ def blank(positions: Floats) -> Flags:
     return np.asarray(np.isnan(positions).any(axis=1))
 
 
-def unchanged(positions: Floats) -> Flags:
+def find_unchanged_steps(positions: Floats) -> Flags:
     """Find the steps over which a position stays the same to the last digit.
 
     Parameters
@@ -201,13 +200,13 @@ def unchanged(positions: Floats) -> Flags:
     return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
 
 
-def longest(flags: Flags) -> int:
-    """Return the length of the longest stretch of flagged samples, 0 if there is none."""
+def find_longest_stretch(flags: Flags) -> int:
+    """Return the length of the longest stretch of flagged samples; 0 without any."""
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
 def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
-    """Return notes on marker tracks.
+    """Make notes on marker tracks.
 
     Parameters
     ----------
@@ -222,14 +221,14 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
         return [QualityNote.of("readers.take_empty", "take")]
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    gone = {name: blank(track) for name, track in (markers | bodies).items()}
+    gone = {name: find_blank_frames(track) for name, track in (markers | bodies).items()}
     never = [name for name in markers if len(gone[name]) and gone[name].all()]
     notes = []
     if never:
         notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never)))
     for name, missing in gone.items():
         if missing.any() and not missing.all():
-            count, total, most = int(missing.sum()), len(missing), longest(missing)
+            count, total, most = int(missing.sum()), len(missing), find_longest_stretch(missing)
             note = QualityNote.of(
                 "readers.marker_gaps" if name in markers else "readers.body_gaps",
                 name,
@@ -237,7 +236,10 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
                 longest=most,
             )
             notes.append(note)
-    notes += [*_frozen_notes(bodies | markers), *_switch_notes({m: gone[m] for m in markers})]
+    notes += [
+        *_make_frozen_notes(bodies | markers),
+        *_make_switch_notes({m: gone[m] for m in markers}),
+    ]
     if unlabelled := sum(map(_is_unlabelled, tracks.names)):
         total = len(tracks.names)
         notes.append(
@@ -250,18 +252,18 @@ def _is_unlabelled(name: str) -> bool:
     return _UNLABELLED.fullmatch(name) is not None
 
 
-def _frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
+def _make_frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
     # Successive unchanged steps from which a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     for name, track in objects.items():
-        still = unchanged(track)
-        if (most := longest(still)) >= min_frozen_steps:
+        still = find_unchanged_steps(track)
+        if (most := find_longest_stretch(still)) >= min_frozen_steps:
             count, total = int(still.sum()), len(still)
             yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
 
 
-def _switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
-    """Find labelled markers missing in exactly the frames where an unlabelled one is seen."""
+def _make_switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
+    """Find labelled markers missing exactly in the frames that show an unlabelled one."""
     unlabelled = {name: missing for name, missing in gone.items() if _is_unlabelled(name)}
     for name, missing in gone.items():
         others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]

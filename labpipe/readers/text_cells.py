@@ -1,4 +1,4 @@
-"""Cells of exports: separation, numbers and units."""
+"""Cells of text exports and sheets: separation, numbers, words for missing values, and units."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,
 
 
 def as_text(cell: object) -> str:
-    """Return the value of a cell of a sheet as text."""
+    """Format the value of a cell of a sheet as text; durations become seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
     if isinstance(cell, float):
@@ -74,10 +74,10 @@ def is_missing(cell: str) -> bool:
 
 
 def is_sample(row: Sequence[str]) -> bool:
-    """Return whether a row is a sample: numbers, and otherwise only replacements for numbers.
+    """Return whether a row is a sample.
 
-    These are words for missing values, time stamps and numbers with thousands separators; those
-    that cannot be read are reported on reading.
+    It has at least one number. Other cells are words for missing values, time stamps or numbers
+    with thousands separators; reading reports those that it cannot parse.
     """
     filled = [cell.strip() for cell in row if cell.strip()]
     numbers = [cell for cell in filled if is_number(cell)]
@@ -89,14 +89,14 @@ def is_sample(row: Sequence[str]) -> bool:
 
 
 def is_summary_row(row: Sequence[str]) -> bool:
-    """Return whether a row begins with a word: below samples a statistic or a remark."""
+    """Return whether a row begins with a word, as statistics and remarks below samples do."""
     first = next((cell.strip() for cell in row if cell.strip()), "")
     is_infinite = first.strip("+-").casefold() in INFINITE_WORDS
     return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
 
 
-def cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
-    """Return the error on a cell that cannot be read as a number.
+def build_cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
+    """Build the error on a cell that is no number in the decimal format of the file.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
 
     Examples
     --------
-    >>> cell_error("10:00:00.5", ".", "a.csv", "line 3").args[0][:65]
+    >>> build_cell_error("10:00:00.5", ".", "a.csv", "line 3").args[0][:65]
     "a.csv, line 3: expected a number with a decimal point, found '10:"
     """
     other = NUMERAL["," if decimal == "." else "."]
@@ -163,16 +163,16 @@ def has_dimension_of(text: str, unit: str) -> bool:
 
 def are_units(cells: Sequence[str]) -> bool:
     """Return whether all filled cells, at least one, are units, with or without brackets."""
-    bare = [without_brackets(cell) for cell in cells if cell]
-    return bool(bare) and all(is_unit(cell) for cell in bare)
+    units = [strip_brackets(cell) for cell in cells if cell]
+    return bool(units) and all(map(is_unit, units))
 
 
-def without_brackets(cell: str) -> str:
+def strip_brackets(cell: str) -> str:
     """Remove the brackets of a unit, if any."""
     return cell[1:-1].strip() if len(cell) > 1 and cell[0] + cell[-1] in _BRACKETED else cell
 
 
-def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
+def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
     """Split a cell into a name and a unit.
 
     Parameters
@@ -182,7 +182,7 @@ def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
 
     Returns
     -------
-    Both; None if there is no unit.
+    Name and unit; None if there is no unit.
     """
     patterns = [_BRACKETED[brackets]] if brackets else [*_BRACKETED.values(), _UNIT_AFTER_MARK]
     for pattern in patterns:

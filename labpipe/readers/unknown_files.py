@@ -1,4 +1,4 @@
-"""Description of files of unknown formats, and what to do with them."""
+"""Descriptions of files that no reader recognises, with a remedy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from labpipe.readers.raw_files import as_content, is_binary, lines_of, read_head
+from labpipe.readers.raw_files import as_content, is_binary, read_head, split_lines
 from labpipe.readers.text_cells import is_sample, split_line
 from labpipe.readers.workbooks import is_locked
 
@@ -25,11 +25,11 @@ class UnknownFile(NamedTuple):
 
     Parameters
     ----------
-    what : its kind, such as ``a C3D file (motion capture)``
-    remedy : what to do
+    kind : such as ``a C3D file (motion capture)``
+    remedy : what the operator can do
     """
 
-    what: str
+    kind: str
     remedy: str
 
 
@@ -55,7 +55,7 @@ def describe_unknown(path: Path) -> UnknownFile:
     content = as_content(head)
     if is_binary(content):
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
-    lines = lines_of(content.data.decode("utf-8", errors="replace"))
+    lines = split_lines(content.data.decode("utf-8", errors="replace"))
     first_line = next((line.strip()[:40] for line in lines if line.strip()), "")
     if any(_has_table(lines, separator) for separator in "\t;, "):
         return UnknownFile(f"a table that begins with '{first_line}'", _WRITE_CARD)

@@ -1,10 +1,7 @@
-"""Cells of workbooks (xlsx, xls), read by calamine, and tables that people keep in them or in csv.
+"""Cells of workbooks (xlsx, xls) and of csv files, and tables with a heading in them.
 
-The library allocates a table for each sheet, from its first cell to its last one: one stray cell in
-the last corner of a sheet needs hundreds of gigabytes. So an xlsx whose cells are far apart is
-refused before it is parsed.
-
-A table of a person is an xlsx, or a csv separated by comma, semicolon or tab, in UTF-8.
+The library calamine allocates a table from the first to the last cell of a sheet: one stray cell
+needs hundreds of gigabytes. Therefore an xlsx whose cells are far apart is refused before parsing.
 """
 
 from __future__ import annotations
@@ -26,13 +23,13 @@ from labpipe.readers.raw_files import read_head, reading
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _MAX_CELLS = 10_000_000
-"""Cells allowed for any sheet: some 400 MB."""
+"""Allowed cells of any sheet; they need about 400 MB."""
 _MAX_SPARSITY = 20
-"""Beyond that, allowed cells per filled cell."""
+"""Allowed cells per filled cell in larger sheets."""
 _FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
-"""Column and row of a cell with content, as most programs write it."""
+"""Column and row of a filled cell in the XML of a sheet."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
-"""Name of the part of an encrypted workbook, in an old binary document."""
+"""Name of a part that only encrypted workbooks have."""
 _SEPARATORS = ",;\t"
 _NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
 
@@ -65,32 +62,32 @@ def open_sheets(path: Path) -> Sheets:
 
     Notes
     -----
-    Recognition and reading need the same workbook; the last one is cached until `forget_sheets`,
-    as parsing takes most of the time.
+    Recognition and reading need the same workbook, and parsing is slow: the last workbook is cached
+    until `clear_sheet_cache`.
     """
     about = path.stat()
-    sheets = _parsed(path, about.st_mtime_ns, about.st_size)
+    sheets = _parse_cached(path, about.st_mtime_ns, about.st_size)
     if isinstance(sheets, ReadError):
         raise sheets
     return sheets
 
 
-def forget_sheets() -> None:
+def clear_sheet_cache() -> None:
     """Clear the cached workbook."""
-    _parsed.cache_clear()
+    _parse_cached.cache_clear()
 
 
 @lru_cache(maxsize=1)
-def _parsed(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
-    """Return the cells of a workbook, or the fault that all who recognise formats will meet."""
+def _parse_cached(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
+    """Parse a workbook; the error is returned, so that it is cached as well."""
     try:
         with reading(path, "a whole workbook"):
-            return _sheets(path)
+            return _parse_sheets(path)
     except ReadError as error:
         return error
 
 
-def _sheets(path: Path) -> Sheets:
+def _parse_sheets(path: Path) -> Sheets:
     from python_calamine import CalamineWorkbook, PasswordError
 
     if read_head(path, 8).startswith(_XLSX):
@@ -106,7 +103,7 @@ def _sheets(path: Path) -> Sheets:
 
 
 def _check_archive(path: Path) -> None:
-    """Refuse an archive of something else, and sheets whose cells are far apart."""
+    """Refuse an archive that is no xlsx, and sheets whose cells are far apart."""
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
         if "xl/workbook.bin" in names or not any(name.startswith("xl/") for name in names):
@@ -117,7 +114,7 @@ def _check_archive(path: Path) -> None:
 
 
 def _check_places(text: bytes, path: Path, sheet: str) -> None:
-    """Refuse a sheet whose first and last cell span much more cells than are filled."""
+    """Refuse a sheet whose last filled cell spans far more cells than are filled."""
     places: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(text)
     if not places:
         return
@@ -146,13 +143,13 @@ def column_letters(number: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One cell of a table that a person keeps.
+    """One cell of a table.
 
     Parameters
     ----------
     text : the text without surrounding blanks; dates as 2026-03-04
     place : such as ``cell C4``, or ``line 4, column 3`` in a csv
-    unread : why its value cannot be read, such as ``the error #DIV/0!``; empty otherwise
+    unread : reason why its value cannot be read, such as ``the error #DIV/0!``; else empty
     """
 
     text: str
@@ -211,7 +208,7 @@ def sheets_of(path: Path) -> dict[str, bool]:
 
 
 def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
-    """Return the filled rows of a sheet; an additional last one has cells that cannot be read.
+    """Read the filled rows of a sheet; a further row lists the cells that cannot be read.
 
     Parameters
     ----------
@@ -231,11 +228,12 @@ def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Ce
     before = f"{where}, cell " if where else "cell "
     with reading(path, "a whole workbook"):
         unread = [
-            Cell("", f"{before}{place}", why) for place, why in _unread_cells(path, name).items()
+            Cell("", f"{before}{place}", why)
+            for place, why in _find_unread_cells(path, name).items()
         ]
     shown = [
         [
-            Cell(_cell_text(value), f"{before}{column_letters(column)}{line}")
+            Cell(_format_cell(value), f"{before}{column_letters(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(sheets[name], start=1)
@@ -244,26 +242,26 @@ def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Ce
     return [*shown, unread] if unread else shown
 
 
-def _unread_cells(path: Path, name: str) -> dict[str, str]:
-    """Return places of cells that calamine reads as blank: errors, formulas without values."""
+def _find_unread_cells(path: Path, name: str) -> dict[str, str]:
+    """Find cells that calamine reads as blank: errors, and formulas without a stored value."""
     from openpyxl import load_workbook
 
     with zipfile.ZipFile(path) as parts:
         texts = [parts.read(part) for part in parts.namelist() if "xl/worksheets/" in part]
     if not any(b"<f" in text or b't="e"' in text for text in texts):
-        return {}  # most sheets: avoids reading them twice more
+        return {}  # most sheets; openpyxl is slow
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about styles and extensions, which are not read
         formulas, values = (load_workbook(path, data_only=only)[name] for only in (False, True))
     reasons = {
-        cell.coordinate: _why_unread(cell, values[cell.coordinate])
+        cell.coordinate: _describe_unread(cell, values[cell.coordinate])
         for row in formulas.iter_rows()
         for cell in row
     }
     return {place: why for place, why in reasons.items() if why}
 
 
-def _why_unread(formula: Any, value: Any) -> str:
+def _describe_unread(formula: Any, value: Any) -> str:
     """Return why a cell cannot be read, by its formula and stored value; empty if it can."""
     if value.data_type == "e" and value.value is not None:
         return f"the error {value.value}"
@@ -273,15 +271,15 @@ def _why_unread(formula: Any, value: Any) -> str:
     return ""
 
 
-def _cell_text(value: object) -> str:
-    """Return the value of a cell as displayed: 1 for 1.0."""
+def _format_cell(value: object) -> str:
+    """Format the value of a cell; a whole number has no decimal point."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()
 
 
 def csv_cells(path: Path) -> list[list[Cell]]:
-    """Return all cells of a csv; the separator is the most frequent one of line 1, or ``sep=;``.
+    """Read all cells of a csv; the separator is stated (``sep=;``) or the most frequent of line 1.
 
     Raises
     ------
@@ -340,7 +338,7 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
 
 
 def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
-    """Return a row with the length of the heading."""
+    """Cut or extend a row to the width of the heading; filled cells beyond it are refused."""
     for cell in row[width:]:
         if cell.text:
             raise ReadError.about("readers.no_heading", path, cell.place, text=cell.text)

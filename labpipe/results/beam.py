@@ -1,4 +1,4 @@
-"""Bending stiffness of a beam from a stiffness, with corrections for rollers."""
+"""Compute the bending stiffness of a beam from a stiffness, with corrections for rollers."""
 
 from __future__ import annotations
 
@@ -108,9 +108,10 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Notes
     -----
-    Half the beam, from mid-span (slope 0) to the roller (slope a), touches it where the roller's
-    radius is normal to the beam. The roller pushes with N along that normal, and, as the beam
-    slides inwards over it, with mu N along the beam outwards; no moment. The first integral of the
+    Half the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
+    where a radius of the roller is normal to the beam. The roller pushes with N along that normal
+    and, because the beam slides inwards over it, with mu N outwards along the beam. It exerts no
+    moment. The first integral of the
     elastica (Love, A Treatise on the Mathematical Theory of Elasticity, 4th ed. 1927, secs.
     260-263) with p = a - slope is then
 
@@ -118,8 +119,8 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Its integral over the horizontal must be span / 2 - radius sin a, which gives N; the load is
     2 N (cos a + mu sin a), the deflection the rise over that half plus radius (1 - cos a). Gauss
-    quadrature in sqrt(p). Friction acts at the axis here, not at the surface of a specimen of
-    depth h, which would have an effect of the other sign, of the order of mu h / span at small
+    quadrature in sqrt(p). In this model friction acts at the axis. Friction at the surface of a
+    specimen of depth h has an effect of the other sign, of the order of mu h / span at small
     deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is for the stress
     in the outer fibre, not for the stiffness.
     """
@@ -256,30 +257,36 @@ class BendingStiffness(FromStiffness):
         key, formula = _FORMULAS[self.support]
         return (f"{self.of} x {formula}, L = specimen.{key}",)
 
-    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the bending stiffness from a stiffness and its length."""
         key, sizes = _FORMULAS[self.support][0], test.setup.sizes
         if key not in sizes:
             is_span = key == "span"
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
-        self._ratio(sizes, stiffness.window)
+        self._compute_ratio(sizes, stiffness.window)
         return test.measure_one(
-            combine_numbers(partial(self._of_trace, window=stiffness.window), stiffness.decide)
+            combine_numbers(
+                partial(self._compute_rigidity, window=stiffness.window), stiffness.decide
+            )
         )
 
-    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Name the corrections with their sizes."""
-        ratio = return_failure(self._ratio)(test.setup.sizes, stiffness.window)
+        ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return Context(remark="" if isinstance(ratio, Failure) else ratio[1])
 
-    def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
+    def _compute_rigidity(
+        self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]
+    ) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
-        ratio = return_failure(self._ratio)(trace.sizes, window)
+        ratio = return_failure(self._compute_ratio)(trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
         beam_stiffness = stiffness * compute_beam_factor(length, self.support)
         return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
-    def _ratio(self, sizes: Mapping[str, float], window: tuple[float, float]) -> tuple[float, str]:
+    def _compute_ratio(
+        self, sizes: Mapping[str, float], window: tuple[float, float]
+    ) -> tuple[float, str]:
         """Return the stiffness of an elastic beam as a multiple of the formula, and a remark."""
         span = sizes.get("span")
         if not self.corrections or span is None:
@@ -288,17 +295,19 @@ class BendingStiffness(FromStiffness):
         for number, name in enumerate(_ORDER):
             if name not in self.corrections:
                 continue
-            taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
-            rollers = self._rollers(taken, span, sizes.get("outer_diameter", 0.0))
+            active_corrections = [name for name in _ORDER[: number + 1] if name in self.corrections]
+            rollers = self._make_rollers(active_corrections, span, sizes.get("outer_diameter", 0.0))
             next_ratio = compute_stiffness_ratio(rollers, low=window[0], high=window[1])
             corrections.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
             ratio = next_ratio
         return ratio, f"corrected as an elastic beam: {', '.join(corrections)}"
 
-    def _rollers(self, taken: Sequence[str], span: float, depth: float) -> Rollers:
+    def _make_rollers(
+        self, active_corrections: Sequence[str], span: float, depth: float
+    ) -> Rollers:
         radius = friction = 0.0
-        if "roller-radius" in taken and self.roller is not None:
+        if "roller-radius" in active_corrections and self.roller is not None:
             radius = 0.5 * ((self.roller.diameter or 0.0) + depth)
-        if "roller-friction" in taken and self.roller is not None:
+        if "roller-friction" in active_corrections and self.roller is not None:
             friction = self.roller.friction or 0.0
         return Rollers(span, radius, friction)

@@ -1,8 +1,8 @@
-"""Curvature and bending moment along the specimen, from its shape and the force at its tip.
+"""Compute curvature and bending moment along the specimen, from its shape and the tip force.
 
-The inverse problem (PHYSICS 5): markers give the shape, the force gives the moment, and the
-stiffness is not assumed. The frame is that of the specimen: x along its undeformed axis from the
-clamped end, y in the plane of bending towards the pull.
+Markers give the shape and the force gives the moment; no stiffness is assumed. The frame is that of
+the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
+the pull.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from labpipe.records.curve import PointFlag, Shape
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPull:
-    """Pull at the tip.
+    """The force at the tip, from the reading of the load cell.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class TipPull:
     anchor: float
     self_weight: float = 0.0
 
-    def force(self, reading: Floats, tip: Floats) -> Floats:
+    def compute_force(self, reading: Floats, tip: Floats) -> Floats:
         """Return the force at the tip, N.
 
         Parameters
@@ -90,7 +90,7 @@ class MeanFrames:
     markers: Floats
     per_mean: int
 
-    def part(self, chosen: Flags) -> MeanFrames:
+    def select(self, chosen: Flags) -> MeanFrames:
         """Select means by a mask of shape (n,)."""
         return MeanFrames(
             self.time[chosen],
@@ -153,7 +153,7 @@ def find_marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) ->
         raise ValueError(format_sentence("results.no_fitted_frame"))
     direction = shape.coefficients[seen[0], :, 1] / shape.length
     ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
-    places = shape.arc_length[_markers_of(shape)]
+    places = shape.arc_length[_flag_markers(shape)]
     return MarkerLayout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
 
 
@@ -171,9 +171,9 @@ def average_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) 
     -------
     The means, in order of time.
     """
-    starts = _starts(branch, per_mean)
+    starts = _find_group_starts(branch, per_mean)
     rows = starts[:, None] + np.arange(per_mean)
-    points = rows[..., None], np.flatnonzero(_markers_of(shape))
+    points = rows[..., None], np.flatnonzero(_flag_markers(shape))
     measured = np.isin(shape.flags[points], (PointFlag.MEASURED, PointFlag.RELABELLED))
     positions = np.where(measured[..., None], shape.positions[points], np.nan)
     return MeanFrames(
@@ -185,7 +185,7 @@ def average_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) 
     )
 
 
-def _starts(branch: Ints, per_mean: int) -> Ints:
+def _find_group_starts(branch: Ints, per_mean: int) -> Ints:
     """Return the first frames of complete groups of frames within one branch each."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
     groups = [
@@ -196,7 +196,7 @@ def _starts(branch: Ints, per_mean: int) -> Ints:
     return np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
 
 
-def _markers_of(shape: Shape) -> Flags:
+def _flag_markers(shape: Shape) -> Flags:
     """Flag the points of a shape that are markers, not constructed: shape (points,)."""
     return np.asarray(~(shape.flags == PointFlag.CONSTRUCTED).any(axis=0), dtype=np.bool_)
 
@@ -240,14 +240,14 @@ def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> 
     plane = coefficients[:, :2]
     place = plane @ compute_powers(u, terms).T
     rate = plane @ compute_power_slopes(u, terms).T / length
-    bend = plane @ _second(u, terms).T / length**2
+    bend = plane @ _second_derivatives(u, terms).T / length**2
     speed = np.hypot(rate[:, 0], rate[:, 1])
     turned = rate[:, 0] * bend[:, 1] - rate[:, 1] * bend[:, 0]
     angle = np.arctan2(rate[:, 1], rate[:, 0])
     return StationCurves(place[:, 0], place[:, 1], angle, turned / speed**3)
 
 
-def _second(u: Floats, terms: int) -> Floats:
+def _second_derivatives(u: Floats, terms: int) -> Floats:
     """Return the second derivatives of the powers of u; shape (n, terms)."""
     rates = np.zeros((len(u), terms))
     rates[:, 2:] = np.arange(2, terms) * np.arange(1, terms - 1) * compute_powers(u, terms)[:, :-2]
@@ -279,7 +279,7 @@ def compute_curvature_gain(
     gain = np.full(shape.angle.shape, np.nan)
     for pattern in np.unique(seen, axis=0):
         chosen = (seen == pattern).all(axis=1)
-        operators = _operators(layout, layout.arc_length[pattern], arc_length)
+        operators = _make_operators(layout, layout.arc_length[pattern], arc_length)
         if operators is None:
             continue
         gram = np.einsum("isk,jsk->sij", operators, operators)
@@ -290,7 +290,7 @@ def compute_curvature_gain(
     return gain
 
 
-def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floats | None:
+def _make_operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floats | None:
     """Return x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
     ends, terms = layout.ends, layout.terms
     basis = build_curve_basis(
@@ -300,7 +300,7 @@ def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floa
         return None
     solve = np.linalg.pinv(build_marker_design(basis, places, layout.centre_offset))
     u, unknowns = arc_length / ends.length, basis.unknowns
-    bend = _second(u, terms) @ basis.matrix / ends.length**2
+    bend = _second_derivatives(u, terms) @ basis.matrix / ends.length**2
     slope = basis.slope(arc_length)
     x, y = solve[:unknowns], solve[unknowns:]
     return np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
@@ -426,7 +426,7 @@ class BendingTest:
             noise=fit.noise(slice(None)),
         )
 
-    def frames(self, branch: Ints, *, per_mean: int) -> FittedFrames:
+    def fit_means(self, branch: Ints, *, per_mean: int) -> FittedFrames:
         """Fit curves through means over consecutive frames.
 
         Parameters
@@ -446,7 +446,7 @@ class BendingTest:
             raise ValueError(format_sentence("results.no_means"))
         finer = self.layout.fit(means.markers, more=1) if fit.n_spare > 0 else None
         return FittedFrames(
-            means=means.part(usable),
+            means=means.select(usable),
             coefficients=fit.coefficients[usable],
             finer=None if finer is None else finer.coefficients[usable],
             tip_gain=fit.gain[usable, :2].max(axis=1),
@@ -470,7 +470,7 @@ class BendingTest:
         """
         length, pull = self.layout.length, self.pull if pull is None else pull
         tip = evaluate_curves(coefficients, length, np.array([length]))
-        force = pull.force(reading, tip.x[:, 0])
+        force = pull.compute_force(reading, tip.x[:, 0])
         moment = compute_moments(evaluate_curves(coefficients, length, places), tip, force)
         if pull.self_weight == 0.0:
             return moment

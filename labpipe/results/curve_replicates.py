@@ -26,7 +26,7 @@ from labpipe.uncertainty.replicates import (
     fit_smooth_curve,
 )
 
-_BY_FRAMES = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
+_CAUSES_BY_FRAME = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
 """Causes whose effect is computed frame by frame, from markers with noise."""
 
 
@@ -46,30 +46,32 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         return None
     measured = make_trace(test)
     both = test.signals.displacement, test.signals.force
-    starts = _starts(_corners(test), curve)
-    grid_time = _means(curve.time, starts)
-    acts = [_filters_on_grid(test, name, grid_time) for name in both]
-    signals = _displacements(test, curve), _forces(test, unfiltered, curve)
-    cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
+    starts = _find_block_starts(_list_corners(test), curve)
+    grid_time = _average_blocks(curve.time, starts)
+    filter_functions = [_make_grid_filters(test, name, grid_time) for name in both]
+    signals = _read_displacements(test, curve), _read_forces(test, unfiltered, curve)
+    cuts = [int(np.searchsorted(starts, corner)) for corner in _list_corners(test)]
     records = [
-        _means(filtered if have_no_filter_effect(act) else raw, starts)
-        for (filtered, raw), act in zip(signals, acts, strict=True)
+        _average_blocks(filtered if have_no_filter_effect(act) else raw, starts)
+        for (filtered, raw), act in zip(signals, filter_functions, strict=True)
     ]
     blocks = replace(
-        _on_grid(measured, starts),
+        _move_to_grid(measured, starts),
         time=grid_time,
-        displacement=_means(curve.displacement, starts),
-        force=_means(curve.force, starts),
+        displacement=_average_blocks(curve.displacement, starts),
+        force=_average_blocks(curve.force, starts),
     )
     grid = replace(blocks, displacement=records[0], force=records[1])
-    first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
+    first, second = (
+        partial(_apply_filters, filter_functions=act, cuts=cuts) for act in filter_functions
+    )
 
     def smooth(change: Floats) -> Floats:
         """Smooth the effect of an input: its noise would raise the largest of many samples."""
         parts = count_spline_intervals(grid)
         return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
-    inputs = tuple(_inputs(test, starts, smooth))
+    inputs = tuple(_list_inputs(test, starts, smooth))
     return draw_replicates(
         measured,
         grid,
@@ -117,7 +119,7 @@ def select_first_loading(trace: Trace) -> slice:
     return slice(branch.start, branch.stop)
 
 
-def _corners(test: ReducedTest) -> list[int]:
+def _list_corners(test: ReducedTest) -> list[int]:
     """Return the samples at which a new piece of the record begins: turns, failure, slips."""
     curve, failure = test.required_curve, test.failure
     cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
@@ -127,12 +129,12 @@ def _corners(test: ReducedTest) -> list[int]:
     return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
 
 
-def _starts(corners: Sequence[int], curve: Curve) -> Ints:
-    """Return the first samples of the blocks of a grid, which do not cross corners.
+def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
+    """Find the first samples of the blocks of a grid; no block crosses a corner.
 
-    The last block of a piece includes the remainder.
+    The last block before a corner includes the remainder.
     """
-    # The record may have fewer blocks if the shortest branch still has enough.
+    # A record may have fewer than `min_blocks` if its shortest branch limits the size of a block.
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
     count = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
@@ -143,7 +145,7 @@ def _starts(corners: Sequence[int], curve: Curve) -> Ints:
     return np.concatenate(starts)
 
 
-def _means(values: Floats, starts: Ints) -> Floats:
+def _average_blocks(values: Floats, starts: Ints) -> Floats:
     """Return the means of the blocks of a grid."""
     return values if len(starts) == len(values) else average_between(values, starts)
 
@@ -162,7 +164,7 @@ def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> 
     return cuts
 
 
-def _on_grid(trace: Trace, starts: Ints) -> Trace:
+def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
     """Convert the sample numbers of a trace to a grid."""
     failed = trace.failed_at
     branches = tuple(
@@ -178,7 +180,7 @@ def _on_grid(trace: Trace, starts: Ints) -> Trace:
     return replace(trace, branches=branches, failed_at=failed)
 
 
-def _displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
+def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
     """Return the displacement including that of the frame, filtered and unfiltered."""
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
@@ -187,19 +189,19 @@ def _displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
     return filtered, raw + float(np.nanmean(filtered - raw))
 
 
-def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
+def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
     """Return the force of the curve, and the unfiltered one with slips added back."""
-    force = _on_curve(test, unfiltered, curve.time)
+    force = _sample_on_curve(test, unfiltered, curve.time)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     if repaired:
-        force = add_back(force, repaired)
+        force = add_slips_back(force, repaired)
     # The filter bridges missing samples.
     force = np.where(np.isnan(force), curve.force, force)
     return curve.force, np.where(np.isnan(curve.force), np.nan, force)
 
 
-def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
-    """Sample a signal at the times of the curve, a faster one by means around them."""
+def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
+    """Sample a signal at the times of the curve; average a faster one around each time."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
     step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
@@ -226,62 +228,68 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
 
 
-def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
+def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
     """Return the filters of a signal for the grid; none if it was thinned."""
     signals = test.signals
     filters, raw = signals.filters.get(name, ()), signals.raw[name].time
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
         return []
-    acts = list[FilterFunction]()
+    filter_functions = list[FilterFunction]()
     for act, stride in filters:
-        acts.append(act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw)))))
+        filter_functions.append(
+            act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw))))
+        )
         raw = raw[::stride]
-    return acts
+    return filter_functions
 
 
-def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:
+def _apply_filters(
+    values: Floats, *, filter_functions: Sequence[FilterFunction], cuts: Sequence[int]
+) -> Floats:
     """Apply all filters to records (..., n), piece by piece."""
     finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
-    if not acts or not len(finite):
+    if not filter_functions or not len(finite):
         return values
     first, last = int(finite[0]), int(finite[-1]) + 1
     inner = [cut for cut in cuts if first < cut < last]
     parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
-    for act in acts:
+    for act in filter_functions:
         parts = [act(part) for part in parts]
     return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
 
 
-def _inputs(test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]) -> Iterator[Input]:
+def _list_inputs(
+    test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]
+) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
-    yield from _scales_and_zeros(test)
-    yield from _levels_of_force(test, starts)
+    yield from _list_scales_and_zeros(test)
+    yield from _list_force_levels(test, starts)
     displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
-        change = _means(signal - displacement.values, starts)
-        change = smooth(change) if cause in _BY_FRAMES else change
+        change = _average_blocks(signal - displacement.values, starts)
+        change = smooth(change) if cause in _CAUSES_BY_FRAME else change
         law: Law = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, by=change), law=law)
     for cause, clocks in test.clocks.perturbed.items():
         later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
-        yield Input(cause, partial(_later, by=_means(later, starts)))
+        yield Input(cause, partial(_delay_force, by=_average_blocks(later, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
-        yield Input(cause, partial(_sized, name=name, by=by), moves_curve=False, stream=name)
-    beyond = partial(_beyond, step=len(starts) / len(time))
+        yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
+    beyond = partial(_end_later, step=len(starts) / len(time))
     yield Input(causes.STEP, beyond, law="step", moves_curve=False)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     for number, slip in enumerate(repaired, start=1):
         sample = int(np.searchsorted(starts, slip.stop))
-        back = partial(_added_back, by=slip.drop_interval.standard_error, sample=sample)
+        back = partial(_add_slip_back, by=slip.drop_interval.standard_error, sample=sample)
         yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
-def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
+def _list_scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
 
     def gain(trace: Trace, x: float) -> Trace:
-        return _more_force(trace, x * force.relative_error * trace.force, compliance)
+        return _add_force(trace, x * force.relative_error * trace.force, compliance)
 
     def scaled(trace: Trace, x: float) -> Trace:
         whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
@@ -290,7 +298,7 @@ def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
     if force.relative_error:
         yield Input(causes.SCALE_OF_FORCE, gain)
     if force.zero_error:
-        yield Input(causes.ZERO_OF_FORCE, _raised(test, force.zero_error))
+        yield Input(causes.ZERO_OF_FORCE, _make_force_shift(test, force.zero_error))
     if displacement.relative_error:
         yield Input(causes.SCALE_OF_DISPLACEMENT, scaled)
     if displacement.zero_error:
@@ -299,23 +307,27 @@ def _scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
         )
 
 
-def _levels_of_force(test: ReducedTest, starts: Ints) -> Iterator[Input]:
+def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
-    if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
-        yield Input(causes.RESOLUTION, _raised(test, coarse / np.sqrt(12.0)), law="uniform")
+    if test.unfiltered is not None and (coarse := _find_converter_step(test.unfiltered.values)):
+        yield Input(
+            causes.RESOLUTION, _make_force_shift(test, coarse / np.sqrt(12.0)), law="uniform"
+        )
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.required_curve.force)))
-    since = np.abs(_means(test.required_curve.time, starts) - _zeroed_at(test))
+    since = np.abs(_average_blocks(test.required_curve.time, starts) - _find_zero_time(test))
     for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
         yield Input(
-            causes.DRIFT_OF_ZERO, _raised(test, wave), stream=f"{causes.DRIFT_OF_ZERO} {number}"
+            causes.DRIFT_OF_ZERO,
+            _make_force_shift(test, wave),
+            stream=f"{causes.DRIFT_OF_ZERO} {number}",
         )
 
 
-def _raised(test: ReducedTest, by: float | Floats) -> Callable[[Trace, float], Trace]:
-    return lambda trace, x: _more_force(trace, x * by, test.compliance)
+def _make_force_shift(test: ReducedTest, by: float | Floats) -> Callable[[Trace, float], Trace]:
+    return lambda trace, x: _add_force(trace, x * by, test.compliance)
 
 
-def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
+def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
     """Add the losses of slips back to a force.
 
     Parameters
@@ -339,11 +351,11 @@ def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
     return repaired
 
 
-def _coarse_step(values: Floats) -> float:
-    """Return the step of a converter that is coarser than the noise, or else 0.
+def _find_converter_step(values: Floats) -> float:
+    """Find the step of a converter whose resolution is coarser than the noise, or else 0.
 
-    Such a record is constant for most samples, on at least ten levels, and noise does not show the
-    values between two levels.
+    Such a record is constant over most samples, at ten levels or more; no noise shows the values
+    between two levels.
     """
     min_constant_share = 0.5
     min_levels = 10
@@ -355,10 +367,10 @@ def _coarse_step(values: Floats) -> float:
     return float(np.median(moves[~constant])) if times >= min_levels else 0.0
 
 
-def _zeroed_at(test: ReducedTest) -> float:
-    """Return when the zero of the force was taken last, s on the clock of the curve.
+def _find_zero_time(test: ReducedTest) -> float:
+    """Return the time at which the force was zeroed, s on the clock of the curve.
 
-    The middle of a mean, or the outer end of a line; else the first sample.
+    It is the middle of a mean, or the outer end of a line; without a zero, the first sample.
     """
     signals, time = test.signals, test.required_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
@@ -370,7 +382,7 @@ def _zeroed_at(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _more_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
+def _add_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
     """Add force to a trace, and subtract the displacement of the frame."""
     displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
@@ -388,21 +400,21 @@ def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trac
     return replace(trace, displacement=trace.displacement + x * by)
 
 
-def _sized(trace: Trace, x: float, *, name: str, by: float) -> Trace:
+def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
     if name not in trace.sizes:
         return trace
     return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * by})
 
 
-def _later(trace: Trace, x: float, *, by: Floats) -> Trace:
+def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
 
 
-def _beyond(trace: Trace, x: float, *, step: float) -> Trace:
-    """End a trace a step of the curve later, a share of a step of the grid."""
+def _end_later(trace: Trace, x: float, *, step: float) -> Trace:
+    """End a trace later by a multiple of a step of the curve, which is a share of a grid step."""
     return replace(trace, steps_beyond=x * step)
 
 
-def _added_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:
+def _add_slip_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:
     behind = np.arange(len(trace.time)) >= sample
     return replace(trace, force=trace.force + x * by * behind)

@@ -1,4 +1,4 @@
-"""Numbers of every cycle: its peaks, its energy, its residual displacement."""
+"""Results of every cycle: peak force and displacement, energy, residual displacement."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
 
 
 FOOT_LIMIT_FACTOR = 5.0
-"""The foot of the force, below this multiple of the limit, is taken as straight."""
+"""Multiple of the limit of zero force up to which the foot of the force is taken as straight."""
 
 
 _TIME_BEFORE_ZERO = 1.0
-"""s before zero force, for the line through the displacement."""
+"""s before zero force, over which a line is fitted to the displacement."""
 
 
 _MIN_CROSSING_SAMPLES = 8
-"""For a line through the force or the displacement at zero force."""
+"""Samples of a fit to the force or the displacement at zero force."""
 
 
 _MIN_ZERO_FOOT_SAMPLES = 4
@@ -72,12 +72,12 @@ _MIN_ZERO_FOOT_SAMPLES = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnloadingEnd:
-    """How an unloading ends, with the samples for its residual displacement chosen.
+    """The end of an unloading, and the samples that give its residual displacement.
 
     Parameters
     ----------
-    how : the force continues below zero; the string is slack and the displacement at rest; or the
-        foot of the force is followed to zero
+    kind : the force continues below zero; the string is slack and the displacement at rest; or the
+        foot of the force is extrapolated to zero
     limit : N, up to which a force counts as zero
     n : samples used for the displacement
     compute : returns the displacement at zero force, m, shape (...), from displacements and forces
@@ -85,7 +85,7 @@ class UnloadingEnd:
     compute_rows : the same for rows with noise, each with its own foot; None if it is `compute`
     """
 
-    how: Literal["through zero", "at rest", "followed"]
+    kind: Literal["through zero", "at rest", "followed"]
     limit: float
     n: int
     compute: Callable[[Floats, Floats], Floats]
@@ -105,9 +105,9 @@ def find_unloading_end(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are ignored
-    force_below : N; a force within this counts as zero. For weak specimens at most a fiftieth of
-        the largest force, unless its noise (four standard deviations) is more
-    like : how the measured branch ends, with its limit, for a curve without noise
+    force_below : N; a force within this limit counts as zero. The limit is at most a fiftieth of
+        the largest force, and at least four standard deviations of the noise
+    like : the end of the measured branch, if this branch is a curve without noise
 
     Returns
     -------
@@ -120,44 +120,45 @@ def find_unloading_end(
 
     Notes
     -----
-    There are three cases. The force continues below zero: parabolas through force and displacement,
-    over a tenth of the branch on each side, give the time of zero force and the displacement. The
-    string becomes slack (the line through the force between five limits and one would have fallen
-    by three limits more, and the force stays within two) and the displacement rests: its mean.
-    Otherwise the line is extrapolated to zero, and the displacement along a line through the second
-    before, since it may have a kink there.
+    There are three cases. If the force continues below zero, parabolas through force and
+    displacement, over a tenth of the branch on each side, give the time of zero force and the
+    displacement there. If the string becomes slack and the displacement rests, its mean is used;
+    this is so if the line through the foot of the force would fall by three more limits up to the
+    end of the branch, while the force stays within two limits of zero. Otherwise the line through
+    the foot is extrapolated to zero, and so is the displacement, along a line through the second
+    before, since it may have a kink at zero force.
     """
-    # Largest share of the largest force of a branch that counts as zero.
-    max_zero_share = 0.02
-    # Standard deviations of noise above which a force is not zero.
-    noise_deviations = 4.0
+    max_zero_share = 0.02  # of the largest force, up to which a force may count as zero
+    noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     finite = find_finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
     require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
-    least = min(force_below, max_zero_share * float(f.max()))
+    lowest_limit = min(force_below, max_zero_share * float(f.max()))
     limit = (
-        max(noise_deviations * float(estimate_fast_noise(f)), least) if like is None else like.limit
+        max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
+        if like is None
+        else like.limit
     )
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
-    goes_on = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
-    if goes_on if like is None else like.how == "through zero":
-        return _through_zero(finite, t, f, limit)
+    falls_below_zero = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
+    if falls_below_zero if like is None else like.kind == "through zero":
+        return _fit_zero_crossing(finite, t, f, limit)
     last, far = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
         zero_time = float(compute_zero_crossing(from_end[foot], -f[foot]))
         slope = float(compute_slope(from_end[foot], f[foot]))
-    falls = not np.isnan(zero_time)
-    zero = float(t[last]) + zero_time if falls else float(t[last])
+    is_falling = not np.isnan(zero_time)
+    zero = float(t[last]) + zero_time if is_falling else float(t[last])
     rest = t > zero + 0.2
-    has_stopped = falls and slope * (t[-1] - zero) < -3.0 * limit
-    rests = has_stopped and _is_slack(t[rest], d, f[rest], rest, limit)
-    if rests if like is None else like.how == "at rest" and rest.any():
+    has_reached_zero = is_falling and slope * (t[-1] - zero) < -3.0 * limit
+    is_at_rest = has_reached_zero and _is_resting(t[rest], d, f[rest], rest, limit)
+    if is_at_rest if like is None else like.kind == "at rest" and rest.any():
         at_rest = as_slice(finite[rest])
 
         def mean(displacement: Floats, force: Floats) -> Floats:
@@ -169,12 +170,18 @@ def find_unloading_end(
     if near.sum() < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
     of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, near))
-    of = partial(_follow, foot=of_foot if falls else None, near=of_near)
-    each = partial(_follow_each, samples=as_slice(finite), time=from_end, limit=limit, least=least)
-    return UnloadingEnd("followed", limit, int(near.sum()), of, each)
+    of = partial(_extrapolate_to_zero, foot=of_foot if is_falling else None, near=of_near)
+    compute_rows = partial(
+        _extrapolate_rows_to_zero,
+        samples=as_slice(finite),
+        time=from_end,
+        limit=limit,
+        lowest_limit=lowest_limit,
+    )
+    return UnloadingEnd("followed", limit, int(near.sum()), of, compute_rows)
 
 
-def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
+def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
@@ -195,8 +202,8 @@ def _through_zero(finite: Ints, time: Floats, force: Floats, limit: float) -> Un
     return UnloadingEnd("through zero", limit, len(after), of)
 
 
-def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
-    """Return whether force and displacement rest within their noise."""
+def _is_resting(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
+    """Check whether force and displacement are constant within their noise."""
     if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(force).max() > 2.0 * limit:
         return False
     centred_time, values = time - time.mean(), path[rest]
@@ -206,7 +213,7 @@ def _is_slack(time: Floats, path: Floats, force: Floats, rest: Flags, limit: flo
     return abs(slope) * float(np.ptp(centred_time)) <= still
 
 
-def _follow(
+def _extrapolate_to_zero(
     displacement: Floats,
     force: Floats,
     *,
@@ -215,7 +222,8 @@ def _follow(
 ) -> Floats:
     """Return the displacement where the line through the foot is zero; NaN if it does not fall.
 
-    Samples come with their times, s, from the end of the foot, where the force is zero without it.
+    Each argument has samples and their times, s, from the end of the foot. Without a foot, the
+    force is taken as zero at that end.
     """
     zero = np.zeros(()) if foot is None else compute_zero_crossing(foot[1], -force[..., foot[0]])
     samples, time = near
@@ -224,14 +232,14 @@ def _follow(
     return value
 
 
-def _follow_each(
+def _extrapolate_rows_to_zero(
     displacement: Floats,
     force: Floats,
     *,
     samples: Samples,
     time: Floats,
     limit: float,
-    least: float,
+    lowest_limit: float,
 ) -> Floats:
     """Follow the foot of each row to zero; NaN if its force does not return to zero.
 
@@ -239,15 +247,15 @@ def _follow_each(
     """
     d, f = displacement[:, samples], force[:, samples]
     limits = np.full((len(f), 1), limit)
-    if limit > least:
-        limits = np.maximum(scale_limit_by_noise(limit, f), least)[:, np.newaxis]
-    begin, end = _last_flagged(f > FOOT_LIMIT_FACTOR * limits), _last_flagged(f > limits)
+    if limit > lowest_limit:
+        limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
+    begin, end = _find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), _find_last_flagged(f > limits)
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
     middle, level, slope = fit_chosen_lines(foot, time[stretch], f[:, stretch])
-    falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
-    zeros = np.where(falls, middle - divide(level, slope), time[end])
+    is_falling = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
+    zeros = np.where(is_falling, middle - divide(level, slope), time[end])
     part = slice(
         *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
     )
@@ -258,7 +266,7 @@ def _follow_each(
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
-def _last_flagged(flags: Flags) -> Ints:
+def _find_last_flagged(flags: Flags) -> Ints:
     """Return the last flagged sample of each row, or -1."""
     count: int = flags.shape[1]
     last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
@@ -272,12 +280,12 @@ class PerCycle(Kind):
     complete_branches: ClassVar[int] = 0
     """Branches of a cycle that must be complete."""
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
-    """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
-    the loading, 1 its end, 2 the end of unloading."""
+    """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
+    loading, 1 its end, 2 the end of unloading."""
 
     @abstractmethod
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Return the choice of the samples of a cycle.
+        """Return a function that chooses the samples of a cycle on a curve.
 
         Parameters
         ----------
@@ -286,7 +294,7 @@ class PerCycle(Kind):
         """
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Return the number if it is read from more samples than the curve has."""
+        """Return the number if it is measured from other samples than those of the curve."""
         del test, branches
         return None
 
@@ -299,16 +307,16 @@ class PerCycle(Kind):
         """Measure a number per cycle."""
         if not test.cycles:
             raise test.make_error(NO_LOADING)
-        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
+        return Computed(tuple(self._measure_cycle(test, branches) for branches in test.cycles))
 
-    def _of_cycle(self, test: ReducedTest, branches: list[Branch]) -> Result:
+    def _measure_cycle(self, test: ReducedTest, branches: list[Branch]) -> Result:
         number = branches[0].cycle
         return self.make_result(
             test,
             return_failure(test.measure_one)(
                 self.make_decider(test, number), self.measure_directly(test, branches)
             ),
-            during=_time_of_part(branches, self.reads),
+            during=_find_time_interval(branches, self.reads),
             doubts=find_cut_cycle(
                 test, branches[: self.complete_branches], self.outputs[0].rests_on
             )
@@ -318,14 +326,19 @@ class PerCycle(Kind):
 
 
 def compute_shape_error(estimate: Estimate, other: Estimate) -> Errors:
-    """Return the error of a rectangle with the change by another assumption as half width."""
+    """Return the standard error of a rectangular distribution with a change as its half-width.
+
+    Parameters
+    ----------
+    estimate, other : with the shape, and with one term less
+    """
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
 def find_gap_at_peak(
-    test: ReducedTest, branches: list[Branch], what: Quantity
+    test: ReducedTest, branches: list[Branch], quantity: Quantity
 ) -> tuple[Reason, ...]:
-    """Return a doubt if samples next to the largest one of a cycle are missing.
+    """Return a doubt if a sample next to the largest one of a cycle is missing.
 
     Parameters
     ----------
@@ -333,18 +346,18 @@ def find_gap_at_peak(
     what : quantity of the curve
     """
     curve = test.required_curve
-    values: Floats = getattr(curve, what)
+    values: Floats = getattr(curve, quantity)
     signed_values = find_loading_sign(curve, values) * values[find_cycle_samples(curve, branches)]
     if np.isnan(signed_values).all():
         return ()
     top = int(np.nanargmax(signed_values))
     if not np.isnan(signed_values[max(top - 1, 0) : top + 2]).any():
         return ()
-    return (Reason.of("results.gap_at_peak", quantity=what),)
+    return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
-def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
-    """Return the time of a part of a cycle, counted in branches, or None."""
+def _find_time_interval(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
+    """Return the time interval of a part of a cycle, s; None if it has no such branch."""
     if reads[0] >= len(branches):
         return None
     ends = []
@@ -381,7 +394,7 @@ def find_cut_cycle(
 
 
 def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
-    """Return whether the force had fallen below 90 % of its peak when the record ended."""
+    """Check whether the force has fallen below 90 % of its peak where the record ends."""
     curve = test.required_curve
     values = (find_loading_sign(curve, curve.force) * curve.force)[part.start : part.stop]
     values = values[~np.isnan(values)]
@@ -391,21 +404,21 @@ def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
 def find_cycle_samples(curve: Curve | Trace, branches: list[Branch]) -> slice:
     """Return the samples of a cycle from its first turn to its last one, both included.
 
-    A rest between two cycles is divided at its extreme. A last loading without unloading includes
-    the hold after it, as long as there is a force.
+    A rest between two cycles is divided at its extreme displacement. A last loading without
+    unloading includes the hold after it, up to the last sample with a force.
     """
     last = branches[-1]
     first, behind = (curve.branches.index(branch) for branch in (branches[0], last))
-    start = _turn_before(curve, first) if first else branches[0].start
+    start = _find_turn_before(curve, first) if first else branches[0].start
     if behind + 1 < len(curve.branches):
-        return slice(start, _turn_before(curve, behind + 1) + 1)
+        return slice(start, _find_turn_before(curve, behind + 1) + 1)
     if last.direction is Direction.UNLOADING:
         return slice(start, last.stop)
     force_stop = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
     return slice(start, max(force_stop, last.stop))
 
 
-def _turn_before(curve: Curve | Trace, number: int) -> int:
+def _find_turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
     rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
     seen = find_loading_sign(curve, curve.displacement) * curve.displacement[rest]
@@ -505,7 +518,7 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualDisplacement(PerCycle):
-    """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
+    """``residual_displacement.<cycle>`` (m): displacement at zero force after unloading."""
 
     result: ClassVar = "residual-displacement"
     outputs: ClassVar = (
@@ -526,19 +539,21 @@ class ResidualDisplacement(PerCycle):
     )
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Use the limit of zero force, and the kind of end, of the measured curve."""
-        measured = return_failure(self._ends)(make_trace(test), number)
+        """Choose the samples, with limit of zero force and kind of end of the measured curve."""
+        measured = return_failure(self._find_end)(make_trace(test), number)
         like = None if isinstance(measured, Failure) else measured
 
         def decide(trace: Trace) -> Reading:
-            ending, part = self._ends(trace, number, like), select_cycle(trace, number)[1]
+            ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
             branch = slice(part.start, part.stop)
             in_noise = read_part(ending.compute_rows, branch) if ending.compute_rows else None
             return Reading(read_part(ending.compute, branch), ending.n, in_noise)
 
         return decide
 
-    def _ends(self, trace: Trace, number: int, like: UnloadingEnd | None = None) -> UnloadingEnd:
+    def _find_end(
+        self, trace: Trace, number: int, like: UnloadingEnd | None = None
+    ) -> UnloadingEnd:
         parts = cut_branch(trace, require_unloading(select_cycle(trace, number)))
         return find_unloading_end(*parts, force_below=self.force_below, like=like)
 
@@ -555,12 +570,13 @@ def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
-    """Return how far a curve may rise beyond its largest sample before the next one.
+def _estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
+    """Estimate how far a curve may rise between its largest sample and the next one.
 
-    At a turn of the motion, up to the crossing of the lines through two samples on each side, and
-    at most half a step, as the corner is closer to this sample than to the next. If the force falls
-    while the motion continues, the specimen breaks: up to a whole step.
+    At a turn of the motion, it rises up to the crossing of the lines through two samples on each
+    side, and by at most half a step, because the corner is closer to this sample than to the next.
+    If the force falls while the motion continues, the specimen breaks, and the curve may rise by a
+    whole step.
     """
     break_ratio = 3.0  # of the fall after the largest sample to the rise before it
     top = int(np.nanargmax(seen))
@@ -576,7 +592,7 @@ def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
     return float(reach) if np.isfinite(reach) else 0.0
 
 
-def _largest(
+def _choose_largest_sample(
     test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
 ) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
@@ -586,7 +602,7 @@ def _largest(
     test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
     quantity : whose largest sample
-    steps : sampling steps of its signal per sample of the curve
+    steps : sampling steps of the signal of the quantity per sample of the curve
     """
     values: Floats = getattr(trace, quantity)
     sense, stretch = (
@@ -597,7 +613,7 @@ def _largest(
     if np.isnan(seen).all():
         raise UnavailableError.of("results.no_sample")
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
-    reach = _reach_beyond_top(seen, travel) / steps
+    reach = _estimate_rise_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]
@@ -613,7 +629,7 @@ def _largest(
         if peak_samples is None:
             return numbers(drawn)
         noise = getattr(drawn, quantity) - values
-        return (numbers(trace)[0] + peak_samples.raised(noise, sense),)
+        return (numbers(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
 
     return Reading(numbers, int((~np.isnan(seen)).sum()), in_noise)
 
@@ -662,7 +678,7 @@ def choose_peak_sample(test: ReducedTest, trace: Trace, number: int) -> Reading:
     curve_step, force_step = (
         float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
     )
-    return _largest(test, trace, "force", number, max(1.0, curve_step / force_step))
+    return _choose_largest_sample(test, trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -686,7 +702,7 @@ class PeakDisplacement(PerCycle):
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the largest sample of the displacement."""
-        return partial(_largest, test, quantity="displacement", number=number)
+        return partial(_choose_largest_sample, test, quantity="displacement", number=number)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""

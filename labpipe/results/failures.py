@@ -1,6 +1,6 @@
-"""Failure of a specimen, the permanent loss of force, and the energy up to it.
+"""Failure of a specimen, which is its final loss of force, and the energy up to the failure.
 
-Both are read from the loading branch of the failure.
+Both are measured in the loading branch in which the specimen fails.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def find_loss_start(
     ----------
     time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are ignored
     rule : criteria of a loss
-    goes_back : shape (n,), where the displacement goes back, so that a falling force is not a loss
+    goes_back : shape (n,), flags of samples in unloading, where a falling force is not a loss
 
     Returns
     -------
@@ -64,10 +64,10 @@ def find_loss_start(
 
     Notes
     -----
-    From the last sample with at least `force_below` of the largest force, go back as long as the
-    force falls by at least `loss` of its largest value within `within`. A smooth decrease before
-    the loss, such as the necking of a wire, belongs to the test. A loss within one step of a slow
-    recording is found as well as one with many samples.
+    The search begins at the last sample with at least `force_below` of the largest force. It goes
+    back in time as long as the force falls by at least `loss` of its largest value within `within`.
+    A smooth decrease before the loss, such as the necking of a wire, belongs to the test. A loss
+    within one step of a slow recording is found as well as one with many samples.
     """
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
@@ -84,7 +84,7 @@ def find_loss_start(
         return Failure.of("results.goes_back")
     later = int(np.searchsorted(t, t[last] + rule.within, side="right"))
     fallen = f[last] - float(f[last + 1 : max(later, last + 2)].min())
-    first = _back_to_first(t, f, last, rule, peak)
+    first = _find_first_of_loss(t, f, last, rule, peak)
     if first == last and fallen < rule.loss * peak:
         return Failure.of(
             "results.lost_slowly",
@@ -115,18 +115,18 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
     if last >= len(f) - 1:
         return None
     # At least 1 % more travel, and at most every second step back.
-    goes_on = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
-    return int(finite[last]) if goes_on and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
+    continues = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
+    return int(finite[last]) if continues and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
 
 def find_last_above(force: Floats, share: float) -> Any:
-    """Return the last sample with at least a share of the largest one, of rows (..., n)."""
+    """Return the last sample with at least a share of the largest, for each row (..., n)."""
     holds = force >= share * np.max(force, axis=-1, keepdims=True)
     return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
 
 
-def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Return the first sample of the loss before `last`, by its share in the time or its rate."""
+def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
+    """Go back from `last` to the first sample of the loss, by its share in time or its rate."""
     lost = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
@@ -142,7 +142,7 @@ def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: flo
 
 
 def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> float:
-    """Return the largest share of the peak that was suddenly and permanently lost before the end.
+    """Find the largest share of the peak that was suddenly and permanently lost before the failure.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Of a slow loss, the last sample with a share of the peak."""
+        """Return the methods, which differ for a slow loss."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_below is not None:
             share = f"{failure.slow_below:.0%} of the peak, which is lost slowly"
@@ -189,9 +189,9 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure displacement and force at the last sample before the final loss of force."""
-        failure = _failure(test)
-        place, force = test.measure(partial(_at_failure, test))
-        doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
+        failure = _require_failure(test)
+        place, force = test.measure(partial(_choose_failure_samples, test))
+        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         at_end = during[1], during[1]
         return Computed(
             (
@@ -201,21 +201,22 @@ class FailureResult(Kind):
         )
 
 
-def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
-    """Choose the samples for displacement and force at the failure, up to a step after its sample.
+def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
+    """Choose the samples for displacement and force at the failure.
 
-    If that sample has already lost force, the specimen failed in the step before it: the force was
-    that of the sample before, or up to a step more.
+    The specimen fails up to one step after the sample of the failure. If that sample has already
+    lost force, it failed in the step before: at the force of the sample before, or up to a step
+    more.
     """
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
-        singles = _single_samples(test, trace, sample)
-        return _at_slow_loss(test.failure.slow_below, trace, singles)
-    singles = _single_samples(test, trace, sample)
-    step, rise = _next_step(trace, sample)
-    fall, is_clear = _loss_before(test)
+        draw_noise = _make_noise_function(test, trace, sample)
+        return _choose_slow_loss_samples(test.failure.slow_below, trace, draw_noise)
+    draw_noise = _make_noise_function(test, trace, sample)
+    step, rise = _measure_next_step(trace, sample)
+    fall, is_clear = _measure_loss_before(test)
     ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
@@ -225,30 +226,30 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading:
     def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
         place, force = numbers(drawn)
         count = (len(force),)
-        return place + singles("displacement", count), force - lost + singles("force", count)
+        return place + draw_noise("displacement", count), force - lost + draw_noise("force", count)
 
     return Reading(numbers, 1, in_noise)
 
 
-def _single_samples(
+def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
-    """Return a function that draws deviations of single samples of a quantity before a failure."""
+    """Return a function that draws noise of single samples of a quantity before a failure."""
 
     @cache
-    def around(quantity: Quantity) -> SampleNoise | None:
+    def select_noise(quantity: Quantity) -> SampleNoise | None:
         loading = slice(find_loading_before(trace, sample).start, sample + 1)
         return SampleNoise.around(test, trace, quantity, loading, sample)
 
     def drawn(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
-        noise = around(quantity)
-        return np.zeros(shape) if noise is None else noise.drawn(shape)
+        noise = select_noise(quantity)
+        return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
     return drawn
 
 
-def _at_slow_loss(
-    share: float, trace: Trace, singles: Callable[[Quantity, tuple[int, ...]], Floats]
+def _choose_slow_loss_samples(
+    share: float, trace: Trace, draw_noise: Callable[[Quantity, tuple[int, ...]], Floats]
 ) -> Reading:
     """Choose the sample at which each curve falls below a share of its peak."""
     sense = find_loading_sign(trace, trace.force)
@@ -264,15 +265,15 @@ def _at_slow_loss(
         return first_end + more, second_end
 
     def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
-        return numbers(replace(drawn, force=drawn.force + singles("force", drawn.force.shape)))
+        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
 
     return Reading(numbers, 1, in_noise)
 
 
-def _loss_before(test: ReducedTest) -> tuple[float, bool]:
+def _measure_loss_before(test: ReducedTest) -> tuple[float, bool]:
     """Return the force lost in the step before the failure, N, and whether it is above noise.
 
-    A loss above noise is the start of a loss over several samples.
+    A loss above noise shows that the final loss began in the step before.
     """
     failure, curve = test.failure, test.required_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
@@ -287,7 +288,7 @@ def _loss_before(test: ReducedTest) -> tuple[float, bool]:
     return sense * fall, bool(is_clear)
 
 
-def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
+def _measure_next_step(trace: Trace, sample: int) -> tuple[float, float]:
     """Return the changes of displacement (m) and force (N) in one step after a sample."""
     ahead = trace.displacement[sample + 1 :]
     ahead = ahead[~np.isnan(ahead)]
@@ -297,7 +298,7 @@ def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _failure(test: ReducedTest) -> FailurePoint:
+def _require_failure(test: ReducedTest) -> FailurePoint:
     if isinstance(test.failure, Failure):
         raise UnavailableError(test.failure)
     if test.failure is None:
@@ -305,7 +306,7 @@ def _failure(test: ReducedTest) -> FailurePoint:
     return test.failure
 
 
-def _until_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
+def _find_time_to_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
     """Return the time from the start of the loading of the failure to the failure, s."""
     curve = test.required_curve
     start = find_loading_before(curve, failure.sample).start
@@ -313,12 +314,12 @@ def _until_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
 
 
 def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
-    """Return the last loading branch that begins by a sample, or else the first one."""
+    """Return the last loading branch that begins at or before a sample, or else the first one."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [part for part in loading if part.start <= sample or part is loading[0]][-1]
 
 
-def _doubts_of_steps(failure: FailurePoint) -> tuple[Reason, ...]:
+def _find_step_doubts(failure: FailurePoint) -> tuple[Reason, ...]:
     """Return a doubt if the failure was not the first sudden loss of force."""
     return (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
 
@@ -339,19 +340,19 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Integrate the force up to the failure."""
-        failure = _failure(test)
-        outcome = test.measure_one(partial(_work, test))
-        doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
+        failure = _require_failure(test)
+        outcome = test.measure_one(partial(_choose_work_to_break, test))
+        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))
 
 
-def _work(test: ReducedTest, trace: Trace) -> Reading:
+def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for the work up to the failure."""
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
     work = choose_work_samples(trace, slice(find_loading_before(trace, sample).start, sample + 1))
-    step, _ = _next_step(trace, sample)
+    step, _ = _measure_next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:
         more = trace.steps_beyond * step * trace.force[..., sample]

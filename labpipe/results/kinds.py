@@ -1,4 +1,4 @@
-"""A kind of result: one record of its settings, its outputs, its needs, and its computation.
+"""Define what a kind of result is: its settings, outputs and needs, and how it is measured.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
 class variables are its name, outputs and needs, and `measure` returns the numbers of a test.
@@ -52,8 +52,8 @@ class Computed:
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
 
-    ``method`` says in words how the outputs are made, with the settings as fields; ``over_mm`` is
-    the setting ``over`` in millimetres.
+    ``method`` describes how the outputs are measured. It may have settings as fields; ``over_mm``
+    is the setting ``over`` in millimetres.
     """
 
     result: ClassVar[str]
@@ -101,7 +101,7 @@ class Kind(ABC):
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> tuple[Result, ...]:
-        """Give several outputs in order, from the `first`, what `number` gives one."""
+        """Make the results of several outputs in order, from the `first`, as `make_result`."""
         return tuple(
             self.make_result(test, outcome, output=place, **common)
             for place, outcome in enumerate(outcomes, start=first)
@@ -120,7 +120,7 @@ class Kind(ABC):
         part: str = "",
         remark: str = "",
     ) -> Result:
-        """Give a number its name, interval and status, and the reasons for it.
+        """Make the result of one output: name, interval, status and reasons.
 
         Parameters
         ----------
@@ -140,16 +140,18 @@ class Kind(ABC):
         declared = self.outputs[output]
         name, made_of = declared.name.format_map(settings) + part, settings.get("of", "")
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
-        outcome, budget = _completed(outcome, errors or {})
+        outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            seen = test.collect_doubts((*declared.rests_on, *_BOTH_SIGNS), during)
+            seen = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
             why = [doubt for doubt in seen if doubt.code in _CURVE_ERRORS]
-            both = [*why, outcome] if outcome.code in _TOO_SHORT else [outcome, *why]
-            reasons, failed = tuple(dict.fromkeys(both)), Status.FAILED
+            reasons_in_order = (
+                [*why, outcome] if outcome.code in _EXPLAINED_FAILURES else [outcome, *why]
+            )
+            reasons, failed = tuple(dict.fromkeys(reasons_in_order)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
-        signs = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}.get(declared.unit, ())
-        known = outcome.doubts if isinstance(outcome, Measured) else ()
-        own = [reason for quantity, reason in known if quantity in ("", *declared.rests_on)]
+        signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
+        own_doubts = outcome.doubts if isinstance(outcome, Measured) else ()
+        own = [reason for quantity, reason in own_doubts if quantity in ("", *declared.rests_on)]
         seen = test.collect_doubts((*declared.rests_on, *signs), during)
         reasons = tuple(dict.fromkeys([*seen, *doubts, *own]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
@@ -172,24 +174,24 @@ class Kind(ABC):
 
 
 def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:
-    """Return the error from the scale of the force, of a number in proportion to it."""
+    """Return the error from the scale of the force, for a number proportional to the force."""
     if isinstance(outcome, Failure):
         return {}
     return {SCALE_OF_FORCE: test.raw_force.relative_error * abs(outcome.value)}
 
 
-_BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
-"""Signs that a number depends on: of newtons the first, of metres the second."""
+_SIGN_QUANTITIES: tuple[str, ...] = ("force_sign", "displacement_sign")
+"""Quantities of doubts about signs: the first for numbers in newtons, the second in metres."""
 _CURVE_ERRORS = frozenset(
     ["frozen_channel", "saturation", "force_reversed", "displacement_reversed", "begins_under_load"]
 )
-"""Doubts that may explain a failure: the curve itself is wrong."""
-_TOO_SHORT = frozenset({"not_reached", "no_travel"})
-"""Failures that such a doubt explains, so that it comes first."""
+"""Codes of doubts that may explain a failure, because the curve itself is wrong."""
+_EXPLAINED_FAILURES = frozenset({"not_reached", "no_travel"})
+"""Codes of failures that such a doubt explains, so that the doubt is listed first."""
 
 
-def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
-    """Widen an estimate by further errors; return it with its budget, or why it is no number."""
+def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
+    """Add errors to an estimate; return it with its budget, or a failure if it is not finite."""
     budget = outcome.budget if isinstance(outcome, Measured) else ()
     if isinstance(outcome, Estimate):
         fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
@@ -204,7 +206,7 @@ def _completed(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contrib
 
 
 def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
-    """Return a doubt for a stretch with a slip that was only marked.
+    """Return a doubt if a stretch has a slip that was only marked.
 
     Parameters
     ----------
@@ -221,7 +223,7 @@ def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockResult(Kind):
-    """``clock_offset`` (s) and ``clock_drift`` (1): force's clock against that of the markers."""
+    """``clock_offset`` (s), ``clock_drift`` (1): clock of the force against that of the motion."""
 
     result: ClassVar = "clock"
     outputs: ClassVar = (
@@ -229,7 +231,7 @@ class ClockResult(Kind):
         Output("clock_drift", "1", "Drift of the clocks", ("clock",), can_be_negative=True),
     )
     needs: ClassVar = Needs(clocks=True)
-    method: ClassVar = "how the clocks of force and motion were joined"
+    method: ClassVar = "method by which the clocks of force and motion were joined"
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return offset and drift of force time against marker time."""

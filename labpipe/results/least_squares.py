@@ -11,7 +11,7 @@ from labpipe.records.estimates import UnavailableError
 
 
 def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
-    """Raise ``too_few_samples`` for fewer samples than a number needs."""
+    """Raise ``too_few_samples`` if there are fewer samples than needed."""
     if count < needed:
         raise UnavailableError.of(
             "results.too_few_samples", count=count, where=where, needed=needed
@@ -19,7 +19,7 @@ def require_samples(count: int, needed: int, where: str = " in the stretch") -> 
 
 
 def require_travel(values: Floats, quantity: str = "displacement") -> None:
-    """Raise ``no_travel`` for a constant quantity."""
+    """Raise ``no_travel`` if a quantity is constant."""
     if np.ptp(values) == 0.0:
         raise UnavailableError.of("results.no_travel", quantity=quantity)
 
@@ -91,7 +91,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
     Parameters
     ----------
-    x : shape (n,), places of the values; near zero, for its powers
+    x : shape (n,), positions of the values, best near zero
     degree : of the polynomial
 
     Returns
@@ -113,7 +113,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonPath:
-    """Samples of a reference curve, with displacement and slope there.
+    """Displacements of a reference curve, at which the forces of other curves are compared.
 
     Parameters
     ----------
@@ -152,8 +152,8 @@ class CommonPath:
         is_all = np.array_equal(samples, np.arange(len(force)))
         return cls(None if is_all else samples, displacement[samples], slope)
 
-    def force(self, force: Floats, displacement: Floats | None = None) -> Floats:
-        """Return forces at the displacements of the reference curve.
+    def move_force(self, force: Floats, displacement: Floats | None = None) -> Floats:
+        """Move forces of curves to the displacements of the reference curve.
 
         Parameters
         ----------
@@ -168,17 +168,17 @@ class CommonPath:
         all of them. Second order is neglected: noise of the displacement makes a least-squares
         slope smaller, by its variance over that of the displacements.
         """
-        on_path = self._taken(force)
+        on_path = self._take_samples(force)
         if displacement is None:
             return on_path
-        moved = self._taken(displacement) - self.displacement
+        moved = self._take_samples(displacement) - self.displacement
         return on_path - self.slope * moved if moved.any() else on_path
 
-    def _taken(self, values: Floats) -> Floats:
+    def _take_samples(self, values: Floats) -> Floats:
         if self.samples is None:
             return values
-        taken: Floats = np.take(values, self.samples, axis=-1)
-        return taken
+        selected: Floats = np.take(values, self.samples, axis=-1)
+        return selected
 
 
 def find_finite_samples(displacement: Floats, force: Floats) -> Ints:

@@ -1,7 +1,7 @@
-"""The measured moment-curvature law: fitted to the shapes of a first loading, and as a table.
+"""Fit the moment-curvature law to the shapes of a first loading, and tabulate it.
 
-The shapes of a law are compared with the markers; nothing is differentiated, so that curvatures are
-much more accurate than from single frames.
+The shapes that follow from a law are compared with the markers. Nothing is differentiated, so that
+curvatures are much more accurate than those of single frames.
 
 The wire keeps its length and its direction at the clamp. Its angle in frame f is
 
@@ -95,18 +95,18 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     min_points = 24
     count = int((test.branch == test.first).sum())
     branch = np.where(test.branch == test.first, test.branch, -1)
-    frames = test.frames(branch, per_mean=max(1, count // N_FIT_MEANS))
+    frames = test.fit_means(branch, per_mean=max(1, count // N_FIT_MEANS))
     n_means = len(frames.means.force)
     if n_means < min_points:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_points))
-    loaded = _loaded(test, frames)
+    loaded = _collect_law_data(test, frames)
     largest, at_rest = loaded.moment.max(), np.abs(loaded.moment_at_rest).max()
     if not largest > at_rest:
         raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
     return tabulate(
         fit,
-        [change_with_knots, *_Shared(test, frames, loaded, fit).changes()],
+        [change_with_knots, *_CommonErrors(test, frames, loaded, fit).list_changes()],
         scale_error=test.errors.force_scale,
         noise=test.specimen_at_rest.noise / np.sqrt(frames.means.per_mean),
         curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
@@ -114,7 +114,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     )
 
 
-def _loaded(test: BendingTest, frames: FittedFrames) -> LawData:
+def _collect_law_data(test: BendingTest, frames: FittedFrames) -> LawData:
     layout, rest = test.layout, test.specimen_at_rest
     line = Line.through(layout.arc_length, layout.length)
     still = evaluate_curves(rest.coefficients, layout.length, line.arc_length)
@@ -131,7 +131,7 @@ def _loaded(test: BendingTest, frames: FittedFrames) -> LawData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shared:
+class _CommonErrors:
     """A law, with the errors common to all its frames."""
 
     test: BendingTest
@@ -139,31 +139,31 @@ class _Shared:
     loaded: LawData
     fit: LawFit
 
-    def changes(self) -> Iterator[Floats]:
+    def list_changes(self) -> Iterator[Floats]:
         """Yield standard errors as changes of the compliances."""
         errors, frames = self.test.errors, self.frames
-        before = self.movement(self.loaded)
+        before = self.compute_movement(self.loaded)
 
         def change(other: LawData, share: float = 1.0) -> Floats:
-            return share * self.fit.shift(self.movement(other) - before)
+            return share * self.fit.shift(self.compute_movement(other) - before)
 
-        yield change(self.with_moments(reading=frames.means.force + errors.force_zero))
+        yield change(self.recompute_moments(reading=frames.means.force + errors.force_zero))
         if errors.other_tension_at_rest is not None:
             pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
-            yield change(self.with_moments(pull=pull), RECTANGULAR_DEVIATION)
+            yield change(self.recompute_moments(pull=pull), RECTANGULAR_DEVIATION)
         if frames.finer is not None:
-            yield change(self.with_moments(finer=True), RECTANGULAR_DEVIATION)
+            yield change(self.recompute_moments(finer=True), RECTANGULAR_DEVIATION)
         if errors.offset > 0.0:
-            yield change(self.longer_at_the_clamp(errors.offset))
-            yield change(self.longer_at_the_tip(errors.offset))
+            yield change(self.lengthen_at_clamp(errors.offset))
+            yield change(self.lengthen_at_tip(errors.offset))
         if errors.centre > 0.0:
-            yield change(self.with_centres_farther(errors.centre))
+            yield change(self.move_centres(errors.centre))
 
-    def movement(self, loaded: LawData) -> Floats:
+    def compute_movement(self, loaded: LawData) -> Floats:
         """Return the movement of the markers by the law."""
-        return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
+        return LawShapes.of(loaded, self.fit.basis).compute_movement(self.fit.compliance)
 
-    def with_moments(
+    def recompute_moments(
         self, *, reading: Floats | None = None, pull: TipPull | None = None, finer: bool = False
     ) -> LawData:
         """Return the data with another force, pull at the tip, or one more coefficient."""
@@ -180,7 +180,7 @@ class _Shared:
             moment_at_rest=test.compute_moments(still, no_load, places, pull=pull)[0],
         )
 
-    def longer_at_the_clamp(self, more: float) -> LawData:
+    def lengthen_at_clamp(self, more: float) -> LawData:
         """Return the data with the clamped end farther back."""
         line, frames = self.loaded.line, self.frames
         places = line.arc_length
@@ -189,15 +189,15 @@ class _Shared:
         moment = self.test.compute_moments(frames.coefficients, frames.means.force, longer - more)
         return replace(self.loaded, line=replace(line, arc_length=longer), moment=moment)
 
-    def longer_at_the_tip(self, more: float) -> LawData:
+    def lengthen_at_tip(self, more: float) -> LawData:
         """Return the data with the pull point farther along the tangent."""
         length = self.test.layout.length
         tip = evaluate_curves(self.frames.coefficients, length, np.array([length]))
-        force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
+        force = self.test.pull.compute_force(self.frames.means.force, tip.x[:, 0])
         extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
         return replace(self.loaded, moment=self.loaded.moment + extra)
 
-    def with_centres_farther(self, more: float) -> LawData:
+    def move_centres(self, more: float) -> LawData:
         """Return the data with marker centres farther from the axis."""
         test, rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
         layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
@@ -257,35 +257,35 @@ def evaluate_law(
     n_fine = 4000
     basis = LawBasis(knots)
     fine = np.linspace(0.0, knots[-1], n_fine)
-    reached = basis.values(fine) @ compliance
+    reached = basis.compute_values(fine) @ compliance
     inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
     moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
     finite_moment = np.nan_to_num(moment)
-    slopes = basis.slopes(finite_moment)
+    slopes = basis.compute_slopes(finite_moment)
     with np.errstate(divide="ignore", invalid="ignore"):
         softness = slopes @ compliance
-        by_law = -basis.values(finite_moment) / softness[:, None]
-        bend = _slope_of_slope(knots, compliance, finite_moment)
+        by_law = -basis.compute_values(finite_moment) / softness[:, None]
+        bend = _second_derivative(knots, compliance, finite_moment)
         by_slope = -(slopes + bend[:, None] * by_law) / softness[:, None] ** 2
         secant, tangent = moment / curvature, 1.0 / softness
-        moment_error = _error(by_law, covariance, scale_error * moment)
+        moment_error = _propagate(by_law, covariance, scale_error * moment)
         return LawPoints(
             moment=moment,
             secant=secant,
             tangent=np.where(inside, tangent, np.nan),
             moment_error=moment_error,
             secant_error=moment_error / curvature,
-            tangent_error=_error(by_slope, covariance, scale_error * tangent),
+            tangent_error=_propagate(by_slope, covariance, scale_error * tangent),
         )
 
 
-def _slope_of_slope(knots: Floats, compliance: Floats, moment: Floats) -> Floats:
+def _second_derivative(knots: Floats, compliance: Floats, moment: Floats) -> Floats:
     """Return the second derivative of curvature by moment, piecewise constant."""
     place = np.clip(np.searchsorted(knots, moment, side="right") - 1, 0, len(knots) - 2)
     return np.asarray((np.diff(compliance) / np.diff(knots))[place], dtype=np.float64)
 
 
-def _error(gradient: Floats, covariance: Floats, scale: Floats) -> Floats:
+def _propagate(gradient: Floats, covariance: Floats, scale: Floats) -> Floats:
     squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
     return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
 
@@ -322,7 +322,7 @@ def tabulate(
     """
     n_rows = 41
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
-    largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
+    largest = float(fit.basis.compute_values(fit.basis.knots[-1:])[0] @ fit.compliance)
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
     points = evaluate_law(
         fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error
@@ -333,13 +333,13 @@ def tabulate(
     )
     return MeasuredLaw(
         curvature=curvature,
-        **_with_ends(
+        **_make_columns(
             "moment", points.moment, points.moment_error, np.isfinite(points.moment_error)
         ),
-        **_with_ends("secant", points.secant, points.secant_error, is_known),
-        **_with_ends("tangent", points.tangent, points.tangent_error, is_known),
+        **_make_columns("secant", points.secant, points.secant_error, is_known),
+        **_make_columns("tangent", points.tangent, points.tangent_error, is_known),
         is_known=is_known,
-        reason=_unknown_reason(curvature, is_known, floor),
+        reason=_explain_unknown(curvature, is_known, floor),
         floor=floor,
         scale_error=scale_error,
         residual=fit.residual,
@@ -351,14 +351,14 @@ def tabulate(
     )
 
 
-def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
+def _make_columns(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
     """Return a column with the ends of its interval; a moment is kept without its ends."""
     half = NORMAL_95 * np.where(is_shown, error, np.nan)
     middle = value if name == "moment" else np.where(is_shown, value, np.nan)
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
 
-def _unknown_reason(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
+def _explain_unknown(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
     unknown, count = curvature[1:][~is_known[1:]], len(curvature) - 1
     if not len(unknown):
         return None
@@ -391,7 +391,7 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     of the curvature from the noise of the markers take it to be independent from frame to frame.
     """
     count = int((test.branch == test.first).sum())
-    frames = test.frames(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
+    frames = test.fit_means(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
     length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
     places = np.linspace(0.0, length, N_CLOUD_STATIONS)
     now = evaluate_curves(frames.coefficients, length, places)
@@ -408,15 +408,15 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
         arc_length=places,
         curvature=curvature,
         curvature_error=rest.noise * share * gain,
-        curvature_systematic=_systematic(test, frames, places, curvature),
+        curvature_systematic=_change_with_one_more_coefficient(test, frames, places, curvature),
         moment=moment - at_rest,
-        moment_error=_moment_errors(test, frames, now, moment - at_rest),
+        moment_error=_compute_moment_errors(test, frames, now, moment - at_rest),
         moment_at_rest=at_rest,
         frames_per_mean=means.per_mean,
     )
 
 
-def _systematic(
+def _change_with_one_more_coefficient(
     test: BendingTest, frames: FittedFrames, places: Floats, curvature: Floats
 ) -> Floats:
     """Return the absolute change of the curvatures with one more coefficient."""
@@ -427,7 +427,7 @@ def _systematic(
     return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
 
 
-def _moment_errors(
+def _compute_moment_errors(
     test: BendingTest, frames: FittedFrames, now: StationCurves, moment: Floats
 ) -> Floats:
     """Return standard errors of moments, shape (n, stations), N m."""
@@ -516,7 +516,7 @@ def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
     if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
-    coarse_compliance: Floats = coarse.basis.slopes(fit.basis.knots) @ coarse.compliance
+    coarse_compliance: Floats = coarse.basis.compute_slopes(fit.basis.knots) @ coarse.compliance
     return fit, RECTANGULAR_DEVIATION * (coarse_compliance - fit.compliance)
 
 
@@ -551,13 +551,13 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
     seen = np.isfinite(loaded.moved)
     measured = np.where(seen, loaded.moved, 0.0)
     shapes = LawShapes.of(loaded, basis)
-    compliance = _uniform_compliance(shapes, measured)
+    compliance = _estimate_uniform_compliance(shapes, measured)
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
-        residuals = _centred(
+        residuals = _subtract_offsets(
             np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight
         )
-        design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
+        design = _subtract_offsets(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
         flat, residual = design.reshape(-1, design.shape[2]), residuals.ravel()
         normal = flat.T @ flat
         better = _solve(normal, flat.T @ residual + normal @ compliance)
@@ -567,7 +567,7 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
             break
     spread = _inverse(normal)
     pushes = np.einsum("kj,nmj->knm", spread, design)
-    covariance = _covariance(pushes[:, :-1], residuals[:-1, :, 0], seen)
+    covariance = _estimate_covariance(pushes[:, :-1], residuals[:-1, :, 0], seen)
     return LawFit(
         basis=basis,
         compliance=compliance,
@@ -579,7 +579,7 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
     )
 
 
-def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
+def _estimate_uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     """Return one compliance for all knots with about the observed movement of the markers."""
     one = np.ones(shapes.turns.shape[2])
     moved = shapes.predict(0.0 * one)[1] @ one
@@ -589,7 +589,7 @@ def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
 
 
-def _centred(values: Floats, seen: Flags, rest_weight: float) -> Floats:
+def _subtract_offsets(values: Floats, seen: Flags, rest_weight: float) -> Floats:
     """Subtract the offset of each marker coordinate; an additional last row is the rest.
 
     Values and result of shape (n, 2 markers, k) and (n + 1, 2 markers, k).
@@ -621,15 +621,15 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _covariance(pushes: Floats, residuals: Floats, seen: Flags) -> Floats:
+def _estimate_covariance(pushes: Floats, residuals: Floats, seen: Flags) -> Floats:
     """Return the covariance of the compliances from residuals of shape (n, 2 markers)."""
     freedom = max(float(seen.sum()) - len(pushes) - seen.shape[1], 1.0)
-    covariance = _long_run(residuals, seen) * float(seen.sum()) / freedom
+    covariance = _estimate_long_run_covariance(residuals, seen) * float(seen.sum()) / freedom
     middle = np.einsum("knm,ml,jnl->kj", pushes, covariance, pushes, optimize=True)
     return np.asarray(middle, dtype=np.float64)
 
 
-def _long_run(residuals: Floats, seen: Flags) -> Floats:
+def _estimate_long_run_covariance(residuals: Floats, seen: Flags) -> Floats:
     """Return the long-run covariance between columns of residuals, with Bartlett's weights."""
     count = len(residuals)
     lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
@@ -669,7 +669,7 @@ class Line:
         points = np.concatenate([*parts, ends[-1:]])
         return cls(points, np.searchsorted(points, places - 1e-10).astype(np.int64))
 
-    def integral(self, values: Floats) -> Floats:
+    def integrate(self, values: Floats) -> Floats:
         """Integrate values (n, points, ...) from the clamped end by trapezoids."""
         steps = np.diff(self.arc_length).reshape(-1, *(1,) * (values.ndim - 2))
         integral = np.zeros_like(values)
@@ -728,13 +728,13 @@ class LawShapes:
     @classmethod
     def of(cls, loaded: LawData, basis: LawBasis) -> LawShapes:
         """Prepare the laws of a basis."""
-        turns = loaded.line.integral(basis.changes(loaded.moment_at_rest, loaded.moment))
+        turns = loaded.line.integrate(basis.compute_changes(loaded.moment_at_rest, loaded.moment))
         begin = loaded.angle_at_rest[None]
-        return cls(loaded, turns, _centres(loaded, np.sin(begin), np.cos(begin)))
+        return cls(loaded, turns, _compute_centres(loaded, np.sin(begin), np.cos(begin)))
 
-    def movement(self, compliance: Floats) -> Floats:
+    def compute_movement(self, compliance: Floats) -> Floats:
         """Return the movement of the markers from rest for a law, shape (n, 2 markers), m."""
-        return _centres(self.loaded, *self._directions(compliance)) - self.still
+        return _compute_centres(self.loaded, *self._directions(compliance)) - self.still
 
     def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
         """Return the movement of the markers from rest for a law, and its derivatives.
@@ -749,9 +749,9 @@ class LawShapes:
         """
         line, height, turns = self.loaded.line, self.loaded.centre_offset, self.turns
         sine, cosine = self._directions(compliance)
-        moved = _centres(self.loaded, sine, cosine) - self.still
-        along = -line.integral(sine[..., None] * turns)
-        across = line.integral(cosine[..., None] * turns)
+        moved = _compute_centres(self.loaded, sine, cosine) - self.still
+        along = -line.integrate(sine[..., None] * turns)
+        across = line.integrate(cosine[..., None] * turns)
         markers = line.markers
         along = along[:, markers] - height * cosine[:, markers, None] * turns[:, markers]
         across = across[:, markers] - height * sine[:, markers, None] * turns[:, markers]
@@ -763,12 +763,12 @@ class LawShapes:
         return np.sin(angle), np.cos(angle)
 
 
-def _centres(loaded: LawData, sine: Floats, cosine: Floats) -> Floats:
+def _compute_centres(loaded: LawData, sine: Floats, cosine: Floats) -> Floats:
     """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
     markers = line.markers
-    x = line.integral(cosine)[:, markers] - height * sine[:, markers]
-    y = line.integral(sine)[:, markers] + height * cosine[:, markers]
+    x = line.integrate(cosine)[:, markers] - height * sine[:, markers]
+    y = line.integrate(sine)[:, markers] + height * cosine[:, markers]
     return np.concatenate([x, y], axis=1)
 
 
@@ -783,7 +783,7 @@ class LawBasis:
 
     knots: Floats
 
-    def slopes(self, moment: Floats) -> Floats:
+    def compute_slopes(self, moment: Floats) -> Floats:
         """Return the slope of the law per unit of compliance at each knot; (*moment, knots)."""
         size = np.clip(np.abs(moment), 0.0, self.knots[-1])
         place = np.searchsorted(self.knots, size, side="right") - 1
@@ -794,7 +794,7 @@ class LawBasis:
         np.put_along_axis(slopes, place[..., None] + 1, share[..., None], axis=-1)
         return slopes
 
-    def values(self, moment: Floats) -> Floats:
+    def compute_values(self, moment: Floats) -> Floats:
         """Return the curvature per unit of compliance at each knot, odd; (*moment, knots)."""
         widths, size = np.diff(self.knots), np.abs(moment)
         inside = np.clip(np.clip(size, 0.0, self.knots[-1])[..., None] - self.knots[:-1], 0, widths)
@@ -805,7 +805,7 @@ class LawBasis:
         values[..., -1] += np.maximum(size - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
 
-    def changes(self, rest: Floats, moment: Floats) -> Floats:
+    def compute_changes(self, rest: Floats, moment: Floats) -> Floats:
         """Return the change of curvature from a rest after first loading, per unit of compliance.
 
         Parameters
@@ -817,10 +817,10 @@ class LawBasis:
         -------
         shape (n, points, knots).
         """
-        plain = self.values(moment) - self.values(rest)
+        plain = self.compute_values(moment) - self.compute_values(rest)
         moment_change = moment - rest
         turned = (moment_change * rest < 0.0) & (np.abs(moment_change) < 2.0 * np.abs(rest))
-        plain[turned] = 2.0 * self.values(0.5 * moment_change[turned])
+        plain[turned] = 2.0 * self.compute_values(0.5 * moment_change[turned])
         return plain
 
 

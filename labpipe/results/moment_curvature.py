@@ -1,8 +1,8 @@
-"""The moment-curvature law of a test, and the state of its string at rest.
+"""Measure the moment-curvature law of a test, and find the state of its string at rest.
 
 A string that is taut at rest carries the load at the tip: the counterweight, and 3/8 of the weight
-of the wire, as a prop at the tip would. A slack one leaves that load to the wire, which then hangs,
-and is bent one way before it is bent the other. The test shows which, in four ways:
+of the wire, as a prop at the tip would. Under a slack string the wire itself carries that load. It
+then hangs, so that it is bent downwards before it is bent upwards. Four observations show which:
 
 - the string becomes slack in a later cycle, where the tip moves with the clamp. The force there,
   below that at rest, is the tension at rest;
@@ -45,7 +45,7 @@ State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class RestEvidence:
-    """Evidence of a test on its string and wire at rest.
+    """What a test shows about its string and wire at rest.
 
     Parameters
     ----------
@@ -72,14 +72,14 @@ class RestEvidence:
 
     @property
     def load(self) -> str:
-        """Return the load at the tip in words, with its numbers."""
+        """Return a description of the load at the tip, with its numbers."""
         weight, counterweight = 1e3 * self.weight, 1e3 * (self.weight - self.own_weight)
         if self.own_weight == 0.0:
             return format_sentence("results.counterweight", weight=weight)
         return format_sentence("results.load_at_tip", weight=weight, counterweight=counterweight)
 
     @property
-    def load_alone(self) -> str:
+    def load_name(self) -> str:
         """Return the short name of the load."""
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
@@ -95,24 +95,24 @@ class RestEvidence:
         return self.sag / self.reach if self.reach >= min_reach else float("nan")
 
     @property
-    def carries(self) -> float:
+    def tension(self) -> float:
         """Return the tension at rest, N, from the force of the slack string, or NaN."""
         return -self.slackened
 
     @property
-    def was_pulled(self) -> bool:
-        """Return whether the force falls below that at rest, where the string was loaded."""
+    def has_lost_tension(self) -> bool:
+        """Check whether the force falls below that at rest: the string was then under tension."""
         return self.lowest < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
         """Return the state by the evidence, the most direct first."""
         all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
-        carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.was_pulled
+        carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.has_lost_tension
         if np.isfinite(self.slackened):
-            if self.carries >= all_share * self.weight:
+            if self.tension >= all_share * self.weight:
                 return "taut"
-            if self.carries > none_share * self.weight:
+            if self.tension > none_share * self.weight:
                 return "part"
             carried_nothing = True
         if carried_nothing:
@@ -122,15 +122,15 @@ class RestEvidence:
         if (
             self.share > HANGING_SHARE
         ):  # the string just spans to a wire that hangs, or the wire is curled
-            return "unknown" if self.was_pulled else "slack"
-        return "taut" if self.was_pulled or abs(self.share) <= straight_share else "unknown"
+            return "unknown" if self.has_lost_tension else "slack"
+        return "taut" if self.has_lost_tension or abs(self.share) <= straight_share else "unknown"
 
     @property
-    def facts(self) -> str:
-        """Return the evidence in words."""
+    def summary(self) -> str:
+        """Return the evidence as a sentence."""
         facts = []
         if np.isfinite(self.sag):
-            sag, reach, load = 1e3 * self.sag, 1e3 * self.reach, self.load_alone
+            sag, reach, load = 1e3 * self.sag, 1e3 * self.reach, self.load_name
             facts.append(format_sentence("results.tip_below", sag=sag, load=load, reach=reach))
         if np.isfinite(self.ahead):
             facts.append(format_sentence("results.clamp_ahead", ahead=1e3 * self.ahead))
@@ -142,7 +142,7 @@ class RestEvidence:
 
     @property
     def why_not_straight(self) -> str:
-        """Return why the test is not a first loading from straight, with the numbers, or empty."""
+        """Return why the wire was not straight before the first loading; empty if it was."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
@@ -191,18 +191,18 @@ def collect_rest_evidence(
         is_early = (behind > early_deflections[0]) & (
             behind < early_deflections[1]
         )  # the string has begun to pull
-        ahead = _median((travel.values[part] - behind)[is_early])
-        slackened = _while_slack(travel.values, curve, first)
+        ahead = _finite_median((travel.values[part] - behind)[is_early])
+        slackened = _read_slack_forces(travel.values, curve, first)
     rest = curve.force[: first.start]
     rest = rest[np.isfinite(rest)]
     scatter = float(rest.std()) if len(rest) else 0.0
     return RestEvidence(
         ahead=ahead,
-        sag=_sag(shape, first),
+        sag=_measure_sag(shape, first),
         reach=reach,
         weight=weight,
-        lowest=_lowest(curve.force[first.stop :]),
-        slackened=_median(slackened),
+        lowest=_find_lowest_mean(curve.force[first.stop :]),
+        slackened=_finite_median(slackened),
         error=scatter / float(np.sqrt(min(len(rest), _MEAN_SAMPLES) or 1)),
         own_weight=own_weight,
     )
@@ -213,18 +213,18 @@ def list_rest_notes(test: str, rest: RestEvidence) -> Iterator[QualityNote]:
     if not rest.is_known:
         yield QualityNote.of("results.rest_unknown", test)
     elif rest.sag > LEANING_SHARE * rest.reach:
-        sag, load = 1e3 * rest.sag, rest.load_alone
+        sag, load = 1e3 * rest.sag, rest.load_name
         yield QualityNote.of("results.wire_not_straight", test, sag=sag, load=load)
 
 
-def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
+def _read_slack_forces(travel: Floats, curve: Curve, first: Branch) -> Floats:
     """Return forces after the first loading while the tip moves with the clamp, N."""
     max_following_share, min_stretches = 0.3, 2
     forces: list[float] = []
     for branch in curve.branches:
         if branch.start < first.stop:
             continue
-        means = _stretches(travel, curve, branch)
+        means = _average_stretches(travel, curve, branch)
         moved = np.abs(np.diff(means, axis=0))
         slack = means[1:, 2][moved[:, 1] < max_following_share * moved[:, 0]].tolist()
         if len(slack) >= min_stretches:  # the string may still pull in the first or last one
@@ -232,7 +232,7 @@ def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
     return np.array(forces, dtype=np.float64)
 
 
-def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
+def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
     """Return means of travel, deflection and force over 0.25 mm of travel, shape (n, 3)."""
     part = slice(branch.start, branch.stop)
     columns = np.column_stack([travel[part], curve.displacement[part], curve.force[part]])
@@ -243,7 +243,7 @@ def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
     return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
 
 
-def _lowest(force: Floats) -> float:
+def _find_lowest_mean(force: Floats) -> float:
     """Return the lowest of the means over `_MEAN_SAMPLES` samples, N."""
     finite = force[np.isfinite(force)]
     if len(finite) < _MEAN_SAMPLES:
@@ -251,15 +251,15 @@ def _lowest(force: Floats) -> float:
     return float(average_blocks(finite, len(finite) // _MEAN_SAMPLES).min())
 
 
-def _sag(shape: Shape | None, first: Branch) -> float:
+def _measure_sag(shape: Shape | None, first: Branch) -> float:
     """Return how far the pull point is below the clamped end before the first loading, m."""
     if shape is None or not len(shape.names):
         return float("nan")
     is_rest: Flags = np.asarray(shape.time < first.start_time, dtype=np.bool_)
-    return -_median((shape.positions[:, -1, 1] - shape.positions[:, 0, 1])[is_rest])
+    return -_finite_median((shape.positions[:, -1, 1] - shape.positions[:, 0, 1])[is_rest])
 
 
-def _median(values: Floats) -> float:
+def _finite_median(values: Floats) -> float:
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
 
@@ -315,25 +315,25 @@ def decide_string_state(rest: RestEvidence) -> StringState:
             "results.string_unknown",
             load=rest.load,
             taken="all of it" if taken else "nothing",
-            facts=rest.facts,
+            facts=rest.summary,
             remedy=format_overrides("rig.string.at_rest", "taut"),
         )
         return StringState(state, taken, weight, other, why)
     if state == "part":
-        carried, error = rest.carries, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+        carried, error = rest.tension, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
-            "results.string_carried_part", tension=tension, load=rest.load, facts=rest.facts
+            "results.string_carried_part", tension=tension, load=rest.load, facts=rest.summary
         )
         return StringState(state, carried, weight, carried - error, why)
     if state == "off the wire":
-        why = format_sentence("results.string_off_the_wire", facts=rest.facts)
+        why = format_sentence("results.string_off_the_wire", facts=rest.summary)
         return StringState(state, 0.0, 0.0, None, why)
     is_taut = state == "taut"
     why = format_sentence(
         "results.string_was_taut" if is_taut else "results.string_carried_nothing",
         load=rest.load,
-        facts=rest.facts,
+        facts=rest.summary,
     )
     return StringState(state, load if is_taut else 0.0, weight, None, why)
 
@@ -370,9 +370,9 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, notes = _tip_pull(test, curve, shape, first, rest)
+    pull, other, notes = _make_tip_pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
-    branch, cycle = _numbers(curve, shape.time)
+    branch, cycle = _number_frames(curve, shape.time)
     frames = BendingTest(
         shape=shape,
         force=force,
@@ -384,7 +384,7 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         free_tip=test.setup.free_tip,
         pull=pull,
         errors=BendingErrors(
-            force_noise=_deviation(force[rest]),
+            force_noise=_finite_deviation(force[rest]),
             force_zero=test.force.zero_error,
             force_scale=test.force.relative_error,
             offset=test.setup.offset_uncertainty,
@@ -398,10 +398,10 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         return Failure("no_moment_curvature", str(error)), notes
     if test.setup.mass_per_length is None:
         notes.append(Finding.of("results.weight_not_stated", "specimen.mass_per_length"))
-    return bending, [*notes, _law_note(bending)]
+    return bending, [*notes, _make_law_note(bending)]
 
 
-def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
+def _number_frames(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
     """Return branch and cycle of every frame."""
     branch: Ints = np.full(len(time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(time), dtype=np.int64)
@@ -411,12 +411,12 @@ def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
     return branch, cycle
 
 
-def _deviation(values: Floats) -> float:
+def _finite_deviation(values: Floats) -> float:
     finite = values[~np.isnan(values)]
     return float(finite.std()) if len(finite) else 0.0
 
 
-def _tip_pull(
+def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, and an equally probable tension at rest."""
@@ -442,7 +442,7 @@ def _tip_pull(
     return pull, before.other, [Finding(before.note)]
 
 
-def _law_note(bending: Bending) -> Finding:
+def _make_law_note(bending: Bending) -> Finding:
     cloud, law, of_law = bending.cloud, bending.law, ""
     if law is not None:
         of_law = format_sentence(

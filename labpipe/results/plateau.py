@@ -1,4 +1,4 @@
-"""Where a loading curve levels off: slope at its end, and onset of its plateau."""
+"""Measure where a loading curve levels off: the slope at its end, and the onset of its plateau."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MIN_TANGENT_SAMPLES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tangents:
-    """Tangents of a loading curve from its end backwards, with samples chosen on one curve.
+    """Tangents of a loading curve, from its end backwards; their samples are chosen on one curve.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ class Tangents:
         Notes
         -----
         The slope of a tangent is that of a least-squares parabola in the middle of its stretch, so
-        that the bend of the curve is not noise. A stretch contains the samples from when the curve
-        first reached its start to when it first reached its end.
+        that the curvature of the curve is not taken for noise. A stretch contains the samples from
+        when the curve first reached its start to when it first reached its end.
         """
         samples = find_finite_samples(displacement, force)
         d = displacement[samples]
@@ -94,7 +94,9 @@ class Tangents:
         stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
         stretches.require_first()
         usable = slice(int(np.argmin([*stretches.is_enough, False])))
-        levels, slopes = (stretches.spread(weight)[usable] for weight in stretches.weights())
+        levels, slopes = (
+            stretches.expand(weight)[usable] for weight in stretches.compute_weights()
+        )
         path = CommonPath.of(displacement, force, samples)
         last = stretches.samples[0][stretches.samples[0] < len(d)]
         return cls(path, length, stretches.places[usable], slopes, levels[0], last)
@@ -105,7 +107,7 @@ class Tangents:
         d = self.path.displacement[self.last]
         return float(d.min()), float(d.max())
 
-    def slope_at_end(self, force: Floats, displacement: Floats | None = None) -> Floats:
+    def fit_end_slope(self, force: Floats, displacement: Floats | None = None) -> Floats:
         """Return the slope over the last stretch of each curve.
 
         Parameters
@@ -117,10 +119,10 @@ class Tangents:
         -------
         N/m, shape (...).
         """
-        slope: Floats = self.path.force(force, displacement) @ self.rows[0]
+        slope: Floats = self.path.move_force(force, displacement) @ self.rows[0]
         return slope
 
-    def level_at(self, place: float, force: Floats) -> float:
+    def compute_level(self, place: float, force: Floats) -> float:
         """Return the force of the tangent over the last stretch at a place, N.
 
         Parameters
@@ -128,10 +130,10 @@ class Tangents:
         place : m
         force : shape (n,), N
         """
-        path_force = self.path.force(force)
+        path_force = self.path.move_force(force)
         return float(path_force @ self.first + path_force @ self.rows[0] * (place - self.places[0]))
 
-    def onset(
+    def find_onset(
         self,
         force: Floats,
         initial: Floats,
@@ -143,7 +145,7 @@ class Tangents:
 
         Parameters
         ----------
-        force, displacement : as for `slope_at_end`
+        force, displacement : as for `fit_end_slope`
         initial : shape (...), N/m, slope at the start of each curve
         slope_below : share of `initial`
 
@@ -159,29 +161,29 @@ class Tangents:
         >>> d = np.linspace(0.0, 0.05, 501)
         >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
         >>> tangents = Tangents.of(d, f, length=2e-3)
-        >>> place, force = tangents.onset(f, np.array(400.0), slope_below=0.1)
+        >>> place, force = tangents.find_onset(f, np.array(400.0), slope_below=0.1)
         >>> round(1e3 * float(place), 1), round(float(force), 2)
         (27.7, 6.09)
         """
-        f = self.path.force(force, displacement)
+        f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
-        place = _first_place_with(self.places, f @ self.rows.T, share)
-        levels = _levels(self.path.displacement, f, place, 0.5 * self.length)
+        place = _find_first_place(self.places, f @ self.rows.T, share)
+        levels = _fit_levels(self.path.displacement, f, place, 0.5 * self.length)
         return place.reshape(shape), levels.reshape(shape)
 
-    def corners(
+    def measure_corner_changes(
         self,
         force: Floats,
         onset: Floats | float,
         slope: Floats | float,
         displacement: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the changes of an onset with tangents of half the length, for each curve.
+        """Measure how an onset changes with tangents of half the length, for each curve.
 
         Parameters
         ----------
-        force, displacement : as for `slope_at_end`
+        force, displacement : as for `fit_end_slope`
         onset : shape (...), m, the onset
         slope : shape (...), N/m, of the tangent there
 
@@ -191,7 +193,7 @@ class Tangents:
         tangent beyond the place, N/m. A tangent smears a corner over its length, which moves the
         onset; the parabola for the force cuts it.
         """
-        f = self.path.force(force, displacement)
+        f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
         onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
         # One place for all curves: noise moves it by a small part of a tangent.
@@ -200,46 +202,46 @@ class Tangents:
         is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
         stretches = _Stretches.of(d, near[is_inside], half)
         usable = stretches.is_enough
-        rows = stretches.spread(stretches.weights()[1])[usable]
-        reached = _first_place_with(stretches.places[usable], f @ rows.T, slope)
-        full, short = (_levels_at(d, f, middle, length) for length in (self.length, half))
+        rows = stretches.expand(stretches.compute_weights()[1])[usable]
+        reached = _find_first_place(stretches.places[usable], f @ rows.T, slope)
+        full, short = (_fit_levels_at(d, f, middle, length) for length in (self.length, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
         moved = np.where(np.isnan(reached), 0.0, reached - onset)
         return moved.reshape(shape), (short - full).reshape(shape), beyond.reshape(shape)
 
 
-def _first_place_with(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
+def _find_first_place(places: Floats, slopes: Floats, required: Floats) -> Floats:
     """Return the first place (p,) at which slopes (R, p) reach wanted ones (R,), or NaN."""
-    is_steep = slopes >= wanted[:, None]
+    is_steep = slopes >= required[:, None]
     number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
     ahead = np.maximum(number - 1, 0)
     rise = slopes[rows, number] - slopes[rows, ahead]
-    share = (wanted - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
+    share = (required - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
     place = places[ahead] + share * (places[number] - places[ahead])
     reached: Floats = np.where(is_steep[rows, number], place, np.nan)
     return reached
 
 
-def _levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
+def _fit_levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
     """Return forces of curves (R, k) at places (R,), from parabolas around them."""
     is_finite = np.isfinite(places)
     levels = np.full(len(places), np.nan)
     if is_finite.any():
         stretches = _Stretches.of(d, places[is_finite], length)
         inside = np.minimum(stretches.samples, len(d) - 1)  # padding has zero weight
-        weights, _ = stretches.weights()
+        weights, _ = stretches.compute_weights()
         taken = np.take_along_axis(f[is_finite], inside, axis=1)
         level = np.einsum("rm,rm->r", weights, taken)
         levels[is_finite] = np.where(stretches.is_enough, level, np.nan)
     return levels
 
 
-def _levels_at(d: Floats, f: Floats, place: float, length: float) -> Floats:
+def _fit_levels_at(d: Floats, f: Floats, place: float, length: float) -> Floats:
     """Return forces of curves (R, k) at one place, from a parabola around it."""
     stretch = _Stretches.of(d, np.array([place]), length)
-    level, _ = stretch.weights()
-    levels: Floats = f @ stretch.spread(level)[0]
+    level, _ = stretch.compute_weights()
+    levels: Floats = f @ stretch.expand(level)[0]
     return levels
 
 
@@ -302,13 +304,13 @@ class _Stretches:
         if not self.is_enough[0]:
             raise UnavailableError.of("results.displacement_jumps")
 
-    def spread(self, weights: Floats) -> Floats:
+    def expand(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
         columns = np.zeros((len(self.places), self.count + 1))
         np.put_along_axis(columns, self.samples, weights, axis=1)
         return columns[:, :-1]
 
-    def weights(self) -> tuple[Floats, Floats]:
+    def compute_weights(self) -> tuple[Floats, Floats]:
         """Return the weights of forces in level and slope of the parabolas, shapes (p, m)."""
         products = np.where(self.is_enough[:, None, None], self.products, np.eye(3))
         level, slope, _ = np.moveaxis(np.linalg.solve(products, self.powers), 1, 0)
@@ -317,15 +319,15 @@ class _Stretches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Corner:
-    """Change with shorter tangents, and its noise.
+    """Change of the onset with shorter tangents, and the noise of this change.
 
-    Half of it is in the estimate, so half of its noise is in the interval.
+    Half of the change is in the estimate, so half of its noise is in the interval.
 
     Parameters
     ----------
-    size : shape (2,), m and N, less noise
-    share : shape (2,), of the observed change
-    base : shape (2,), of the smooth curve, plus the mean effect of noise
+    size : shape (2,), m and N, the change without the effect of noise
+    share : shape (2,), ratio of `size` to the observed change
+    base : shape (2,), change on the smooth curve, plus the mean effect of noise
     """
 
     size: Floats
@@ -333,7 +335,7 @@ class _Corner:
     base: Floats
 
     @classmethod
-    def of(cls, seen: Floats, base: Floats, noise: Floats) -> _Corner:
+    def of(cls, change: Floats, base: Floats, noise: Floats) -> _Corner:
         """Remove noise from a corner.
 
         Parameters
@@ -347,10 +349,12 @@ class _Corner:
         s = sqrt(1 - v / c^2) of a corner c remains, or none if noise explains all of it.
         """
         average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
-        clear = seen - average
-        by_noise = np.divide(variance, clear**2, out=np.ones(2), where=clear != 0.0)
+        change_without_noise = change - average
+        by_noise = np.divide(
+            variance, change_without_noise**2, out=np.ones(2), where=change_without_noise != 0.0
+        )
         share = np.sqrt(np.maximum(1.0 - by_noise, 0.0))
-        return cls(share * clear, share, base + average)
+        return cls(share * change_without_noise, share, base + average)
 
     def in_noise(self, corners: Floats) -> Floats:
         """Return the effect of noise on the estimate through the corner, shape (2, ...)."""
@@ -359,7 +363,7 @@ class _Corner:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plateau(Kind):
-    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force``: where it levels off."""
+    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N): end of a loading."""
 
     result: ClassVar = "plateau"
     outputs: ClassVar = (
@@ -386,64 +390,67 @@ class Plateau(Kind):
         if initial is None:
             raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
-        tangents, _ = self._begun(make_trace(test), initial.decide)
+        tangents, _ = self._choose_tangents(make_trace(test), initial.decide)
         first = test.cycles[0][:1]
         doubts = (
             find_marked_slips(test, initial.bends_with)
             or find_cut_cycle(test, first, CURVE)
-            or _missing_end(test, first[0])
+            or _find_gap_at_end(test, first[0])
         )
         number = self.make_result(test, outcome, during=test.find_loading_interval(), doubts=doubts)
-        onset, findings = self._onset(test, initial, number)
-        _, f = _loading(make_trace(test))
+        onset, findings = self._list_onset_results(test, initial, number)
+        _, f = _read_loading(make_trace(test))
         start, stop = tangents.ends
-        slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
+        slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)
         line = FittedLine("slope_at_end", slope, level, start, stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
 
-    def _begun(self, trace: Trace, initial: Choose) -> tuple[Tangents, Reading]:
+    def _choose_tangents(self, trace: Trace, initial: Choose) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""
         slope = initial(trace)
         value = float(slope.numbers(trace)[0])
         if value <= 0.0:
             raise UnavailableError.of("results.no_initial_slope", value=value)
-        return Tangents.of(*_loading(trace), length=self.over), slope
+        return Tangents.of(*_read_loading(trace), length=self.over), slope
 
     def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
         """Choose the samples for the slope at the end over that at the start."""
-        tangents, slope = self._begun(trace, initial)
-        steeper = self._one_step_on(trace, tangents)
+        tangents, slope = self._choose_tangents(trace, initial)
+        steeper = self._change_per_step(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.steps_beyond * steeper
+            end = (
+                tangents.fit_end_slope(*reversed(_read_loading(trace)))
+                + trace.steps_beyond * steeper
+            )
             return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
         return Reading(numbers, len(tangents.last), ends_at_samples=slope.ends_at_samples)
 
-    def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
+    def _change_per_step(self, trace: Trace, tangents: Tangents) -> float:
         """Return the change of the slope at the end with one more sampling step, N/m.
 
         From the step before: the machine turned somewhere between two samples.
         """
-        d, f = _loading(trace)
+        d, f = _read_loading(trace)
         before = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
         if isinstance(before, Failure):
             return 0.0
-        return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
+        return float(tangents.fit_end_slope(f) - before.fit_end_slope(f[:-1]))
 
     def _decide_onset(
         self, trace: Trace, *, initial: Choose, corner: _Corner | None = None
     ) -> Reading:
         """Choose the samples for the onset of the plateau and its force.
 
-        With the error from the length of the tangents.
+        With `corner`, the numbers include the error from the length of the tangents.
         """
-        begun = self._begun(trace, initial)
-        tangents, slope = begun
+        choice = self._choose_tangents(trace, initial)
+        tangents, slope = choice
 
         def plain(trace: Trace) -> tuple[Floats, Floats]:
-            (d, f), begin = _loading(trace), slope.numbers(trace)[0]
-            return tangents.onset(f, begin, d, slope_below=self.slope_below)
+            (d, f), begin = _read_loading(trace), slope.numbers(trace)[0]
+            return tangents.find_onset(f, begin, d, slope_below=self.slope_below)
 
         if np.isnan(plain(trace)[1]):
             raise UnavailableError.of("results.no_onset")
@@ -455,46 +462,52 @@ class Plateau(Kind):
             return place + shorter * corner.size[0], level + shorter * corner.size[1]
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
-            by = corner.in_noise(self._corners(trace, begun))
+            by = corner.in_noise(self._measure_corners(trace, choice))
             return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
 
         return Reading(numbers, len(tangents.last), in_noise)
 
-    def _corners(self, trace: Trace, begun: tuple[Tangents, Reading]) -> Floats:
+    def _measure_corners(self, trace: Trace, choice: tuple[Tangents, Reading]) -> Floats:
         """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
         # In multiples of the change with tangents of half the length. A corner is smeared in
         # proportion to the length, so it is twice that change away; a smooth bend in proportion to
         # its square, so it is 4/3 of it away.
         smearing_factor = 3.0
         cut_factor = 2.0  # the force from half the length loses once or a third of its change
-        (tangents, slope), (d, f) = begun, _loading(trace)
+        (tangents, slope), (d, f) = choice, _read_loading(trace)
         initial = slope.numbers(trace)[0]
-        place, _ = tangents.onset(f, initial, d, slope_below=self.slope_below)
-        smeared, cut, beyond = tangents.corners(f, place, self.slope_below * initial, d)
+        place, _ = tangents.find_onset(f, initial, d, slope_below=self.slope_below)
+        smeared, cut, beyond = tangents.measure_corner_changes(
+            f, place, self.slope_below * initial, d
+        )
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
-    def _corner(self, replicates: Replicates, initial: Choose) -> _Corner:
+    def _estimate_corner(self, replicates: Replicates, initial: Choose) -> _Corner:
         """Return that error for the measured curve, less noise.
 
         The smooth curve may have no corners of this size.
         """
-        seen = self._corners(replicates.measured, self._begun(replicates.measured, initial))
-        smooth = return_failure(self._begun)(replicates.smooth, initial)
+        change = self._measure_corners(
+            replicates.measured, self._choose_tangents(replicates.measured, initial)
+        )
+        smooth = return_failure(self._choose_tangents)(replicates.smooth, initial)
         if isinstance(smooth, Failure):
-            return _Corner(seen, np.zeros(2), np.zeros(2))
-        base = self._corners(replicates.smooth, smooth)
-        noise = [self._corners(trace, smooth) - base[:, None] for trace in replicates.traces()]
-        return _Corner.of(seen, base, np.concatenate(noise, axis=1))
+            return _Corner(change, np.zeros(2), np.zeros(2))
+        base = self._measure_corners(replicates.smooth, smooth)
+        noise = [
+            self._measure_corners(trace, smooth) - base[:, None] for trace in replicates.traces()
+        ]
+        return _Corner.of(change, base, np.concatenate(noise, axis=1))
 
-    def _onset(
+    def _list_onset_results(
         self, test: ReducedTest, initial: Stiffness, end: Result
     ) -> tuple[tuple[Result, ...], tuple[Finding, ...]]:
-        """Return the onset of the plateau, or a note if there is none, which is not a failure."""
+        """Return the results of the onset, or a note without a plateau, which is not a failure."""
         if end.interval is None:
             return (), ()
-        surely = end.interval.upper < self.slope_below
-        outcomes = return_failure(self._measured_onset)(test, initial) if surely else None
+        is_plateau = end.interval.upper < self.slope_below
+        outcomes = return_failure(self._measure_onset)(test, initial) if is_plateau else None
         if outcomes is None or isinstance(outcomes, Failure):
             note = Finding.of(
                 "results.no_plateau",
@@ -505,44 +518,44 @@ class Plateau(Kind):
                 low=1e2 * end.interval.lower,
                 high=1e2 * end.interval.upper,
                 slope_below=1e2 * self.slope_below,
-                reached=1e3 * float(np.nanmax(_loading(make_trace(test))[0])),
+                reached=1e3 * float(np.nanmax(_read_loading(make_trace(test))[0])),
             )
             return (), (note,)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
-        doubts = find_marked_slips(test, initial.bends_with) or _missing_end(
+        doubts = find_marked_slips(test, initial.bends_with) or _find_gap_at_end(
             test, test.cycles[0][0]
         )
         during, method = test.find_loading_interval(), f"{method} loading"
         common = {"method": method, "during": during, "doubts": doubts}
         return self.make_results(test, outcomes, first=1, **common), ()
 
-    def _measured_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
+    def _measure_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
         """Measure the onset, with the length of the tangents as a further input."""
         replicates = test.replicates
         if replicates is None:
             raise UnavailableError(NO_LOADING)
-        length = Input(TANGENT, _shortened, law="ends")
+        length = Input(TANGENT, _mark_shorter_tangents, law="ends")
         more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
         decide(replicates.measured)
         return measure_replicates(
-            more, partial(decide, corner=self._corner(replicates, initial.decide))
+            more, partial(decide, corner=self._estimate_corner(replicates, initial.decide))
         )
 
 
-def _loading(trace: Trace) -> tuple[Floats, Floats]:
+def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
     """Return displacement and force of the first loading."""
     stretch = select_first_loading(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 
-def _shortened(trace: Trace, x: float) -> Trace:
+def _mark_shorter_tangents(trace: Trace, x: float) -> Trace:
     """Mark a trace for tangents shorter by a share of their length."""
     return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
 
-def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
+def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Return a doubt if the force was not recorded up to the end of a loading branch."""
     curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))

@@ -1,4 +1,4 @@
-"""The reduced test: the corrected curve of a test, and further facts for its results."""
+"""The reduced test: the corrected curve of a test, and all else from which its results follow."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FailurePoint:
 
 
 Choose: TypeAlias = Callable[[Trace], Reading]
-"""Chooses the samples of numbers on a curve; raises `UnavailableError` if there are none."""
+"""A function that chooses samples of a curve; raises `UnavailableError` if there are none."""
 
 NO_LOADING = Failure.of("results.no_cycle")
 
@@ -113,15 +113,15 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class Stiffness:
-    """A stiffness for other results.
+    """A stiffness from which other results are computed.
 
     Parameters
     ----------
     decide : chooses its samples on a curve
     estimate : N/m
-    during : s, the time interval that it was read from
-    window : m, displacements that it was read between
-    bends_with : m, range in which a slip would affect it; None if slips are ignored
+    during : s, time interval of its samples
+    window : m, displacements between which it was measured
+    bends_with : m, range of displacement in which a slip affects it; None if no slip does
     """
 
     decide: Choose
@@ -194,7 +194,7 @@ class ReducedTest:
 
     @property
     def required_curve(self) -> Curve:
-        """Return the curve, which exists if there are cycles.
+        """Return the curve of a test with cycles.
 
         Raises
         ------
@@ -228,7 +228,7 @@ class ReducedTest:
         return self.measure(decide, values)[0]
 
     def make_error(self, reason: Failure) -> UnavailableError:
-        """Return the error for what stopped the test, or else for another reason."""
+        """Return an error with the finding that blocked the test, or else with another reason."""
         return UnavailableError(self.findings.blocked or reason)
 
     @property
@@ -250,7 +250,7 @@ class ReducedTest:
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
 
     def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
-        """Return when the first loading went from one displacement to another.
+        """Find when the first loading went from one displacement to another.
 
         Parameters
         ----------
@@ -272,7 +272,7 @@ class ReducedTest:
         return float(start), float(stop)
 
     def find_doubts(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
-        """Return the doubts about a number from a time interval of a quantity.
+        """Return the doubts about a number that depends on a quantity in a time interval.
 
         Parameters
         ----------
@@ -281,20 +281,20 @@ class ReducedTest:
 
         Returns
         -------
-        The first reason of each code that overlaps the interval, or that of the zero of the
-        quantity.
+        The first reason of each code whose time overlaps the interval, or the stretch in which the
+        quantity was zeroed.
         """
         reasons: dict[str, Reason] = {}
         for doubt in self.findings.doubts:
-            if doubt.quantity == quantity and self._touches(doubt, during):
+            if doubt.quantity == quantity and self._overlaps(doubt, during):
                 reasons.setdefault(doubt.reason.code, doubt.reason)
         return tuple(reasons.values())
 
     def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
-        """Return the doubts about a number from a time interval of several quantities."""
+        """Return the doubts about a number that depends on several quantities."""
         return [why for quantity in quantities for why in self.find_doubts(quantity, during)]
 
-    def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
+    def _overlaps(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:
             return True
         start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
@@ -312,7 +312,7 @@ class ReducedTest:
 def measure_replicates(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
 ) -> tuple[Measured, ...]:
-    """Measure numbers of replicates, as `ReducedTest.measure`."""
+    """Measure numbers of replicates; raise `UnavailableError` if there are none."""
     outcome = measure_numbers(replicates, return_failure(decide), values)
     if isinstance(outcome, Failure):
         raise UnavailableError(outcome)
@@ -320,7 +320,7 @@ def measure_replicates(
 
 
 def compute_loading_sign(values: Floats) -> float:
-    """Return the sign of a quantity during loading.
+    """Find the sign in which a quantity changes in loading.
 
     Parameters
     ----------
@@ -328,8 +328,8 @@ def compute_loading_sign(values: Floats) -> float:
 
     Returns
     -------
-    -1.0 if it goes further down than up from its first value, else 1.0. If it goes both ways alike,
-    as a force that begins high and is lost, the sign of the larger absolute value.
+    -1.0 if the quantity falls further below its first value than it rises above it, else 1.0. If
+    neither is more than twice the other, the sign of the largest absolute value.
     """
     finite = values[~np.isnan(values)]
     if not len(finite):

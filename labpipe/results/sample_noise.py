@@ -1,9 +1,10 @@
-"""Compute the noise of single samples, which a peak and the last sample before a break have.
+"""Compute the noise of single samples, for peaks and for the last sample before a break.
 
 Replicates have one value per block of samples: a frame of the cameras, or a part of a long record.
-The largest of more samples is higher, and a single sample has more noise than a mean. A replicate
-of single samples is the sum of the smooth curve, the noise of each block in the replicate, and
-deviations of single samples from the mean of their block in a random part of the record itself.
+A single sample has more noise than the mean of a block, and the largest of many samples is higher.
+A replicate of single samples is therefore the sum of three parts: the smooth curve; the noise of
+each block in the replicate; and deviations of single samples from the mean of their block, taken
+from a random part of the record itself.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class SampleNoise:
     cuts : samples at which a new piece begins
     blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
         the noise of single samples, and deviations are those from the smooth curve
-    chance : of the random parts, which are reproducible
+    chance : generator that draws the random parts, with a fixed seed
     """
 
     smooth: Floats
@@ -67,8 +68,11 @@ class SampleNoise:
         None if the replicates have all samples, or too few of them are known.
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
-        signal, chance = _signal_of(test, quantity), make_generator(test.seed, f"single {quantity}")
-        block_samples = _step(trace.time) / _step(signal.time)
+        signal, chance = (
+            _select_signal(test, quantity),
+            make_generator(test.seed, f"single {quantity}"),
+        )
+        block_samples = _mean_step(trace.time) / _mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
         reach = max(1, int(max_samples / block_samples))
@@ -77,14 +81,14 @@ class SampleNoise:
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         low, high = np.searchsorted(signal.time, ends).tolist()
         time = test.clocks.to_curve(signal.time[low:high], signal.clock)
-        smooth = _interpolated(trace, getattr(trace, quantity), time, part)
-        raw, filters = _unfiltered(test, quantity, signal)
+        smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
+        raw, filters = _read_unfiltered(test, quantity, signal)
         rows = np.stack([signal.values[low:high] - smooth, raw[low:high] - smooth])
         is_valid = ~np.isnan(rows).any(axis=0)
         if is_valid.sum() < min_samples:
             return None
         time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
-        turns = [at for _, at in _turns(trace) if time[0] < at < time[-1]]
+        turns = [at for _, at in _list_turns(trace) if time[0] < at < time[-1]]
         cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
         if _has_single_samples(test, quantity):
             rows -= rows.mean(axis=1, keepdims=True)
@@ -94,7 +98,7 @@ class SampleNoise:
         rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
         return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, chance)
 
-    def raised(self, noise: Floats, sense: float) -> Floats:
+    def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
         """Return the effect of noise on the largest sample, shape (replicates,).
 
         Parameters
@@ -111,7 +115,7 @@ class SampleNoise:
         near = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
         # Of more than half of the samples, every position would have the same deviations.
         near = near[near < near[0] + (len(smooth) + 1) // 2]
-        reach = min(_reach(self.filters), (len(smooth) - 1) // 4)
+        reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
         part = slice(max(int(near[0]) - reach, 0), min(int(near[-1]) + reach + 1, len(smooth)))
         windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
         rows = self.chance.integers(0, len(windows), len(noise))
@@ -122,14 +126,14 @@ class SampleNoise:
         raised: Floats = (smooth[near] + sense * samples).max(axis=1) - smooth.max()
         return sense * raised
 
-    def drawn(self, shape: tuple[int, ...]) -> Floats:
+    def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
         """Return deviations of random single samples from their block."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.chance.choice(self.deviations, size=shape)
 
 
-def _unfiltered(
+def _read_unfiltered(
     test: ReducedTest, quantity: Quantity, signal: Signal
 ) -> tuple[Floats, tuple[Filter, ...]]:
     """Return the samples of a quantity before its filters, and those filters."""
@@ -142,8 +146,8 @@ def _unfiltered(
     return raw.values, filters
 
 
-def _reach(filters: tuple[Filter, ...]) -> int:
-    """Return the samples on each side that filters reach."""
+def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
+    """Measure how many samples on each side of a pulse filters reach."""
     middle = 2000
     pulse = np.eye(1, 2 * middle + 1, middle)[0]
     response = np.abs(filter_pieces(pulse, (), filters))
@@ -151,13 +155,13 @@ def _reach(filters: tuple[Filter, ...]) -> int:
 
 
 def have_no_filter_effect(filters: list[FilterFunction]) -> bool:
-    """Return whether filters do not change a pulse of a single sample."""
+    """Check whether filters leave a pulse of a single sample unchanged."""
     pulse = np.eye(1, 101, 50)[0]
-    return all(np.array_equal(act(pulse), pulse) for act in filters)
+    return all(np.array_equal(filter_function(pulse), pulse) for filter_function in filters)
 
 
-def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
-    """Return all samples that a quantity is read from."""
+def _select_signal(test: ReducedTest, quantity: Quantity) -> Signal:
+    """Select the signal with all samples of a quantity."""
     if quantity == "force" and test.force.clock != test.clocks.curve:
         return test.force
     curve = test.required_curve
@@ -166,13 +170,13 @@ def _signal_of(test: ReducedTest, quantity: Quantity) -> Signal:
 
 
 def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:
-    """Return whether the curve has single samples of a faster signal."""
+    """Check whether the curve has single samples of a faster signal."""
     filters = test.signals.filters.get(test.signals.force, ())
     is_fast = quantity == "force" and test.force.clock != test.clocks.curve
-    return is_fast and have_no_filter_effect([act for act, _ in filters])
+    return is_fast and have_no_filter_effect([filter_function for filter_function, _ in filters])
 
 
-def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
     """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
 
     Parameters
@@ -182,18 +186,18 @@ def _interpolated(trace: Trace, values: Floats, time: Floats, part: slice) -> Fl
     part : samples of the curve around those times
     """
     interpolated = np.empty(len(time))
-    inner = [(x, at) for x, at in _turns(trace) if part.start < x < part.stop]
+    inner = [(x, at) for x, at in _list_turns(trace) if part.start < x < part.stop]
     for (start, begin), (stop, end) in pairwise(
         [(part.start, -np.inf), *inner, (part.stop, np.inf)]
     ):
         low, high = np.searchsorted(time, [begin, end], side="right")
-        interpolated[low:high] = _extrapolated(
+        interpolated[low:high] = _interpolate_linearly(
             time[low:high], trace.time[start:stop], values[start:stop]
         )
     return interpolated
 
 
-def _turns(trace: Trace) -> list[tuple[int, float]]:
+def _list_turns(trace: Trace) -> list[tuple[int, float]]:
     """Return the samples of a curve at which a piece begins, and their times."""
     turns = {branch.start: branch.start_time for branch in trace.branches}
     turns |= {branch.stop: branch.stop_time for branch in trace.branches}
@@ -202,11 +206,11 @@ def _turns(trace: Trace) -> list[tuple[int, float]]:
     return sorted(turns.items())
 
 
-def _step(time: Floats) -> float:
+def _mean_step(time: Floats) -> float:
     return float(time[-1] - time[0]) / max(len(time) - 1, 1)
 
 
-def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:
+def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
     """Interpolate values, with linear extrapolation at both ends."""
     interpolated = np.interp(at, time, values)
     if len(time) < 2:

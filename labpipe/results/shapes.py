@@ -1,4 +1,4 @@
-"""Results from a shape: tip travel, measured bending law, three-point bending."""
+"""Results from the shape of the specimen: tip travel, bending law, three-point bending."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ _TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TipTravel(Kind):
-    """``tip_travel`` (m): how far the tip moves from where it began."""
+    """``tip_travel`` (m): largest distance of the tip from its first position."""
 
     result: ClassVar = "tip-travel"
     outputs: ClassVar = (Output("tip_travel", "m", "Travel of the tip", ("displacement",)),)
@@ -129,17 +129,17 @@ class MomentCurvature(Kind):
         law = bending.law
         if law is None:
             raise UnavailableError(bending.reason or Failure.of("results.no_law"))
-        outcome = return_failure(_stiffness)(law, self)
+        outcome = return_failure(_read_stiffness)(law, self)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        doubts = _misfit(test, law) or (
-            *_bent_before(bending, law, self),
-            *_no_weight(test, law, self),
+        doubts = _find_misfit(test, law) or (
+            *_find_earlier_bending(bending, law, self),
+            *_find_missing_weight(test, law, self),
         )
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
         return Computed((self.make_result(test, outcome, error, during=during, doubts=doubts),))
 
 
-def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
+def _read_stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
     largest = float(law.curvature[-1])
     if entry.at > largest:
         raise UnavailableError.of("results.curvature_not_reached", largest=largest, needed=entry.at)
@@ -158,7 +158,9 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
     return Estimate(float(value[0]), float(error[0]), law.n_frames)
 
 
-def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+def _find_earlier_bending(
+    bending: Bending, law: MeasuredLaw, entry: MomentCurvature
+) -> tuple[Reason, ...]:
     """Return a doubt if the wire had been bent as far the other way before the test."""
     resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
     moment = float(np.interp(entry.at, law.curvature, law.moment))
@@ -168,7 +170,9 @@ def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> 
     return (Reason.of("results.bent_before", resting=resting, moment=moment, at=entry.at),)
 
 
-def _no_weight(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+def _find_missing_weight(
+    test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature
+) -> tuple[Reason, ...]:
     """Return a doubt if the weight of the specimen is unknown and may matter."""
     if test.setup.mass_per_length is not None or test.shape is None:
         return ()
@@ -187,7 +191,7 @@ def _no_weight(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> t
     return (reason,)
 
 
-def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
+def _find_misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
     """Return a doubt if markers deviate from the shapes of the law by more than their noise."""
     limit = 3.0 * law.noise + 2e-5  # m
     if test.shape is None or not law.residual > limit:
@@ -198,7 +202,7 @@ def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
 _Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
 
 
-def _span_parts(test: ReducedTest) -> _Parts:
+def _require_span(test: ReducedTest) -> _Parts:
     """Return axis, curve, first loading, and times of the frames on the clock of the curve."""
     bend, curve, branch = test.span, test.curve, test.first_loading
     if isinstance(bend, Failure):
@@ -227,7 +231,7 @@ class MidSpan(Window):
     ] = ()
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """With the range, and the moment of large deflections."""
+        """Return the methods, which include the moment and the correction."""
         del test
         large = "large-deflection" in self.corrections
         moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
@@ -239,16 +243,16 @@ class MidSpan(Window):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
-        parts = _span_parts(test)
+        parts = _require_span(test)
         bend, frames = parts[0], _Frames.of(test, parts)
         outcomes, other = (
             (
-                return_failure(self._stiffness)(parts, curvature),
-                return_failure(_at_turn)(curvature, frames, "mid-span curvature"),
+                return_failure(self._fit_stiffness)(parts, curvature),
+                return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
             )
             for curvature in (bend.shape.axis.mid_span, bend.shape.fewer_terms)
         )
-        errors = [_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
+        errors = [_compute_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **compute_scale_error(test, outcomes[0])}
         during = test.find_loading_interval()
@@ -259,7 +263,7 @@ class MidSpan(Window):
             )
         )
 
-    def _stiffness(self, parts: _Parts, curvature: Floats) -> Estimate:
+    def _fit_stiffness(self, parts: _Parts, curvature: Floats) -> Estimate:
         bend, curve, branch, time = parts
         inside = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
@@ -273,13 +277,15 @@ class MidSpan(Window):
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * bent.span * force
         if "large-deflection" in self.corrections:
-            sunk = np.clip(bent.deflection, 0.0, None)
-            moment = moment + 0.5 * force * bent.support_slope * sunk
+            sag = np.clip(bent.deflection, 0.0, None)
+            moment = moment + 0.5 * force * bent.support_slope * sag
         return fit_secant_stiffness(time, curvature, moment, inside)
 
 
-def _shape_errors(bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure) -> Errors:
-    """Return the changes with fewer terms of the shape, and from the side of the markers."""
+def _compute_shape_errors(
+    bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure
+) -> Errors:
+    """Compute the errors from fewer terms of the shape and from the side of the markers."""
     if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
     side = bend.shape.side_share * abs(outcome.value) / sqrt(3.0)
@@ -308,9 +314,9 @@ class _Frames:
         return cls(time, bend.rest, branch, cuts, test.seed)
 
     def drawn(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
-        """Draw errors of a weighted sum over the first of the values, shape (replicates,).
+        """Draw errors of a weighted sum over the first of several signals, shape (replicates,).
 
-        With a noise process common to all the values but for its size.
+        All signals share one noise process, each with its own size.
         """
         spline_intervals = 40  # per branch
         batch_records = 50
@@ -339,26 +345,28 @@ class _Frames:
         return np.concatenate(records).astype(np.float64)
 
 
-def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Estimate:
-    """Estimate a quantity at the end of loading, less that at rest.
+def _measure_at_turn(
+    values: Floats, frames: _Frames, name: str, similar: Sequence[Floats] = ()
+) -> Estimate:
+    """Estimate the change of a quantity from rest to the end of loading.
 
-    Its noise is estimated together with that of similar ones.
+    Its noise is estimated together with that of similar signals.
     """
-    still = frames.rest & np.isfinite(values)
-    if still.sum() < 8:
-        raise UnavailableError.of("results.no_rest", count=int(still.sum()))
+    at_rest = frames.rest & np.isfinite(values)
+    if at_rest.sum() < 8:
+        raise UnavailableError.of("results.no_rest", count=int(at_rest.sum()))
     branch = frames.loading
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
-    weights = _turn_weights(frames.time - branch.stop_time, values, window)
+    weights = _compute_turn_weights(frames.time - branch.stop_time, values, window)
     count = int((weights != 0.0).sum())
-    weights = weights - still / still.sum()
+    weights = weights - at_rest / at_rest.sum()
     value = float(weights @ np.nan_to_num(values))
-    off = frames.drawn([values, *alike], weights, name)
-    low, high = np.quantile(off, (0.025, 0.975)).tolist()
-    return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
+    errors_of_draws = frames.drawn([values, *similar], weights, name)
+    low, high = np.quantile(errors_of_draws, (0.025, 0.975)).tolist()
+    return Estimate(value, float(errors_of_draws.std()), count, Interval(value - high, value - low))
 
 
-def _turn_weights(time: Floats, values: Floats, window: float) -> Floats:
+def _compute_turn_weights(time: Floats, values: Floats, window: float) -> Floats:
     """Return the weights of frames in the value of two parabolas that meet at time zero."""
     near = np.isfinite(values) & (np.abs(time) <= window)
     t = time[near]
@@ -373,7 +381,7 @@ def _turn_weights(time: Floats, values: Floats, window: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Twist(Kind):
-    """``twist`` (rad): how far the section at mid-span has turned about the axis."""
+    """``twist`` (rad): rotation of the section at mid-span about the axis."""
 
     result: ClassVar = "twist"
     outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
@@ -386,19 +394,19 @@ class Twist(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the turn of a section where the motion turns, against rest."""
-        parts = _span_parts(test)
+        parts = _require_span(test)
         bend, shape = parts[0], parts[0].shape
-        able = np.flatnonzero(shape.lever > 0.0)
-        if not len(able):
+        sections_with_twist = np.flatnonzero(shape.lever > 0.0)
+        if not len(sections_with_twist):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
         x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
-        section = int(able[np.argmin(np.abs(x[able]))])
+        section = int(sections_with_twist[np.argmin(np.abs(x[sections_with_twist]))])
         note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         frames = _Frames.of(test, parts)
-        others = [shape.twist[:, other] for other in able if other != section]
-        alike = [other for other in others if np.isfinite(other).any()]
-        turned = return_failure(_at_turn)(shape.twist[:, section], frames, "twist", alike)
-        if isinstance(turned, Estimate) and turned.value < 0.0:
-            turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
-        number = self.make_result(test, turned, during=test.find_loading_interval())
+        others = [shape.twist[:, other] for other in sections_with_twist if other != section]
+        similar = [other for other in others if np.isfinite(other).any()]
+        twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
+        if isinstance(twist, Estimate) and twist.value < 0.0:
+            twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)
+        number = self.make_result(test, twist, during=test.find_loading_interval())
         return Computed((number,), findings=(note,))

@@ -1,4 +1,4 @@
-"""Slips in the grips, slack, and curves that count from where the specimen is taut."""
+"""Find slips in the grips, and measure and subtract the slack before the specimen is taut."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from labpipe.uncertainty.linear_fits import fit_linear
 from labpipe.uncertainty.replicates import Input, Replicates
 
 MAD_FACTOR = 1.4826
-"""Standard deviation of normal noise over its median absolute deviation."""
+"""Ratio of the standard deviation of normal noise to its median absolute deviation."""
 
 
 MAD_FREEDOM_SHARE = 0.37
-"""Degrees of freedom of a median absolute deviation over those of a standard deviation."""
+"""Ratio of the degrees of freedom of a median absolute deviation to those of a variance."""
 
 
 _MIN_SIDE_SAMPLES = 8
@@ -55,7 +55,7 @@ class LoadDrop:
     start, stop : last sample before it and first one after
     middle : of the most probable drop, in samples; the mean over drops that fit equally well
     drop, drop_interval : N
-    earliest, latest : samples between which it may be, from drops over whole samples
+    earliest, latest : samples between which it lies, from all possible drops over whole samples
     slope_before, slope_behind : N/m
     slope_error : N/m, standard error of their difference
     """
@@ -80,7 +80,7 @@ class PullCurve:
     ----------
     d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
     longest : samples of the longest drop
-    blurred : 1 for means, as a drop may be inside of one; 0 for samples
+    blurred : 1 for means, because a drop may lie inside of one; 0 for samples
     """
 
     d: Floats
@@ -88,7 +88,7 @@ class PullCurve:
     longest: int
     blurred: int
 
-    def without(self, drops: Sequence[LoadDrop]) -> PullCurve:
+    def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
         """Return the curve with drops added back, interpolated between start and stop."""
         f = self.f.copy()
         for drop in drops:
@@ -132,12 +132,12 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
     side_lengths = ((25, 3), (15, 2), (10, 1))
-    factor = _correlation(pull.f)
-    drops = (_fit_within(pull, place, side, factor) for side in side_lengths)
+    factor = _estimate_correlation(pull.f)
+    drops = (_fit_drop_in_window(pull, place, side, factor) for side in side_lengths)
     return next((drop for drop in drops if drop is not None), None)
 
 
-def _fit_within(
+def _fit_drop_in_window(
     pull: PullCurve, place: int, reach: tuple[int, int], factor: float
 ) -> LoadDrop | None:
     """Fit a polynomial and a drop with every pair of start and stop near a place."""
@@ -150,11 +150,11 @@ def _fit_within(
         return None
     window = _Window(low, high, degree, factor)
     drops = _candidate_drops(window, place, longest)
-    costs, variance, without = _costs(pull, window, drops)
+    costs, variance, without = _compute_costs(pull, window, drops)
     # All drops between the same two samples have the same cost.
     best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
     if best[1] > longest:
-        return None  # longer than the longest slip
+        return None  # longer than a slip may be
     allowed = drops[costs <= costs.min() + max_excess_variances * variance]
     is_whole = np.all(drops % 1.0 == 0.0, axis=1)
     whole = drops[is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)]
@@ -162,10 +162,10 @@ def _fit_within(
     if explained <= 0.0:
         return None  # a step of a converter
     t = float(np.sqrt(explained / variance)) if variance > 0.0 else np.inf
-    if not stdtr(window.freedom, -t) <= _false_alarm_rate(pull):
+    if not stdtr(window.freedom, -t) <= _compute_false_alarm_rate(pull):
         return None
     drop = _measure_drop(pull, window, (best, allowed, whole))
-    return drop if drop is not None and _is_rare(pull, window, drop) else None
+    return drop if drop is not None and _exceeds_other_steps(pull, window, drop) else None
 
 
 def _candidate_drops(window: _Window, place: int, longest: int) -> Floats:
@@ -193,37 +193,39 @@ class _Window:
         return max(self.high - self.low - self.degree - 4, 1)
 
 
-def _false_alarm_rate(pull: PullCurve) -> float:
+def _compute_false_alarm_rate(pull: PullCurve) -> float:
     """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
     return 1e-3 / (len(pull.f) * (pull.longest + 1))
 
 
-def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
+def _exceeds_other_steps(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
     """Test a drop against the same step at all other places, by its robust deviation."""
-    kernel = _step_kernel(window, drop)
+    kernel = _make_step_kernel(window, drop)
     own_step = -float(kernel @ pull.f[window.low : window.high])
-    elsewhere = np.convolve(pull.without([drop]).f, kernel[::-1], mode="valid")
+    elsewhere = np.convolve(pull.add_back([drop]).f, kernel[::-1], mode="valid")
     spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
-    freedom = int(MAD_FREEDOM_SHARE * len(elsewhere) / _places_per_freedom(kernel, window.factor))
-    return bool(stdtr(max(freedom, 1), -own_step / spread) <= _false_alarm_rate(pull))
+    freedom = int(
+        MAD_FREEDOM_SHARE * len(elsewhere) / _count_places_per_freedom(kernel, window.factor)
+    )
+    return bool(stdtr(max(freedom, 1), -own_step / spread) <= _compute_false_alarm_rate(pull))
 
 
-def _step_kernel(window: _Window, drop: LoadDrop) -> Floats:
+def _make_step_kernel(window: _Window, drop: LoadDrop) -> Floats:
     """Return the weights of the samples of a window in its generalised least-squares step."""
     rows = np.arange(window.low, window.high)
     ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
-    design = np.column_stack([*_powers(rows.astype(np.float64), window.degree), ramp])
+    design = np.column_stack([*_make_powers(rows.astype(np.float64), window.degree), ramp])
     weights = np.linalg.pinv(design[1:] - window.factor * design[:-1])[-1]
     kernel: Floats = np.append(0.0, weights) - window.factor * np.append(weights, 0.0)
     return kernel
 
 
-def _powers(x: Floats, degree: int) -> list[Floats]:
+def _make_powers(x: Floats, degree: int) -> list[Floats]:
     scaled = (x - x.mean()) / (float(np.ptp(x)) or 1.0)
     return [scaled**power for power in range(degree + 1)]
 
 
-def _places_per_freedom(kernel: Floats, factor: float) -> float:
+def _count_places_per_freedom(kernel: Floats, factor: float) -> float:
     """Return the adjacent places that count as one degree of freedom of a variance.
 
     The sum of squared correlations of autoregressive noise after the kernel.
@@ -233,7 +235,7 @@ def _places_per_freedom(kernel: Floats, factor: float) -> float:
     return float(np.sum((alike / alike.max()) ** 2))
 
 
-def _correlation(f: Floats) -> float:
+def _estimate_correlation(f: Floats) -> float:
     """Return the lag-one correlation of the noise: median over windows, about cubics."""
     width = min(_STRETCH_SAMPLES, len(f))
     basis = build_cubic_basis(width).T
@@ -242,12 +244,12 @@ def _correlation(f: Floats) -> float:
     residuals = pieces - (pieces @ basis) @ basis.T
     power = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
     seen = float(np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power))
-    factors, expected = _seen_correlations(width)
+    factors, expected = _expected_correlations(width)
     return float(np.interp(seen, expected, factors))
 
 
 @cache
-def _seen_correlations(width: int) -> tuple[Floats, Floats]:
+def _expected_correlations(width: int) -> tuple[Floats, Floats]:
     """Return lag-one correlations of noise, and the expected ones of residuals about a cubic.
 
     Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
@@ -264,12 +266,12 @@ def _seen_correlations(width: int) -> tuple[Floats, Floats]:
     return factors, np.array(expected)
 
 
-def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, float, float]:
+def _compute_costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, float, float]:
     """Return whitened sums of squares of linear drops, their variance, and the sum without drop."""
     rows = np.arange(window.low, window.high)
     f, factor = pull.f[rows], window.factor
     ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
-    lines = np.column_stack(_powers(pull.d[rows], window.degree))
+    lines = np.column_stack(_make_powers(pull.d[rows], window.degree))
     base, ramps, target = (line[1:] - factor * line[:-1] for line in (lines, ramps, f - f[0]))
     base = np.linalg.qr(base)[0]
     ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
@@ -308,8 +310,8 @@ def _measure_drop(
     around_it = slice(max(first - 1, window.low), last + 1)
     if float(np.diff(pull.f[around_it]).min(initial=0.0)) >= 0.0:
         return None  # the force rises everywhere: only its slope changes
-    both = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
-    before, change = float(both.coefficients[1]), float(both.coefficients[3])
+    slope_fit = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
+    before, change = float(slope_fit.coefficients[1]), float(slope_fit.coefficients[3])
     return LoadDrop(
         start=start,
         stop=stop,
@@ -320,7 +322,7 @@ def _measure_drop(
         latest=int(whole_drops.sum(axis=1).max()),
         slope_before=before,
         slope_behind=before + change,
-        slope_error=float(np.sqrt(both.covariance[3, 3])),
+        slope_error=float(np.sqrt(slope_fit.covariance[3, 3])),
     )
 
 
@@ -384,20 +386,20 @@ def find_slips(
         return Failure.of(
             "results.too_few_samples", count=count, where=where, needed=_MIN_SEARCHED_SAMPLES
         )
-    size, longest_samples = _block_size(displacement[finite], longest)
-    d, f = (_blocks(values[finite], size) for values in (displacement, force))
-    drops = _confirmed(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
-    kept_drops = [
+    size, longest_samples = _choose_block_size(displacement[finite], longest)
+    d, f = (_average_blocks(values[finite], size) for values in (displacement, force))
+    drops = _confirm_drops(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
+    accepted_drops = [
         drop
         for drop in drops
         if drop.drop >= min_drop
         and _force_continues(f, drop, lost_share)
         and drop.drop <= largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
     ]
-    return tuple(_ledger_entry(d, finite, drop, size, decision) for drop in kept_drops)
+    return tuple(_make_ledger_entry(d, finite, drop, size, decision) for drop in accepted_drops)
 
 
-def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
+def _choose_block_size(d: Floats, longest: float | None) -> tuple[int, int]:
     """Return the samples per block, and the blocks of the longest slip."""
     min_slip_blocks = 8
     travel = float(np.ptp(d))
@@ -407,7 +409,7 @@ def _block_size(d: Floats, longest: float | None) -> tuple[int, int]:
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
-def _blocks(values: Floats, size: int) -> Floats:
+def _average_blocks(values: Floats, size: int) -> Floats:
     """Average samples in blocks; the last one includes the remainder."""
     return average_between(values, np.arange(0, len(values) - size + 1, size))
 
@@ -436,12 +438,14 @@ def _is_outlier(f: Floats) -> Flags:
     return is_off & (neighbour_change < 0.5 * off)
 
 
-def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
+def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Return the drops in order that remain distinct with all others added back."""
-    drops = _drops(pull, min_drop)
+    drops = _find_drops(pull, min_drop)
     while len(drops) > 1:
         refits = [
-            fit_load_drop(pull.without([other for other in drops if other is not drop]), drop.start)
+            fit_load_drop(
+                pull.add_back([other for other in drops if other is not drop]), drop.start
+            )
             for drop in drops
         ]
         confirmed = [fit for fit in refits if fit is not None]
@@ -449,17 +453,17 @@ def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
             drops = confirmed
             break
         # The last one is the least distinct: it may have been an artefact of another.
-        lost = max(number for number, fit in enumerate(refits) if fit is None)
-        drops = [*drops[:lost], *drops[lost + 1 :]]
+        unconfirmed = max(number for number, fit in enumerate(refits) if fit is None)
+        drops = [*drops[:unconfirmed], *drops[unconfirmed + 1 :]]
     return sorted(drops, key=lambda drop: drop.start)
 
 
-def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
+def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Find sudden drops, the most distinct first, each with the previous ones added back."""
     drops: list[LoadDrop] = []
     is_open = np.ones(len(pull.f), dtype=np.bool_)
     while True:
-        distinct = np.where(is_open, _distinctness(pull.f, min_drop), 0.0)
+        distinct = np.where(is_open, _measure_distinctness(pull.f, min_drop), 0.0)
         place = int(np.argmax(distinct))
         if distinct[place] <= 1.0:
             return drops
@@ -468,11 +472,11 @@ def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
             is_open[max(place - _MIN_SIDE_SAMPLES, 0) : place + _MIN_SIDE_SAMPLES + 1] = False
             continue
         drops.append(drop)
-        pull = pull.without([drop])
+        pull = pull.add_back([drop])
         is_open[max(min(place, drop.start) - 1, 0) : max(place, drop.stop) + 1] = False
 
 
-def _distinctness(f: Floats, min_drop: float) -> Floats:
+def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
     """Return how distinct a drop after each sample is: candidates are above 1."""
     window_lengths = (3, 6, 12, 24, 48)
     # Probability of such a drop in noise at a given place.
@@ -481,7 +485,7 @@ def _distinctness(f: Floats, min_drop: float) -> Floats:
     if not np.ptp(f) > 0.0:
         return best
     for window in (scale for scale in window_lengths if 8 * scale <= len(f)):
-        size = _drop_sizes(f, window)
+        size = _measure_drop_sizes(f, window)
         spread = max(MAD_FACTOR * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
         # Adjacent windows share samples, which reduces the degrees of freedom.
         freedom = int(MAD_FREEDOM_SHARE * len(f) / window)
@@ -491,7 +495,7 @@ def _distinctness(f: Floats, min_drop: float) -> Floats:
     return best
 
 
-def _drop_sizes(f: Floats, window: int) -> Floats:
+def _measure_drop_sizes(f: Floats, window: int) -> Floats:
     """Return the drop from the window up to a sample to the one after it, without trend."""
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     ends = np.arange(window, len(f) - window + 1)
@@ -511,7 +515,7 @@ def _force_continues(f: Floats, drop: LoadDrop, lost_share: float) -> bool:
     return rises and is_held
 
 
-def _ledger_entry(
+def _make_ledger_entry(
     d: Floats, samples: Ints, drop: LoadDrop, size: int, decision: SlipDecision
 ) -> Slip:
     low, high = float(d[drop.earliest]), float(d[drop.latest])
@@ -529,7 +533,7 @@ def _ledger_entry(
 
 
 def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
-    """Return why what counts from a slack is as doubtful as the slack."""
+    """List doubts about displacements that are measured from a doubtful slack."""
     return tuple(
         Reason(reason.code, format_sentence("results.doubtful_slack", why=reason.message))
         for _, reason in measured_slack.doubts
@@ -538,7 +542,7 @@ def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipResults(Kind):
-    """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N): of each slip; there may be none."""
+    """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N) of each slip, if there are any."""
 
     result: ClassVar = "slips"
     outputs: ClassVar = (
@@ -558,9 +562,9 @@ class SlipResults(Kind):
                 slip.drop_interval,
             )
             place = Estimate(slip.position, position.standard_error, 1, position)
-            lost = Estimate(slip.drop, drop.standard_error, 1, drop)
+            unconfirmed = Estimate(slip.drop, drop.standard_error, 1, drop)
             during = (float(time[slip.start]), float(time[slip.stop]))
-            part, scale = f".{count}", compute_scale_error(test, lost)
+            part, scale = f".{count}", compute_scale_error(test, unconfirmed)
             travelled = test.displacement.relative_error * abs(place.value)
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
             doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
@@ -569,7 +573,7 @@ class SlipResults(Kind):
                     test, place, slack, method=method, during=during, doubts=doubts, part=part
                 ),
                 self.make_result(
-                    test, lost, scale, output=1, method=method, during=during, part=part
+                    test, unconfirmed, scale, output=1, method=method, during=during, part=part
                 ),
             ]
         return Computed(tuple(numbers))
@@ -618,7 +622,7 @@ def find_linear_region(
     require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
     first, last = (
-        _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
+        _find_rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
     )
     if first == 0:
         raise UnavailableError.of(
@@ -631,7 +635,7 @@ def find_linear_region(
     return as_slice(finite[region])
 
 
-def _rise(force: Floats, height: float) -> int:
+def _find_rise(force: Floats, height: float) -> int:
     """Return the sample at which a rising force crosses a height."""
     above = np.flatnonzero(force >= height)
     below = np.flatnonzero(force < height)
@@ -641,7 +645,7 @@ def _rise(force: Floats, height: float) -> int:
 
 
 def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
-    """Decide on the displacement at which the line through the linear region meets zero force.
+    """Choose the samples for the displacement at which the linear region meets zero force.
 
     Parameters
     ----------
@@ -669,20 +673,20 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
 
 
 def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measured) -> Replicates:
-    """Count the displacement of all curves from where each is taut.
+    """Subtract from each replicate curve its own slack.
 
     Parameters
     ----------
     replicates : of a curve whose slack can be measured
-    slack : how it is decided on
+    slack : chooses the samples of the slack
     measured_slack : the slack of the measured curve, m
 
     Returns
     -------
-    Every curve without its own slack: what noise does to the slack comes in as one more input,
-    drawn with the curve that it belongs to, and what another input does to the slack goes with what
-    it does to the curve. So a zero of the displacement that is in both is in no number behind.
-    What makes the slack doubtful goes with it.
+    The curves without slack. The effect of noise on the slack is one more input, drawn together
+    with the curve that it belongs to. The effect of another input on the slack is added to its
+    effect on the curve, so that an error of the zero of the displacement cancels. Doubts about the
+    slack become doubts about that input.
     """
     without_inputs = measure_replicates(replace(replicates, inputs=()), slack)
     draws = np.where(
@@ -692,7 +696,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     )
     error = float(np.std(draws))
     inputs = tuple(
-        _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs
+        _add_slack_effect(replicate, replicates.smooth, slack) for replicate in replicates.inputs
     )
     corrected = replace(replicates, inputs=inputs)
     if not error:
@@ -702,8 +706,8 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     return corrected.shift_displacement(-measured_slack.value, of_slack)
 
 
-def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
-    """Return an input with its effect on the slack."""
+def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
+    """Add the effect of an input on the slack to its effect on the curve."""
     base = return_failure(slack)(smooth)
     if isinstance(base, Failure):
         return quantity
@@ -718,7 +722,7 @@ def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlackResult(Kind):
-    """``slack`` (m): displacement before the specimen is taut."""
+    """``slack`` (m): displacement up to which the specimen is not taut."""
 
     result: ClassVar = "slack"
     outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)

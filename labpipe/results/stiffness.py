@@ -1,4 +1,4 @@
-"""Stiffnesses of the first loading and of every cycle, and what is made of them."""
+"""Stiffnesses of the first loading and of every cycle, and results that are computed from them."""
 
 from __future__ import annotations
 
@@ -59,16 +59,16 @@ _MIN_FOOT_SAMPLES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceOnset:
-    """Samples of a loading branch for the start of its force.
+    """Samples of a loading branch that determine where its force begins.
 
     Parameters
     ----------
     samples : of the branch, with a force and a displacement
     top : number among them of the largest force
-    sample : first one of the branch whose force is not zero
+    sample : first sample of the branch whose force is above `limit`
     foot : samples of the foot of the force
-    is_line : whether the start is the zero of a line through the foot; else it is the first sample
-        of the foot, as no line rises there
+    is_line : whether the onset is the zero of a line through the foot; else it is the first sample
+        of the foot, because the line does not rise
     limit : N, up to which a force counts as zero
     """
 
@@ -125,7 +125,7 @@ class ForceOnset:
 def find_force_onset(
     displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
 ) -> ForceOnset:
-    """Choose the samples of a loading branch for the start of its force.
+    """Choose the samples of a loading branch that determine where its force begins.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def find_force_onset(
         are ignored
     limit : N, up to which a force counts as zero, for a curve without noise; None for a limit from
         the noise of the force
-    steps : parts that each sampling step has been divided into
+    steps : number of parts into which each sampling step has been divided
 
     Returns
     -------
@@ -148,16 +148,17 @@ def find_force_onset(
     Notes
     -----
     A force within four standard deviations of its fast noise counts as zero. The foot of the force
-    begins after the last sample within that limit before the largest force, and ends at five
-    limits; a straight line through it (at least eight samples) is extrapolated to zero force. If
-    the force comes from below zero, as after bending to the other side, this is its crossing.
+    begins after the last sample within that limit before the largest force, and ends at five times
+    the limit. A straight line through the foot (at least eight samples) is extrapolated to zero
+    force. If the force comes from below zero, as after bending to the other side, the line
+    interpolates the crossing of zero.
 
     Examples
     --------
     >>> d = np.linspace(0.0, 0.01, 400)
     >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
-    >>> found = take_up(d, force)
-    >>> round(1e3 * float(found.compute(d, force)), 6)
+    >>> onset = find_force_onset(d, force)
+    >>> round(1e3 * float(onset.compute(d, force)), 6)
     2.0
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
@@ -191,14 +192,13 @@ _START_SHARE, _STEADY_SHARE = 0.02, 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowSlope:
-    """Slope of force against displacement over a window of a path, time as instrument.
+    """Slope of force against displacement over a window of a path; time is the instrument.
 
     Parameters
     ----------
     samples : of the branch, with a force and a displacement, m of them
     time : shape (m,), s
-    path, furthest : shape (m,), m, path along the branch, with little noise, and its largest value
-    so far
+    path, furthest : shape (m,), m, averaged path along the branch, and its largest value so far
     low, high : m, ends of the window
     """
 
@@ -209,12 +209,12 @@ class WindowSlope:
     low: float
     high: float
 
-    def inside(self, later: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
+    def inside(self, shift: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
         """Return the samples of the window, up to where the path first leaves it.
 
         Parameters
         ----------
-        later : m, shape (...), shift of the window along the path
+        shift : m, shape (...), of the window along the path
         since : shape (...), first sample of the branch that it may contain
 
         Returns
@@ -222,7 +222,7 @@ class WindowSlope:
         Range of the samples that contains all windows, and a mask of each window in it, shape (...,
         range).
         """
-        low, high = (np.asarray(end + later) for end in (self.low, self.high))
+        low, high = (np.asarray(end + shift) for end in (self.low, self.high))
         start = np.searchsorted(self.furthest, low)
         stop = np.searchsorted(self.furthest, high, side="right")
         stretch = slice(int(start.min()), max(int(stop.max()), int(start.min())))
@@ -253,7 +253,7 @@ class WindowSlope:
         self,
         displacement: Floats,
         force: Floats,
-        later: Floats | float = 0.0,
+        shift: Floats | float = 0.0,
         since: Ints | int = 0,
     ) -> Floats:
         """Return the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
@@ -261,9 +261,9 @@ class WindowSlope:
         Parameters
         ----------
         displacement, force : shape (..., n), m, N, of the branch
-        later, since : shape (...), as for `inside`
+        shift, since : shape (...), as for `inside`
         """
-        stretch, inside = self.inside(later, since)
+        stretch, inside = self.inside(shift, since)
         samples, time = select_part(self.samples, stretch), self.time[stretch]
         count = inside.sum(axis=-1)
         enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
@@ -296,9 +296,9 @@ def choose_window(
 
     Notes
     -----
-    The window is cut from the path averaged over 11 samples, and ends where it is first left, so
-    that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time is the
-    instrument, because ordinary least squares of F on a noisy displacement is too small (by the
+    The window is cut from the path averaged over 11 samples, and ends where the path first leaves
+    it, so that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time is
+    the instrument, because ordinary least squares of F on a noisy displacement is too small (by the
     ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
     """
     travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
@@ -314,7 +314,7 @@ def choose_window(
 
 
 def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
-    """Choose the samples for the value at the turn at the start of a branch.
+    """Choose the samples for values at the turn at which a branch starts.
 
     Parameters
     ----------
@@ -339,36 +339,36 @@ def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingSlope:
-    """Stiffness over a length after the force takes up.
+    """Stiffness over a length after the onset of the force.
 
     Parameters
     ----------
-    take_up : of the branch
-    first : first sample of the branch that counts as taut
+    onset : of the force in the branch
+    first : first sample of the branch in which the specimen counts as taut
     slope : of the branch from that sample
-    ahead : m, from the take-up to the middle of the window
+    lead : m, from the take-up to the middle of the window
     """
 
-    take_up: ForceOnset
+    onset: ForceOnset
     first: int
     slope: WindowSlope
-    ahead: float
+    lead: float
 
     def compute(self, displacement: Floats, force: Floats) -> Floats:
         """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
 
-        The window begins where the force of each row takes up.
+        The window of each row begins at the onset of its force.
         """
         taut = displacement[..., self.first :]
-        begins = self.take_up.compute(displacement, force) + self.ahead
+        begins = self.onset.compute(displacement, force) + self.lead
         later = begins - taut[..., self.slope.window].mean(axis=-1)
         return self.slope.compute(taut, force[..., self.first :], later)
 
     @property
-    def share_at_rest(self) -> float:
+    def share_of_start(self) -> float:
         """Return the share of the samples of the window in its first fiftieth.
 
-        It is large if the motion rests there, with a force above its noise.
+        It is large if the motion rests there while the force is above its noise.
         """
         stretch, inside = self.slope.inside()
         path = self.slope.path[stretch][inside]
@@ -387,8 +387,8 @@ class LoadingSlope:
         Shape (rows,), N/m, or NaN.
         """
         taut = displacement[:, self.first :]
-        begins, first = self.take_up.compute_rows(displacement, force)
-        later = begins + self.ahead - taut[:, self.slope.window].mean(axis=-1)
+        begins, first = self.onset.compute_rows(displacement, force)
+        later = begins + self.lead - taut[:, self.slope.window].mean(axis=-1)
         since = np.maximum(first - self.first, 0)
         return self.slope.compute(taut, force[:, self.first :], later, since)
 
@@ -409,7 +409,7 @@ def choose_loading_window(
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
     length : m, the length after the take-up
     like : the choice on the measured branch, for a curve without noise
-    steps : parts that each sampling step has been divided into
+    steps : number of parts into which each sampling step has been divided
 
     Returns
     -------
@@ -422,30 +422,30 @@ def choose_loading_window(
 
     Notes
     -----
-    A branch counts as taut from the first sample whose force is above its noise; without noise,
-    from the zero of the line through the foot of the force. The difference is an effect of noise.
-    Between samples it is not before the machine moves: samples at rest with a force above its noise
-    would shift the line.
+    A branch counts as taut from the first sample whose force is above its noise; a branch without
+    noise, from the zero of the line through the foot of the force. The difference is an effect of
+    noise. If steps are divided, the branch does not count as taut before the machine moves, because
+    samples at rest with a force above the noise would shift the line.
     """
-    limit = None if like is None else like.take_up.limit
-    begin = find_force_onset(displacement, force, limit=limit, steps=steps)
-    start, first = float(begin.compute(displacement, force)), begin.sample
-    if like is not None and begin.is_line:
-        zero_time = float(compute_zero_crossing(time[begin.foot], force[begin.foot]))
+    limit = None if like is None else like.onset.limit
+    onset = find_force_onset(displacement, force, limit=limit, steps=steps)
+    start, first = float(onset.compute(displacement, force)), onset.sample
+    if like is not None and onset.is_line:
+        zero_time = float(compute_zero_crossing(time[onset.foot], force[onset.foot]))
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
-        first = max(first, _start_of_motion(time, displacement, start, length))
+        first = max(first, _find_start_of_motion(time, displacement, start, length))
     taut = slice(first, None)
     path = displacement[taut]
     slope = choose_window(time[taut], path, force[taut], path, low=start, high=start + length)
-    return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
+    return LoadingSlope(onset, first, slope, float(path[slope.window].mean()) - start)
 
 
-def _start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
-    """Return the sample at which a machine of constant speed passed a place; 0 if unknown."""
-    ahead = displacement - start
-    part = np.flatnonzero((ahead >= _START_SHARE * length) & (ahead <= _STEADY_SHARE * length))
-    start_time = float(compute_zero_crossing(time[part], ahead[part])) if len(part) > 1 else np.nan
+def _find_start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
+    """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
+    lead = displacement - start
+    part = np.flatnonzero((lead >= _START_SHARE * length) & (lead <= _STEADY_SHARE * length))
+    start_time = float(compute_zero_crossing(time[part], lead[part])) if len(part) > 1 else np.nan
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
@@ -463,8 +463,9 @@ def choose_unloading_window(
 
     Returns
     -------
-    A function of curves of shape (..., n), m, N, that returns the stiffness, N/m, shape (...), or
-    NaN; the window has the same distance from the turn of each row. And the number of samples.
+    A function of displacement and force of curves, shape (..., n), m, N, that returns the
+    stiffness, N/m, shape (...), or NaN; and the number of samples. In each curve the window has the
+    same distance from the turn.
 
     Raises
     ------
@@ -475,14 +476,14 @@ def choose_unloading_window(
     start = float(at_turn(trace.displacement))
     time, d, f = cut_branch(trace, part)
     slope = choose_window(time, d, f, sense * (start - d), low=0.1 * length, high=length)
-    ahead = float(d[slope.window].mean()) - start
+    lead = float(d[slope.window].mean()) - start
 
-    def stiffness(displacement: Floats, force: Floats) -> Floats:
+    def compute_stiffness(displacement: Floats, force: Floats) -> Floats:
         d, f = displacement[..., branch], force[..., branch]
-        later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - ahead)
+        later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - lead)
         return slope.compute(d, f, later)
 
-    return stiffness, slope.n
+    return compute_stiffness, slope.n
 
 
 MIN_LINE_SAMPLES = 5
@@ -497,7 +498,7 @@ def find_compliance_window(
     ----------
     displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
         are ignored
-    start, stop : N, force window; below it grips and joints settle
+    start, stop : N, of the force window; grips and joints settle below it
 
     Raises
     ------
@@ -550,18 +551,18 @@ class UnloadingStiffness(PerCycle):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadingStiffness(PerCycle):
-    """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
+    """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
     outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", CURVE, first=1),)
     over: Length
     reads: ClassVar = (0.0, 1.0)
 
-    method: ClassVar = "line over {over_mm:g} mm from where the force takes up, time as instrument"
+    method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the samples behind the take-up, by the zero force of the measured curve."""
-        like = self._measured(test, number)
+        """Choose the samples after the onset, with the limit of the measured curve."""
+        like = self._fit_measured(test, number)
 
         def decide(trace: Trace) -> Reading:
             part = select_cycle(trace, number)[0]
@@ -574,7 +575,7 @@ class LoadingStiffness(PerCycle):
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
-        fit = self._measured(test, branches[0].cycle)
+        fit = self._fit_measured(test, branches[0].cycle)
         return (
             None
             if fit is None
@@ -582,14 +583,14 @@ class LoadingStiffness(PerCycle):
         )
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt about samples at rest in the window, more than 10 %."""
-        fit = self._measured(test, branches[0].cycle)
-        if fit is None or fit.share_at_rest <= 0.1:
+        """Return a doubt if more than 10 % of the samples are at the start of the window."""
+        fit = self._fit_measured(test, branches[0].cycle)
+        if fit is None or fit.share_of_start <= 0.1:
             return ()
-        share, limit = fit.share_at_rest, fit.take_up.limit
+        share, limit = fit.share_of_start, fit.onset.limit
         return (Reason.of("results.rest_in_window", share=share, limit=limit),)
 
-    def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
+    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = make_trace(test)
         parts = cut_branch(curve, select_cycle(curve, number)[0])
         fit = return_failure(choose_loading_window)(*parts, length=self.over)
@@ -605,7 +606,7 @@ class Hardening(Kind):
     over: Length
 
     method: ClassVar = (
-        "slope over {over_mm:g} mm from the take-up / that of cycle 1, scale cancelled"
+        "slope over {over_mm:g} mm from the onset of the force / that of cycle 1, scale cancelled"
     )
 
     def measure(self, test: ReducedTest) -> Computed:
@@ -621,14 +622,14 @@ class Hardening(Kind):
         for later in others:
             after = stiffness.make_decider(test, later[0].cycle)
             decide = combine_numbers(
-                lambda _, after, first: divide(after, first), after, _first_of(before)
+                lambda _, after, first: divide(after, first), after, _require_first_cycle(before)
             )
             own = stiffness.measure_directly(test, later)
             values = [own[0] / plain[0]] if own and plain else None
             numbers.append(
                 self.make_result(
                     test,
-                    return_failure(_above_noise)(test, decide, values, base),
+                    return_failure(_measure_ratio)(test, decide, values, base),
                     doubts=doubts + stiffness.list_doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
                     part=f".{later[0].cycle}",
@@ -637,8 +638,8 @@ class Hardening(Kind):
         return Computed(tuple(numbers))
 
 
-def _first_of(before: Decide) -> Decide:
-    """Name the stiffness of the first cycle as missing if it is not available."""
+def _require_first_cycle(before: Decide) -> Decide:
+    """Raise ``no_stiffness`` if the stiffness of the first cycle is not available."""
 
     def decide(trace: Trace) -> Reading:
         reading = return_failure(before)(trace)
@@ -649,10 +650,10 @@ def _first_of(before: Decide) -> Decide:
     return decide
 
 
-def _above_noise(
+def _measure_ratio(
     test: ReducedTest, decide: Decide, values: list[float] | None, base: Measured | Failure
 ) -> Measured:
-    """Measure a ratio to a stiffness that is above its noise."""
+    """Measure the ratio to a first stiffness; raise if that is not above its noise."""
     outcome = test.measure_one(decide, values)
     if isinstance(base, Failure):
         raise UnavailableError(base)
@@ -663,7 +664,7 @@ def _above_noise(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window(Kind):
-    """A kind of result from a range of displacement."""
+    """A kind of result that is measured over a range of displacement."""
 
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
@@ -692,11 +693,11 @@ class Window(Kind):
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
-def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
+def _measure_secant(kind: Window, test: ReducedTest, name: str) -> Computed:
     """Measure the slope between two displacements of a shape, with time as instrument."""
     window = kind.start, kind.stop
     decide, during = (
-        partial(_secant, low=kind.start, high=kind.stop),
+        partial(_choose_secant_window, low=kind.start, high=kind.stop),
         test.find_loading_interval(*window),
     )
     outcome = test.measure_one(decide)
@@ -707,7 +708,7 @@ def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
 _SECANT = "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
 
 
-def _secant(trace: Trace, low: float, high: float) -> Reading:
+def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
     branch, (time, path, force) = slice(part.start, part.stop), cut_branch(trace, part)
@@ -731,7 +732,7 @@ class InitialStiffness(Window):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope between two displacements, with time as instrument."""
-        return _secant_from_shape(self, test, "initial_stiffness")
+        return _measure_secant(self, test, "initial_stiffness")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -747,13 +748,13 @@ class LineStiffness(Window):
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Of a test with a shape, time is the instrument."""
+        """Return the method: time is the instrument if the test has a shape."""
         return (self.method if test.shape is None else _SECANT,)
 
     def measure(self, test: ReducedTest) -> Computed:
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
-            return _secant_from_shape(self, test, self.name)
+            return _measure_secant(self, test, self.name)
         slope, curve = test.measure_one(self.decide), make_trace(test)
         window = self.samples(curve)
         d = curve.displacement[window]
@@ -763,11 +764,11 @@ class LineStiffness(Window):
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         number = self.make_result(test, slope, during=during, doubts=doubts)
-        made_of = Stiffness(
+        stiffness = Stiffness(
             self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
         )
-        drawn = FittedLine(self.name, slope.value, level, low, high)
-        return Computed((number,), {self.name: made_of}, (drawn,))
+        line = FittedLine(self.name, slope.value, level, low, high)
+        return Computed((number,), {self.name: stiffness}, (line,))
 
     def samples(self, trace: Trace) -> Ints:
         """Return the samples in the window of the first loading, up to the failure.
@@ -789,16 +790,16 @@ class LineStiffness(Window):
         ----------
         trace : one curve
         """
-        chosen = self.samples(trace)
-        require_samples(len(chosen), MIN_LINE_SAMPLES)
-        require_travel(trace.displacement[chosen])
+        samples = self.samples(trace)
+        require_samples(len(samples), MIN_LINE_SAMPLES)
+        require_travel(trace.displacement[samples])
         return Reading(
-            read_part(compute_slope, as_slice(chosen)), len(chosen), ends_at_samples=True
+            read_part(compute_slope, as_slice(samples)), len(samples), ends_at_samples=True
         )
 
 
 class Context(NamedTuple):
-    """What a number has beside its stiffness: interval of time (s), doubts, remark."""
+    """Time interval (s), doubts and remark of a result that is computed from a stiffness."""
 
     during: Stretch | None = None
     doubts: tuple[Reason, ...] = ()
@@ -807,16 +808,16 @@ class Context(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FromStiffness(Kind):
-    """A kind of result that depends on a stiffness above it in the list."""
+    """A kind of result that is computed from a stiffness above it in the list."""
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
     @abstractmethod
-    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the number of a test from its stiffness."""
 
-    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
-        """Return what else than the stiffness decides on interval of time, doubts and remark."""
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+        """Return the context of the number; by default only that of the stiffness counts."""
         del test, stiffness
         return Context()
 
@@ -826,8 +827,8 @@ class FromStiffness(Kind):
         if stiffness is None:
             raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
         outcome, context = (
-            return_failure(self.outcome)(test, stiffness),
-            self.context(test, stiffness),
+            return_failure(self.measure_number)(test, stiffness),
+            self.find_context(test, stiffness),
         )
         number = self.make_result(
             test,
@@ -850,13 +851,13 @@ class NormalisedStiffness(FromStiffness):
         "{of} / peak force of the same sample, errors independent, scale error cancelled"
     )
 
-    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return the time up to the last peak, and a doubt if the record ends before it."""
         window, stop = stiffness.during, test.cycles[-1][0].stop_time
         during = (window[0], max(window[1], stop)) if window else None
         return Context(during, find_cut_cycle(test, test.cycles[-1][:1]))
 
-    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
         trace = make_trace(test)
         peaks = {
@@ -869,13 +870,15 @@ class NormalisedStiffness(FromStiffness):
         values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
         largest = max(values, key=lambda key: values[key])
 
-        def peak_force(trace: Trace) -> Reading:
+        def choose_peak(trace: Trace) -> Reading:
             return choose_peak_sample(test, trace, largest)
 
-        peak = test.measure_one(peak_force)
+        peak = test.measure_one(choose_peak)
         if peak.value <= 3.0 * peak.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak.value)
-        quotient = combine_numbers(lambda _, one, peak: one / peak, stiffness.decide, peak_force)
+        quotient = combine_numbers(
+            lambda _, stiffness, peak: stiffness / peak, stiffness.decide, choose_peak
+        )
         return test.measure_one(quotient)
 
 
@@ -889,23 +892,23 @@ class Modulus(FromStiffness):
     method: ClassVar = "{of} x specimen.length / area ({area})"
     area: Annotated[
         Literal["stated", "rectangle", "annulus", "thin-wall"],
-        "Which area of specimen.section it refers to",
+        "The area of specimen.section that the modulus refers to",
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    def outcome(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
-        _area(self.area, test.setup.sizes)
-        return test.measure_one(combine_numbers(self._modulus, stiffness.decide))
+        _compute_area(self.area, test.setup.sizes)
+        return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
 
-    def _modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        area = return_failure(_area)(self.area, trace.sizes)
+    def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
+        area = return_failure(_compute_area)(self.area, trace.sizes)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-    def context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return a doubt if the displacement may be that of frame and grips."""
         limits = test.setup.limits
         share = limits.machine_compliance * stiffness.estimate.value
@@ -932,7 +935,7 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _area(section_kind: str, given: Mapping[str, float]) -> float:
+def _compute_area(section_kind: str, given: Mapping[str, float]) -> float:
     """Compute an area from its sizes."""
     needs, area_of = _AREAS[section_kind]
     sizes = [given[name] for name in needs if name in given]
@@ -954,7 +957,7 @@ class ComplianceResult(Kind):
     start: Annotated[Force, Key("from")]
     stop: Annotated[Force, Key("to"), LargerThan("start", "from")]
     method: ClassVar = (
-        "displacement against force from {start:g} N to {stop:g} N, the bar taken for rigid"
+        "displacement against force from {start:g} N to {stop:g} N, the bar assumed rigid"
     )
 
     def measure(self, test: ReducedTest) -> Computed:

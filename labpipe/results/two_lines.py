@@ -1,4 +1,4 @@
-"""Results of two straight lines that meet: slopes and break point."""
+"""Fit two straight lines that meet: their slopes, and the break point between them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
 
-_Place = TypeVar("_Place", float, Floats)
+_Position = TypeVar("_Position", float, Floats)
 
 
 _MIN_SEGMENT_SAMPLES = 4
@@ -39,7 +39,7 @@ def _sort_samples(displacement: Floats, finite: Ints) -> Ints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Scan:
+class _BreakScan:
     """Sums of squares of all two-segment lines through sorted samples, from running sums.
 
     d, y : shape (n,), as measured; x : d centred and scaled; r : residuals of one straight line, so
@@ -53,7 +53,7 @@ class _Scan:
     sums: Floats
 
     @classmethod
-    def of(cls, d: Floats, y: Floats) -> _Scan:
+    def of(cls, d: Floats, y: Floats) -> _BreakScan:
         x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
         lever = x - x.mean()
         r = y - y.mean() - lever * ((lever @ y) / (lever @ lever))
@@ -61,15 +61,15 @@ class _Scan:
         np.cumsum([np.ones_like(x), x, x * x, r, x * r], axis=1, out=sums[:, 1:])
         return cls(d, y, x, r, sums)
 
-    def d_of(self, x: _Place) -> _Place:
+    def to_displacement(self, x: _Position) -> _Position:
         """Return the displacement of a scaled place, m."""
         first, last = float(self.d[0]), float(self.d[-1])
         return 0.5 * (first + last) + 0.5 * (last - first) * x
 
-    def squares_at(self, breaks: Floats) -> Floats:
+    def compute_squares(self, breaks: Floats) -> Floats:
         """Return the smallest sum of squares for given breaks, shape of `breaks`."""
         _, _, _, sr, sxr = self._above(breaks)
-        _, _, norms = self.hinges(breaks)
+        _, _, norms = self.sum_hinges(breaks)
         shr = sxr - breaks * sr
         gain = np.where(norms > 0.0, shr * shr / np.where(norms > 0.0, norms, 1.0), 0.0)
         rest: Floats = float(self.r @ self.r) - gain
@@ -80,7 +80,7 @@ class _Scan:
         above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, places, "right")]
         return above
 
-    def hinges(self, c: Floats) -> tuple[Floats, Floats, Floats]:
+    def sum_hinges(self, c: Floats) -> tuple[Floats, Floats, Floats]:
         """Return sums of h = max(x - c, 0) for each place c.
 
         Returns
@@ -101,10 +101,10 @@ class _Scan:
         count, sx, sxx = self.sums[:3, -1]
         return float(sx / count), float(sxx - sx * sx / count)
 
-    def crossings(self) -> Floats:
+    def find_crossings(self) -> Floats:
         """Return where separate lines before and after a gap between samples meet inside it."""
         below = self.sums[:, _MIN_SEGMENT_SAMPLES : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
-        first, second = _lines(below), _lines(self.sums[:, -1:] - below)
+        first, second = _fit_lines(below), _fit_lines(self.sums[:, -1:] - below)
         with np.errstate(divide="ignore", invalid="ignore"):
             meet = (second[0] - first[0]) / (first[1] - second[1])
         low = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES]
@@ -112,14 +112,14 @@ class _Scan:
         crossings: Floats = meet[(meet >= low) & (meet <= high)]
         return crossings
 
-    def best(self) -> float:
+    def find_best_break(self) -> float:
         """Return the break of the global optimum."""
         inside = self.x[_MIN_SEGMENT_SAMPLES - 1 : len(self.x) - _MIN_SEGMENT_SAMPLES + 1]
-        places = np.concatenate([inside, self.crossings()])
-        return float(places[int(np.argmin(self.squares_at(places)))])
+        places = np.concatenate([inside, self.find_crossings()])
+        return float(places[int(np.argmin(self.compute_squares(places)))])
 
 
-def _lines(sums: Floats) -> tuple[Floats, Floats]:
+def _fit_lines(sums: Floats) -> tuple[Floats, Floats]:
     """Return level and slope of the least-squares line of each column of sums."""
     n, sx, sxx, sr, sxr = sums
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -156,7 +156,7 @@ class Hinges:
     """
 
     path: CommonPath
-    scan: _Scan
+    scan: _BreakScan
     places: Floats
     moved: float = 0.0
 
@@ -181,18 +181,20 @@ class Hinges:
             increase over the stretch.
         """
         order = _sort_samples(displacement, find_finite_samples(displacement, force))
-        scan = _Scan.of(displacement[order], force[order])
+        scan = _BreakScan.of(displacement[order], force[order])
         margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(order) // 8)) - 1
         places = np.linspace(scan.x[margin], scan.x[-1 - margin], 300)
         hinges = cls(CommonPath.of(displacement, force, order), scan, places)
-        return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
+        return replace(
+            hinges, moved=scan.find_best_break() - float(hinges._find_best_breaks(scan.y[None])[0])
+        )
 
     @property
     def ends(self) -> tuple[float, float]:
         """Return the first and last sample of the stretch, m."""
         return float(self.scan.d[0]), float(self.scan.d[-1])
 
-    def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
+    def fit(self, force: Floats, displacement: Floats | None = None) -> Segments:
         """Fit two lines that meet to each of many curves.
 
         Parameters
@@ -215,12 +217,12 @@ class Hinges:
         from sums of y and x y between places. Noise of the displacement counts as noise of the
         force (`CommonPath`).
         """
-        y = self.path.force(force, displacement)
+        y = self.path.move_force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
         inside = scan.x[_MIN_SEGMENT_SAMPLES - 1], scan.x[-_MIN_SEGMENT_SAMPLES]
-        breaks = np.clip(self._best(y) + self.moved, *inside)
-        sh, cross, norms = scan.hinges(breaks)
+        breaks = np.clip(self._find_best_breaks(y) + self.moved, *inside)
+        sh, cross, norms = scan.sum_hinges(breaks)
         level, along = y.mean(axis=1), y @ (scan.x - mean)
         product = np.einsum("rn,rn->r", y, np.maximum(scan.x - breaks[:, None], 0.0))
         norms = np.where(norms > 0.0, norms, np.nan)
@@ -228,10 +230,10 @@ class Hinges:
         slope = (along - bend * cross) / spread
         level += slope * (breaks - mean) - bend * sh / y.shape[1]
         scale = 2.0 / (scan.d[-1] - scan.d[0])
-        numbers = (scan.d_of(breaks), scale * slope, scale * (slope + bend), level)
+        numbers = (scan.to_displacement(breaks), scale * slope, scale * (slope + bend), level)
         return Segments(*(number.reshape(shape) for number in numbers))
 
-    def _best(self, y: Floats) -> Floats:
+    def _find_best_breaks(self, y: Floats) -> Floats:
         """Return the breaks (R,) from the places and the parabola, of sorted curves (R, k)."""
         x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
         starts = np.concatenate([[0], np.searchsorted(x, places)])
@@ -241,7 +243,7 @@ class Hinges:
             sums = np.add.reduceat(values, starts, axis=1)
             sums[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
             beyond.append(np.cumsum(sums[:, :0:-1], axis=1)[:, ::-1])
-        sh, cross, norms = self.scan.hinges(places)
+        sh, cross, norms = self.scan.sum_hinges(places)
         product = beyond[1] - places * beyond[0]
         product -= np.outer(y.mean(axis=1), sh) + np.outer(y @ (x - mean), cross / spread)
         gain = product**2 / np.where(norms > 0.0, norms, np.inf)
@@ -274,10 +276,11 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
 
     Notes
     -----
-    The break was chosen for the largest difference of the slopes, so a straight line exceeds two
-    standard errors by chance far more often than once in twenty. The standard error is that of the
-    replicates that bend less than the median one, from their 2.5 % quantile: those whose break
-    moves towards an end have steeper slopes beyond it, which is no evidence against a bend.
+    The break is chosen for the largest difference of the slopes. By chance, the difference on a
+    straight line therefore exceeds two standard errors much more often than once in twenty. The
+    standard error comes from the 2.5 % quantile of the replicates that bend less than the median:
+    replicates whose break moves towards an end have steeper slopes beyond it, which is no evidence
+    against a bend.
     """
     min_bend_errors = 4.0
     first, second = float(fit.first), float(fit.second)
@@ -293,7 +296,7 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
             needed=min_bend_errors,
             error=error,
         )
-    low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
+    low, high = (hinges.scan.to_displacement(float(hinges.places[place])) for place in (2, -3))
     drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
     likely = fit.break_point - (drawn_breaks - smooth.break_point)
     for breaks in (drawn_breaks, likely):
@@ -359,7 +362,7 @@ class _TwoLineFit:
         """Return the doubts about the break."""
         return find_break_doubts(self.numbers[0].interval, self.hinges)
 
-    def lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
+    def make_lines(self, before: str, behind: str) -> tuple[FittedLine, ...]:
         """Return both lines with their names."""
         break_point, first, second, level = (number.value for number in self.numbers)
         start, stop = self.hinges.ends
@@ -388,7 +391,7 @@ class _TwoLines(Window):
         require : requires such a break of the curve, as `require_bend`
         """
         numbers = test.measure(self.decide)
-        _, hinges = self._places(make_trace(test))
+        _, hinges = self._choose_places(make_trace(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         if test.replicates is not None:
             reading = return_failure(self.decide)(test.replicates.smooth)
@@ -411,14 +414,14 @@ class _TwoLines(Window):
         -------
         A reading of the numbers of `Segments`.
         """
-        part, hinges = self._places(trace)
+        part, hinges = self._choose_places(trace)
 
         def numbers(trace: Trace) -> Segments:
-            return hinges.fitted(trace.force[..., part], trace.displacement[..., part])
+            return hinges.fit(trace.force[..., part], trace.displacement[..., part])
 
         return Reading(numbers, len(hinges.scan.d), ends_at_samples=True, depends_on_corners=True)
 
-    def one_of(self, trace: Trace, *, number: int) -> Reading:
+    def choose_one(self, trace: Trace, *, number: int) -> Reading:
         """Choose the places for one of the numbers.
 
         Parameters
@@ -429,7 +432,7 @@ class _TwoLines(Window):
         reading = self.decide(trace)
         return replace(reading, numbers=lambda trace: (reading.numbers(trace)[number],))
 
-    def _places(self, trace: Trace) -> tuple[slice, Hinges]:
+    def _choose_places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
         stretch = select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
@@ -466,7 +469,7 @@ class TwoSegments(_TwoLines):
             ),
             {
                 name: Stiffness(
-                    partial(self.one_of, number=number),
+                    partial(self.choose_one, number=number),
                     fit.numbers[number].as_estimate,
                     during,
                     window,
@@ -474,13 +477,13 @@ class TwoSegments(_TwoLines):
                 )
                 for name, number, window in sides
             },
-            fit.lines(one, other),
+            fit.make_lines(one, other),
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kink(_TwoLines):
-    """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
+    """``kink_displacement`` (m) and ``kink_force`` (N): where the first loading gets less steep."""
 
     result: ClassVar = "kink"
     outputs: ClassVar = (
@@ -496,5 +499,5 @@ class Kink(_TwoLines):
         during = test.find_loading_interval(*fit.hinges.ends)
         return Computed(
             self.make_results(test, (place, level), during=during, doubts=doubts),
-            lines=fit.lines("before_kink", "behind_kink"),
+            lines=fit.make_lines("before_kink", "behind_kink"),
         )

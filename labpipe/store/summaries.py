@@ -11,6 +11,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
@@ -76,16 +78,31 @@ def write_summary(result: TestResult, path: Path) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """Convert records to what JSON has: no NaN, no tuples, days as texts."""
+    """Convert records and arrays to what JSON has: no NaN, no tuples, days as texts."""
     if is_dataclass(value):
         return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): to_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [to_json(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return to_json(value.tolist())
     if isinstance(value, float):
         return replace_non_finite(value)
     return str(value) if isinstance(value, str | date) else value
+
+
+def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
+    """Convert attributes of a record as `to_json`.
+
+    Parameters
+    ----------
+    record : any
+    names : of attributes
+    renamed : entry=attribute
+    """
+    attributes = {name: name for name in names} | renamed
+    return {entry: to_json(getattr(record, name)) for entry, name in attributes.items()}
 
 
 def _specimen(specimen: Specimen) -> dict[str, object]:

@@ -18,8 +18,8 @@ from labpipe.virtual_lab.campaigns import (
 from labpipe.virtual_lab.cantilever_scenarios import (
     NO_MISHAPS,
     CantileverScenario,
-    taped_scenario,
-    wire_scenario,
+    build_taped_scenario,
+    build_wire_scenario,
 )
 from labpipe.virtual_lab.observations import (
     ConduitObservation,
@@ -31,7 +31,7 @@ from labpipe.virtual_lab.observations import (
 )
 from labpipe.virtual_lab.specimens import TAPED_TYPES
 from labpipe.virtual_lab.tensile import TensileScenario
-from labpipe.virtual_lab.three_point import CONDUIT_TYPES, ConduitScenario, conduit_scenario
+from labpipe.virtual_lab.three_point import CONDUIT_TYPES, ConduitScenario, build_conduit_scenario
 
 __all__ = [
     "CONDUIT_TYPES",
@@ -51,11 +51,11 @@ __all__ = [
     "TensileScenario",
     "WireCampaign",
     "WireGroup",
-    "conduit_scenario",
+    "build_conduit_scenario",
+    "build_taped_scenario",
+    "build_wire_scenario",
     "observe",
     "simulate_campaigns",
     "simulate_test",
-    "taped_scenario",
-    "wire_scenario",
     "write_wire_sheet",
 ]

@@ -1,6 +1,7 @@
-"""Virtual campaigns as frozen data: tests, scatter of samples, mishaps.
+"""Campaigns of virtual tests: their specimens, the scatter of samples, and mishaps.
 
-All tests with one load cell share its gain error; each has its own clocks and pose.
+A campaign is data from which scenarios follow. All tests with one load cell share its gain error;
+each test has its own clocks and pose.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     CantileverScenario,
     Clocks,
     Pose,
-    taped_scenario,
-    wire_scenario,
+    build_taped_scenario,
+    build_wire_scenario,
 )
 from labpipe.virtual_lab.observations import Scenario, simulate_test
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, StrandedWire
@@ -31,17 +32,17 @@ from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
     TensileScenario,
-    corrugated_tube,
-    pet_tape,
-    stiff_bar,
-    twist_tube,
+    build_corrugated_tube,
+    build_pet_tape,
+    build_stiff_bar,
+    build_twist_tube,
 )
 from labpipe.virtual_lab.three_point import (
     CONDUIT_CELL,
     CONDUIT_TYPES,
     ConduitClocks,
     ConduitScenario,
-    conduit_scenario,
+    build_conduit_scenario,
 )
 
 
@@ -53,22 +54,23 @@ class Campaign(Protocol):
 
         Parameters
         ----------
-        seed : of the differences between samples and of the gain errors
+        seed : of the scatter between samples and of the gain errors
 
         Yields
         ------
-        Scenario and seed; the same seed gives the same tests, and seeds of tests are unique.
+        Scenario and seed of the test. Equal seeds of the campaign give equal tests, and the seeds
+        of its tests are unique.
         """
 
 
 def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 1) -> list[Path]:
-    """Run campaigns and write the exports, test sheets and truths.
+    """Simulate campaigns and write exports, test sheets and true values.
 
     Parameters
     ----------
     campaigns : in order
-    folder : one folder per test is made in it
-    seed : the same seed gives the same files
+    folder : in which each test gets a folder
+    seed : equal seeds give equal files
 
     Returns
     -------
@@ -83,12 +85,12 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
 
 @dataclass(frozen=True, slots=True)
 class ChosenTests:
-    """Chosen tests of campaigns, identical to those in the campaigns.
+    """Some tests of campaigns, each identical to the one in its campaign.
 
     Parameters
     ----------
     campaigns : that contain the tests
-    names : of the tests; their order is that of the campaigns
+    names : of the tests, which keep the order of the campaigns
     """
 
     campaigns: Sequence[Campaign]
@@ -104,7 +106,7 @@ class ChosenTests:
         Raises
         ------
         KeyError
-            If no campaign has a test of one of the names.
+            If no campaign has a test of that name.
         """
         tests = [scenario for campaign in self.campaigns for scenario in campaign.scenarios(seed)]
         if missing := set(self.names) - {scenario.name for scenario, _ in tests}:
@@ -130,8 +132,8 @@ GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires of 85 mm, and two of both 85 and 100 mm. In the dissertation the samples of A3 are
-120 mm long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
+"""Three wires with samples of 85 mm, and two with samples of 85 and of 100 mm. In the dissertation
+the samples of A3 are 120 mm long, which protects the load cell; here they are 85 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +144,11 @@ class WireCampaign:
     ----------
     groups : wires and lengths, in order; samples of one wire are of one spool
     samples : of each group
-    scatter : standard deviation of the logarithm of a sample's factor on its wire's moments
+    scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
     cycles : of each test
-    has_mishaps : markers are lost or mislabelled
+    has_mishaps : whether markers are lost or mislabelled
     """
 
     groups: tuple[WireGroup, ...] = GROUPS
@@ -171,13 +173,13 @@ class WireCampaign:
             for _ in range(self.samples):
                 name = group.wire.name
                 counts[name] += 1
-                usual = replace(
-                    wire_scenario(group.wire, group.length, cycles=self.cycles),
+                scenario = replace(
+                    build_wire_scenario(group.wire, group.length, cycles=self.cycles),
                     name=f"{name}-{1e3 * group.length:03.0f}-{counts[name]}",
                     sample=counts[name],
                 )
                 yield (
-                    _cantilever_sample(self, usual, gain_error, random),
+                    _build_cantilever_sample(self, scenario, gain_error, random),
                     1000 * seed + counts.total(),
                 )
 
@@ -190,12 +192,12 @@ class TapedCampaign:
     ----------
     types : names in `TAPED_TYPES`, in order
     samples : of each type
-    scatter : standard deviation of the logarithm of a sample's factor on its bundle's moments
+    scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
     speed : m/s, of the clamp
     cycles : of each test
-    has_mishaps : markers are lost or mislabelled
+    has_mishaps : whether markers are lost or mislabelled
     """
 
     types: tuple[str, ...] = tuple(TAPED_TYPES)
@@ -222,32 +224,34 @@ class TapedCampaign:
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
         for type_number, name in enumerate(self.types):
-            bundle = taped_scenario(name, cycles=self.cycles)
+            bundle = build_taped_scenario(name, cycles=self.cycles)
             for sample in range(1, self.samples + 1):
-                usual = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
+                scenario = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
                 yield (
-                    _cantilever_sample(self, usual, gain_error, random),
+                    _build_cantilever_sample(self, scenario, gain_error, random),
                     100_000 * seed + 100 * type_number + sample,
                 )
 
 
-def _cantilever_sample(
+def _build_cantilever_sample(
     campaign: WireCampaign | TapedCampaign,
-    usual: CantileverScenario,
+    scenario: CantileverScenario,
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
     """Return a sample with its own factor, clocks, pose and mishaps."""
     factor = float(np.exp(campaign.scatter * random.standard_normal()))
-    mechanics = replace(usual.mechanics, wire=usual.mechanics.wire.scaled(factor))
+    mechanics = replace(scenario.mechanics, wire=scenario.mechanics.wire.scaled(factor))
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
     return replace(
-        usual,
+        scenario,
         mechanics=mechanics,
         clocks=Clocks(rate=campaign.rate, fps=campaign.fps, offset=offset, drift=drift),
-        load_cell=replace(usual.load_cell, gain_error=gain_error),
+        load_cell=replace(scenario.load_cell, gain_error=gain_error),
         pose=Pose(yaw=float(random.uniform(0.3, 0.9))),
-        mishaps=MISHAPS[(usual.sample - 1) % len(MISHAPS)] if campaign.has_mishaps else NO_MISHAPS,
+        mishaps=MISHAPS[(scenario.sample - 1) % len(MISHAPS)]
+        if campaign.has_mishaps
+        else NO_MISHAPS,
     )
 
 
@@ -255,13 +259,14 @@ def _cantilever_sample(
 class ConduitCampaign:
     """Bundles in a conduit (Table 4.2 of the dissertation) in three-point bending.
 
-    Every third sample has no export of the load frame: displacement follows from speed and time.
+    Every third sample has no export of the load frame, so that its displacement follows from speed
+    and time.
 
     Parameters
     ----------
     types : keys of `CONDUIT_TYPES`, in order
     samples : of each type
-    scatter : standard deviation of the logarithm of a sample's factor on its bundle's moments
+    scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
     """
@@ -288,14 +293,16 @@ class ConduitCampaign:
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
         for type_number, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
-                usual = replace(conduit_scenario(name), name=f"{name}-{sample}", sample=sample)
+                scenario = replace(
+                    build_conduit_scenario(name), name=f"{name}-{sample}", sample=sample
+                )
                 yield (
-                    self._sample(usual, gain_error, random),
+                    self._build_sample(scenario, gain_error, random),
                     100_000 * seed + 50_000 + 100 * type_number + sample,
                 )
 
-    def _sample(
-        self, usual: ConduitScenario, gain_error: float, random: np.random.Generator
+    def _build_sample(
+        self, scenario: ConduitScenario, gain_error: float, random: np.random.Generator
     ) -> ConduitScenario:
         """Return a sample with its own factor, clocks, twist and pose."""
         factor = float(np.exp(self.scatter * random.standard_normal()))
@@ -308,13 +315,13 @@ class ConduitCampaign:
         )
         twist = float(random.choice([-1.0, 1.0]) * random.uniform(0.03, 0.12))
         return replace(
-            usual,
+            scenario,
             factor=factor,
             clocks=clocks,
-            load_cell=replace(usual.load_cell, gain_error=gain_error),
-            markers=replace(usual.markers, twist=twist),
+            load_cell=replace(scenario.load_cell, gain_error=gain_error),
+            markers=replace(scenario.markers, twist=twist),
             pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
-            has_frame_export=usual.sample % 3 != 0,
+            has_frame_export=scenario.sample % 3 != 0,
         )
 
 
@@ -322,13 +329,12 @@ SMALL_HARNESS = (
     TapedCampaign(rate=100.0, fps=12.5, cycles=2),
     ConduitCampaign(rate=200.0, fps=12.5),
 )
-"""Bundles in tape and in conduits with small recordings: three samples of nineteen types, 57
-tests."""
+"""Bundles in tape and in conduits with small recordings: 57 tests, three of each type."""
 
 
 _SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
 _TUBES = {"CT-10-slit": (1.0, ()), "CT-10": (1.1, ()), "CT-7": (1.2, _SMALL_TUBE)}
-"""Factor on the forces, and dimensions, m, that differ from the protocol's, by kind of tube."""
+"""Factor on the forces, and dimensions, m, that differ from the protocol, by type of tube."""
 _SLIPS = {
     "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
@@ -338,11 +344,11 @@ _UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
 
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
-    """Corrugated tubes, twist tubes, tapes and the bar for the compliance of the frame.
+    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance.
 
     Parameters
     ----------
-    tapes : spool's factor on the forces, and displacement of failure, m, of each tape
+    tapes : factor on the forces, and displacement at failure, m, of each tape
     """
 
     tapes: tuple[tuple[float, float], ...] = (
@@ -363,33 +369,37 @@ class TensileCampaign:
         random = np.random.default_rng([seed, 23])
         small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
-            *_corrugated_tubes(small, random),
-            *_twist_tubes(large, random),
-            *self._tapes(large, random),
-            stiff_bar(gain_error=large),
+            *_build_corrugated_tubes(small, random),
+            *_build_twist_tubes(large, random),
+            *self._build_tapes(large, random),
+            build_stiff_bar(gain_error=large),
         ]
         for number, test in enumerate(tests, start=1):
             yield test, 1000 * seed + number
 
-    def _tapes(self, gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    def _build_tapes(
+        self, gain_error: float, random: np.random.Generator
+    ) -> Iterator[TensileScenario]:
         for number, (factor, fails_at) in enumerate(self.tapes, start=1):
-            tape = pet_tape(
+            tape = build_pet_tape(
                 str(number),
-                factor=factor * _scatter(random, 0.01),
-                fails_at=fails_at * _scatter(random, 0.02),
+                factor=factor * _draw_factor(random, 0.01),
+                fails_at=fails_at * _draw_factor(random, 0.02),
                 gain_error=gain_error,
             )
             slack = float(random.uniform(0.4e-3, 0.8e-3))
             yield replace(tape, law=replace(tape.law, slack=slack))
 
 
-def _corrugated_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+def _build_corrugated_tubes(
+    gain_error: float, random: np.random.Generator
+) -> Iterator[TensileScenario]:
     """Yield three samples of each kind of corrugated tube."""
     for tube_type, (factor, section) in _TUBES.items():
         for sample in range(1, 4):
             name = f"{tube_type}-{sample}"
-            scattered = factor * _scatter(random, 0.01)
-            tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
+            scattered = factor * _draw_factor(random, 0.01)
+            tube = build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
             yield replace(
                 tube,
                 law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
@@ -399,20 +409,20 @@ def _corrugated_tubes(gain_error: float, random: np.random.Generator) -> Iterato
             )
 
 
-def _twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
-    """Yield the samples of Table 2.3, one of them exported in parts."""
+def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    """Yield the samples of Table 2.3; the export of one of them has several files."""
     for sample in TABLE_2_3:
-        tube = twist_tube(
+        tube = build_twist_tube(
             sample,
-            peak_force=420.0 * _scatter(random, 0.04),
+            peak_force=420.0 * _draw_factor(random, 0.04),
             slack=float(random.uniform(0.8e-3, 1.1e-3)),
             break_point=float(random.uniform(7.8e-3, 8.1e-3)),
             gain_error=gain_error,
         )
-        parted = replace(tube.export, part_at=2.6)
-        yield replace(tube, export=parted) if sample == _TUBE_IN_PARTS else tube
+        divided = replace(tube.export, part_at=2.6)
+        yield replace(tube, export=divided) if sample == _TUBE_IN_PARTS else tube
 
 
-def _scatter(random: np.random.Generator, relative: float) -> float:
-    """Draw a factor close to 1."""
+def _draw_factor(random: np.random.Generator, relative: float) -> float:
+    """Draw a log-normal factor close to 1."""
     return float(np.exp(relative * random.standard_normal()))

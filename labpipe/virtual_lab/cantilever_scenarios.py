@@ -1,15 +1,14 @@
-"""A virtual cantilever test: its settings, and its quasi-static path.
+"""Virtual cantilever tests: settings, and quasi-static path.
 
-Everything is SI. The specimen frame used throughout the virtual lab: origin at the clamped end and
-moving with it, x along the undeformed axis, y in the plane of bending towards the pull (up), z
-normal to both. Deflection is the pull point's y minus its y in the initial rest; force is the
-string's tension minus its tension in the initial rest; travel is the distance that the clamp has
-been driven down. The marker clock is the true time base; force time = offset + (1 + drift) x marker
-time.
+Everything is SI. The origin of the specimen frame is the clamped end, with which it moves; x is
+along the undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
+Deflection is y of the pull point minus y at the initial rest. Force is the tension of the string
+minus that at the initial rest. Travel is the distance by which the clamp is below its start. The
+clock of the cameras is the true time base; force time = offset + (1 + drift) x camera time.
 
-The path is a function of *progress*, the total distance that the clamp has been driven up and down,
-which increases monotonically. Between events (turning points, the string going taut or slack) the
-path is smooth and is interpolated by cubic splines through the solved positions.
+The path is a function of *progress*, the total distance that the clamp has moved up and down.
+Events are turning points, and points at which the string becomes taut or slack. Between events the
+path is smooth and interpolated by cubic splines through the solved positions.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire
 TAPED_LENGTH = 0.1143
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
-"""A wire defined by its law or by its strands, or a bundle of wires."""
+"""A wire given by its law or by its strands, or a bundle of wires."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +47,20 @@ class MechanicalTest:
 
     Parameters
     ----------
-    wire : the wire's law
+    wire : whose law is solved
     length : m, clamped end to pull point
     string_length : m
     counterweight : kg, at the pull point
-    slack : m, travel of the clamp before the string is taut, with the wire hanging under the
-        counterweight; None if the string holds the wire straight and carries the counterweight
-        from the start
+    slack : m, travel of the clamp until the string is taut, while the wire hangs under the
+        counterweight; None if the string is taut from the start, holds the wire straight and
+        carries the counterweight
     stroke : m
-    cycles : each a loading and an unloading branch
-    steps_per_branch : solved positions of the clamp per branch, interpolated between
-    crowding : exponent of the positions in a branch: 1 for even ones, above 1 for closer ones at
-        its start, where the stiffness changes most
+    cycles : number, each with a loading and an unloading branch
+    steps_per_branch : number of solved positions of the clamp in a branch
+    crowding : exponent of the positions in a branch: they are even with 1; above 1 they are denser
+        at its start, where the stiffness changes most
     n_stations : along the wire
-    weighs : the weight of the level wire bends it, too
+    weighs : whether the weight of the wire bends it
     gravity : m/s^2, on wire and counterweight
     """
 
@@ -154,7 +153,7 @@ class MarkerLayout:
     noise : m, rms per axis, of a marker
     pivot_noise : m, rms per axis, of the clamp's pivot
     turn_noise : rad, rms per axis, of the clamp's orientation
-    scrambled : label numbers are in random order along the wire
+    scrambled : whether the numbers of the labels are in random order along the wire
     """
 
     n_markers: int = 8
@@ -201,12 +200,12 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Part of a take in which a mishap affects one marker.
+    """Part of a take in which a mishap affects a marker.
 
     Parameters
     ----------
     marker : counted from 0 at the clamp
-    start, stop : shares of the take's frames, 0 to 1; 1 is the end
+    start, stop : shares of the frames of the take, 0 to 1
     """
 
     marker: int
@@ -222,16 +221,14 @@ class Mishaps:
     ----------
     n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
     long_gap : s, length of one long gap on a random marker; 0 for none
-    switch : this marker and the next one swap labels
-    unlabelled : this marker is renamed ``Unlabeled 1234``
-    frozen : this marker's position is constant
+    switch : where the marker and the next one swap labels; None for nowhere
+    unlabelled : where the marker is renamed ``Unlabeled 1234``; None for nowhere
     """
 
     n_gaps: int = 8
     long_gap: float = 1.2
     switch: Stretch | None = Stretch(3, 0.40, 0.55)
     unlabelled: Stretch | None = Stretch(5, 0.70, 0.72)
-    frozen: Stretch | None = None
 
 
 NO_MISHAPS = Mishaps(n_gaps=0, long_gap=0.0, switch=None, unlabelled=None)
@@ -255,7 +252,7 @@ class CantileverScenario:
     mechanics : wire and rig
     speed : m/s, of the clamp
     dwell : s, at every turning point
-    rest : s, at least, in both records before and after the motion
+    rest : s, minimum in both records before and after the motion
     clocks, load_cell, markers, pose, mishaps : the instruments
     length_unit : of the motion-capture export: m, cm or mm
     """
@@ -284,24 +281,25 @@ class CantileverScenario:
 
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
-"""The rig of the dissertation for a stranded wire, straight and held by the string. Positions are
-closer where the strands begin to slip: the interpolated force is within 0.06 mN (with even
-positions 5 mN), with half as many stations within 0.02 mN."""
+"""Rig of the dissertation for a stranded wire, held straight by the string. Positions are denser
+where the strands begin to slip: the error of the interpolated force is 0.06 mN, and would be 5 mN
+with evenly spaced positions. The error from the number of stations is 0.02 mN."""
 
 TAPED_TEST = replace(WIRE_TEST, length=TAPED_LENGTH, steps_per_branch=60, crowding=2.0)
-"""The same rig for a taped bundle. Positions are closer where its wires begin to slip: the
-interpolated force is within 3 mN of the converged one, and within 12 mN where the tape begins to
-slide; the noise is 3 mN. Exports and truth use the same interpolated path."""
+"""The same rig for a taped bundle. The error of the interpolated force is 3 mN, and 12 mN where the
+tape begins to slide; the noise is 3 mN. Exports and true values use the same interpolated path."""
 
 
-def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> CantileverScenario:
-    """Return a test of a stranded wire, without mishaps.
+def build_wire_scenario(
+    wire: StrandedWire, length: float, *, cycles: int = 3
+) -> CantileverScenario:
+    """Build a test of a stranded wire, without mishaps.
 
     Parameters
     ----------
     wire : the sample
     length : m
-    cycles : each a loading and an unloading branch
+    cycles : number, each with a loading and an unloading branch
     """
     return CantileverScenario(
         specimen_type=wire.name,
@@ -313,18 +311,18 @@ def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> Cant
     )
 
 
-def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
-    """Return a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
+def build_taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
+    """Build a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
 
     Parameters
     ----------
     name : key of `TAPED_TYPES`
-    cycles : each a loading and an unloading branch
+    cycles : number, each with a loading and an unloading branch
 
     Returns
     -------
-    The scenario: the string is taut from the start and carries the counterweight; markers are in
-    the middles of nine intervals of half an inch.
+    The scenario. The string is taut from the start and carries the counterweight. Nine markers are
+    at the centres of intervals of half an inch.
 
     Raises
     ------
@@ -352,12 +350,12 @@ _MIN_TRAVEL_STEP = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A part of the path without events; arrays over its solved positions.
+    """Part of the path between two events; arrays over its solved positions.
 
     Parameters
     ----------
     cycle : counted from 1
-    loading : whether the clamp goes down
+    loading : whether the clamp moves down
     progress : shape (n,), m, increasing
     travel : shape (n,), m
     tension : shape (n,), N
@@ -381,11 +379,11 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MechanicalPath:
-    """A solved test.
+    """Solved path of a test.
 
     Parameters
     ----------
-    test : solved test
+    test : inputs of the path
     rig : the string
     rest : shape before the motion
     segments : in order and contiguous
@@ -470,28 +468,28 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If an equilibrium does not exist.
     """
-    rig, rest = _set_up(test)
+    rig, rest = _attach_string(test)
     cycles: list[list[Segment]] = []
-    state, bent, starts = rest.state, 0.0, []
+    state, max_curvature, starts = rest.state, 0.0, []
     for number in range(1, test.cycles + 1):
         starts.append(state)
         # loops of a rate-independent law close
         if number > 2 and _is_same_state(state, starts[-2]):
             cycles.append([_shift_segment(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
-        segments, state, bent = _Cycle(test, rig, number).walk(state, bent)
+        segments, state, max_curvature = _Cycle(test, rig, number).walk(state, max_curvature)
         cycles.append(segments)
     return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
 
 
-def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
-    """Attach the string and find the shape at rest before the motion."""
+def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
+    """Return the string, and the shape at rest before the motion."""
     law, weight = test.wire.law(), test.gravity * test.counterweight
-    unbent = make_straight(law, test.n_stations, self_weight=test.self_weight)
+    undeformed = make_straight(law, test.n_stations, self_weight=test.self_weight)
     level = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
-        return level, bend_to_travel(law, unbent, test.length, level, 0.0)
-    hanging = bend_under_force(law, unbent, test.length, np.array([0.0, -weight]))
+        return level, bend_to_travel(law, undeformed, test.length, level, 0.0)
+    hanging = bend_under_force(law, undeformed, test.length, np.array([0.0, -weight]))
     surplus = test.slack - level.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
     rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
@@ -499,100 +497,102 @@ def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
 
 @dataclass(frozen=True, slots=True)
 class _Cycle:
-    """One cycle of a test, solved position by position; `bent` is the largest curvature so far."""
+    """Solver of a cycle, position by position; `max_curvature` is the largest curvature so far."""
 
     test: MechanicalTest
     rig: StringRig
     number: int
 
-    def walk(self, state: WireState, bent: float) -> tuple[list[Segment], WireState, float]:
-        """Load and unload: the segments, the state at the end, the largest curvature so far."""
+    def walk(
+        self, state: WireState, max_curvature: float
+    ) -> tuple[list[Segment], WireState, float]:
+        """Load and unload; return segments, final state, and the largest curvature so far."""
         segments: list[Segment] = []
         progress = 2.0 * self.test.stroke * (self.number - 1)
         for goal in (self.test.stroke, 0.0):
-            for shapes in self._branch(state, goal, bent):
-                segments.append(_segment(shapes, self.number, goal > 0.0, progress))
+            for shapes in self._solve_branch(state, goal, max_curvature):
+                segments.append(_build_segment(shapes, self.number, goal > 0.0, progress))
                 state, progress = shapes[-1].state, float(segments[-1].progress[-1])
-                bent = _largest_curvature(shapes, bent)
-        return segments, state, bent
+                max_curvature = _find_largest_curvature(shapes, max_curvature)
+        return segments, state, max_curvature
 
-    def _branch(
-        self, state: WireState, goal: float, bent: float
+    def _solve_branch(
+        self, state: WireState, goal: float, max_curvature: float
     ) -> Iterator[list[CantileverShape]]:
         """Solve up to `goal` and yield the shapes of each segment between events, ends included."""
-        law = self._law(bent)
-        shape = self._shape(law, state, state.travel)
-        event = self._taut_travel(law, shape)
+        law = self._find_law(max_curvature)
+        shape = self._bend(law, state, state.travel)
+        event = self._find_event(law, shape)
         if shape.tension <= 0.0:  # slack: no bending until the string is taut
             stop = min(event, goal) if goal > state.travel else goal
             if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
-                end_shape = self._shape(law, shape.state, stop)
+                end_shape = self._bend(law, shape.state, stop)
                 yield [shape, end_shape]
                 shape = end_shape
         if abs(goal - shape.state.travel) > _MIN_TRAVEL_STEP:
-            yield from self._taut(shape, goal, bent)
+            yield from self._solve_taut(shape, goal, max_curvature)
 
-    def _taut(
-        self, shape: CantileverShape, goal: float, bent: float
+    def _solve_taut(
+        self, shape: CantileverShape, goal: float, max_curvature: float
     ) -> Iterator[list[CantileverShape]]:
         shapes, test = [shape], self.test
         share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
         for travel in shape.state.travel + share * (goal - shape.state.travel):
-            law, ahead, bent = self._step(shapes[-1], float(travel), bent)
+            law, ahead, max_curvature = self._solve_step(shapes[-1], float(travel), max_curvature)
             if ahead.tension > 0.0:
                 shapes.append(ahead)
                 continue
-            event = self._taut_travel(law, shapes[-1])
-            slackened = _at_zero_tension(self._shape(law, shapes[-1].state, event))
+            event = self._find_event(law, shapes[-1])
+            slackened = _slacken(self._bend(law, shapes[-1].state, event))
             if abs(event - shapes[-1].state.travel) > _MIN_TRAVEL_STEP:
                 shapes.append(slackened)
             yield shapes
             if abs(goal - event) > _MIN_TRAVEL_STEP:
-                yield [slackened, self._shape(law, slackened.state, goal)]
+                yield [slackened, self._bend(law, slackened.state, goal)]
             return
         yield shapes
 
-    def _step(
-        self, shape: CantileverShape, travel: float, bent: float
+    def _solve_step(
+        self, shape: CantileverShape, travel: float, max_curvature: float
     ) -> tuple[MomentLaw, CantileverShape, float]:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
         force_tolerance = 1e-5
         wire = self.test.wire
         for _ in range(max_iterations):
-            law = self._law(bent)
-            ahead = self._shape(law, shape.state, travel)
-            reached = _largest_curvature([ahead], bent)
-            if not isinstance(wire, BundleModel) or reached == bent:
+            law = self._find_law(max_curvature)
+            ahead = self._bend(law, shape.state, travel)
+            reached = _find_largest_curvature([ahead], max_curvature)
+            if not isinstance(wire, BundleModel) or reached == max_curvature:
                 break
-            settled = abs(wire.held(reached) - wire.held(bent)) < force_tolerance
-            bent = reached
+            settled = abs(wire.held(reached) - wire.held(max_curvature)) < force_tolerance
+            max_curvature = reached
             if settled:
                 break
-        return law, ahead, bent
+        return law, ahead, max_curvature
 
-    def _law(self, bent: float) -> MomentLaw:
+    def _find_law(self, max_curvature: float) -> MomentLaw:
         """Return the law after a largest curvature, on which only bundles depend."""
         wire = self.test.wire
-        return wire.law(self.number, bent) if isinstance(wire, BundleModel) else wire.law()
+        return wire.law(self.number, max_curvature) if isinstance(wire, BundleModel) else wire.law()
 
-    def _shape(self, law: MomentLaw, state: WireState, travel: float) -> CantileverShape:
+    def _bend(self, law: MomentLaw, state: WireState, travel: float) -> CantileverShape:
         return bend_to_travel(law, state, self.test.length, self.rig, travel)
 
-    def _taut_travel(self, law: MomentLaw, shape: CantileverShape) -> float:
-        """Return the travel at which the string goes taut or slack, m."""
+    def _find_event(self, law: MomentLaw, shape: CantileverShape) -> float:
+        """Return the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(law, shape.state, self.test.length, weight)
         return self.rig.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
-def _at_zero_tension(shape: CantileverShape) -> CantileverShape:
-    """Return the shape at which the string goes slack, with exactly zero tension."""
+def _slacken(shape: CantileverShape) -> CantileverShape:
+    """Set the tension of a shape to exactly zero."""
     return replace(shape, state=replace(shape.state, load=0.0))
 
 
-def _largest_curvature(shapes: list[CantileverShape], bent: float) -> float:
-    return max(bent, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
+def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float) -> float:
+    return max(max_curvature, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
 
 
 def _is_same_state(one: WireState, other: WireState) -> bool:
@@ -605,7 +605,9 @@ def _shift_segment(segment: Segment, progress: float) -> Segment:
     return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + progress)
 
 
-def _segment(shapes: list[CantileverShape], cycle: int, loading: bool, progress: float) -> Segment:
+def _build_segment(
+    shapes: list[CantileverShape], cycle: int, loading: bool, progress: float
+) -> Segment:
     travel = np.array([shape.state.travel for shape in shapes])
     return Segment(
         cycle=cycle,

@@ -1,10 +1,12 @@
-"""Records of force recorder, load frame and cameras, and the schedule of a test.
+"""Virtual instruments: schedule of a test, and records of force recorder, load frame and cameras.
 
-Cantilever: marker centres are offset from the wire's axis along its local normal, towards the pull.
-The body's initial orientation is the identity for any pose of the rig, as Motive defines a new
-body. Then mishaps are applied to the markers: gaps, swapped labels, a renamed marker, a frozen one.
+In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
+towards the pull. The initial orientation of the clamp's body is the identity for any pose of the
+rig, as Motive defines a new body. Mishaps are then applied to the markers: gaps, swapped labels, a
+renamed marker.
 
-Three-point bending: markers form lines along a cylinder that bends and twists; no body, no mishaps.
+In three-point bending, markers form lines along a cylinder that bends and twists. There is no body,
+and there are no mishaps.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.virtual_lab.cantilever_scenarios import (
@@ -40,9 +43,9 @@ class Schedule:
     Parameters
     ----------
     corner_times : shape (n,), s, at which the motion starts or stops
-    progress : shape (n,), m, cumulative travel at those times; up and down both increase it
-    turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; with
-        a dwell, the beginning of the dwell
+    progress : shape (n,), m, total travel up and down until those times
+    turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; each
+        is the beginning of its dwell
     end : s, of all records
     frame_clock : shape (frames,), s, the cameras' own time axis
     frame_times : shape (frames,), s, the same instants in true time
@@ -65,7 +68,7 @@ class Schedule:
 
 
 def plan_cantilever(scenario: CantileverScenario) -> Schedule:
-    """Plan motion and recordings with enough rest at both ends of both records.
+    """Plan a cantilever test: motion and recordings, with rest at both ends of both records.
 
     Parameters
     ----------
@@ -104,7 +107,7 @@ def plan_cantilever(scenario: CantileverScenario) -> Schedule:
 
 
 def plan_conduit(scenario: ConduitScenario) -> Schedule:
-    """Plan a three-point test: rest, down, up without dwell, rest.
+    """Plan a three-point test: rest, motion down and up without dwell, rest.
 
     Parameters
     ----------
@@ -142,9 +145,9 @@ class ForceRecord:
     Parameters
     ----------
     clock : shape (samples,), s, the recorder's time axis
-    signals : by path, shape (samples,): volts of the load cell, V; of a cantilever test, 1 while
-        the clamp goes down, else 0, and the frequency of the motor's pulses, Hz; of a three-point
-        test the trigger that started the recorder, 1 throughout
+    signals : by path, shape (samples,): output of the load cell, V. A cantilever test adds the
+        direction, 1 while the clamp moves down and 0 otherwise, and the frequency of the pulses of
+        the motor, Hz. A three-point test adds the trigger that started the recorder, always 1
     true_gain : N/V, of the load cell
     """
 
@@ -188,7 +191,7 @@ def record_cantilever_force(
     """
     pulses_per_metre = 8e6
     progress = schedule.progress_at(schedule.force_times)
-    volts, gain = _measure(path.tension(progress), scenario.load_cell, random)
+    volts, gain = _read_volts(path.tension(progress), scenario.load_cell, random)
     moving = np.diff(progress, append=progress[-1]) > 0.0
     down = moving & (np.floor_divide(progress, scenario.mechanics.stroke) % 2 == 0)
     pulses = np.where(moving, round(pulses_per_metre * scenario.speed, 6), 0.0)
@@ -201,13 +204,13 @@ def record_conduit_force(
 ) -> ForceRecord:
     """Simulate the force recorder of a three-point test; see `record_cantilever_force`."""
     force = scenario.factor * path.force(schedule.progress_at(schedule.force_times))
-    volts, gain = _measure(force, scenario.load_cell, random)
+    volts, gain = _read_volts(force, scenario.load_cell, random)
     signals = {FORCE_PATH: volts, TRIGGER_PATH: np.ones(len(volts))}
     return ForceRecord(schedule.force_clock, signals, gain)
 
 
-def _measure(force: Floats, cell: LoadCell, random: np.random.Generator) -> tuple[Floats, float]:
-    """Return the volts of a load cell, quantised and saturated, and its true gain, N/V."""
+def _read_volts(force: Floats, cell: LoadCell, random: np.random.Generator) -> tuple[Floats, float]:
+    """Return the output of a load cell, V, quantised and saturated, and its true gain, N/V."""
     drawn = cell.gain_uncertainty * random.standard_normal()
     gain = float(cell.gain * (1.0 + (drawn if cell.gain_error is None else cell.gain_error)))
     sensed = force + cell.noise * random.standard_normal(len(force))
@@ -219,7 +222,7 @@ def _measure(force: Floats, cell: LoadCell, random: np.random.Generator) -> tupl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameRecord:
-    """Samples of the load frame's controller, all of shape (n,).
+    """Samples of the controller of the load frame, all of shape (n,).
 
     Parameters
     ----------
@@ -234,7 +237,7 @@ class FrameRecord:
 
     def recording(self) -> Recording:
         """Return the record as read from its export, in SI."""
-        travel, force = single(self.displacement), single(self.force)
+        travel, force = round_to_single(self.displacement), round_to_single(self.force)
         channels = (
             Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
             Channel("Load", "Load", force, unit="N", unit_in_file="N"),
@@ -242,7 +245,7 @@ class FrameRecord:
         return Recording("load-frame", clocks=(Clock("time", self.time),), channels=channels)
 
 
-def single(values: Floats) -> Floats:
+def round_to_single(values: Floats) -> Floats:
     """Round values to 32 bits, as a controller stores them, without negative zeros.
 
     Parameters
@@ -296,10 +299,10 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
         If the test has fewer than three samples.
     """
     instruments = path.scenario.instruments
-    time = sample_times(instruments, path.end)
+    time = plan_samples(instruments, path.end)
     force = (1.0 + instruments.gain_error) * path.force(time) + instruments.tare
     force += instruments.white_noise * random.standard_normal(len(time))
-    force += slow_noise(instruments, time, random)
+    force += draw_slow_noise(instruments, time, random)
     displacement = path.displacement(time) + instruments.displacement_tare
     displacement += instruments.displacement_noise * random.standard_normal(len(time))
     return FrameRecord(
@@ -309,22 +312,24 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
     )
 
 
-def sample_times(instruments: FrameInstruments, end: float) -> Floats:
-    """Return the sample times, s: an even grid and one last sample off it, none after `end`."""
+def plan_samples(instruments: FrameInstruments, end: float) -> Floats:
+    """Return the sample times, s: an even grid, and a last sample off the grid, not after `end`."""
     step = 1.0 / instruments.rate
     last = instruments.last_step * step
     count = int(np.floor((end - last - instruments.first_sample) / step)) + 1
     if count < 2:
-        message = (
-            f"rate={instruments.rate}: expected at least 3 samples, found {count + 1} in {end} s"
+        message = format_sentence(
+            "virtual_lab.few_samples", rate=instruments.rate, count=count + 1, end=end
         )
         raise ValueError(message)
     grid = instruments.first_sample + step * np.arange(count)
     return np.append(grid, grid[-1] + last)
 
 
-def slow_noise(instruments: FrameInstruments, time: Floats, random: np.random.Generator) -> Floats:
-    """Return correlated noise at given times, N.
+def draw_slow_noise(
+    instruments: FrameInstruments, time: Floats, random: np.random.Generator
+) -> Floats:
+    """Draw correlated noise at given times, N.
 
     Parameters
     ----------
@@ -364,12 +369,12 @@ UNLABELLED = "Unlabeled 1234"
 
 @dataclass(frozen=True, slots=True)
 class MishapEvent:
-    """One mishap: affected markers (counted from 0 at the clamp) and frames.
+    """A mishap that occurred: its markers and its frames.
 
     Parameters
     ----------
-    kind : gap, switch, unlabelled or frozen
-    markers : by position, not by label
+    kind : gap, switch or unlabelled
+    markers : counted from 0 at the clamp, regardless of labels
     start, stop : frames, `stop` excluded
     """
 
@@ -387,15 +392,15 @@ class Take:
     ----------
     time : shape (frames,), s
     rate : frames per second
-    names : of all measured markers, the body's first
+    names : of all measured markers; those of the body come first
     positions : shape (frames, markers, 3), m, NaN where not tracked
-    bodies : the clamp, if any
-    fitted : shape (frames, 4, 3), m, fitted places of the body's markers; (frames, 0, 3) without a
-        body
-    quality : shape (frames, 4), Motive's figure for each of them, up to 1; (frames, 0) without
-    labels : label of each marker along the specimen, in order
+    bodies : the clamp; empty in three-point bending
+    fitted : shape (frames, 4, 3), m, fitted positions of the markers of the body; (frames, 0, 3)
+        without a body
+    quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
+    labels : of the markers along the specimen, in order
     arc_lengths : shape (markers along the specimen,), m
-    log : mishaps
+    log : mishaps, in the order in which they are applied
     """
 
     time: Floats
@@ -408,11 +413,6 @@ class Take:
     labels: tuple[str, ...]
     arc_lengths: Floats
     log: tuple[MishapEvent, ...]
-
-    @property
-    def body(self) -> RigidBody:
-        """Return the clamp."""
-        return self.bodies[0]
 
     def recording(self) -> Recording:
         """Return the take as read from an export in metres with six decimals."""
@@ -441,7 +441,7 @@ def film_cantilever(
     schedule: Schedule,
     random: np.random.Generator,
 ) -> Take:
-    """Film a cantilever test.
+    """Simulate the cameras in a cantilever test.
 
     Parameters
     ----------
@@ -458,23 +458,25 @@ def film_cantilever(
     progress = schedule.progress_at(schedule.frame_times)
     drop = np.zeros((len(progress), 3))
     drop[:, 1] = -path.travel(progress)
-    pivot = _in_lab(drop + np.asarray(layout.pivot), pose)
+    pivot = _transform_to_lab(drop + np.asarray(layout.pivot), pose)
     body, fitted = _film_body(pivot, layout, random)
     arc_lengths = np.array(layout.arc_lengths(scenario.mechanics.length))
-    wire = wire_markers(path, progress, arc_lengths, layout.centre_offset) + drop[:, None, :]
-    seen = np.concatenate([pivot[:, None, :] + BODY_MARKERS, _in_lab(wire, pose)], axis=1)
-    seen += layout.noise * random.standard_normal(seen.shape)
-    labels = _labels("Wire", layout.n_markers, layout.scrambled, random)
-    names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS))) + labels
-    names, seen, log = apply_mishaps(
-        names, seen, scenario.mishaps, schedule, n_body=len(BODY_MARKERS), random=random
+    wire = place_wire_markers(path, progress, arc_lengths, layout.centre_offset) + drop[:, None, :]
+    observed = np.concatenate(
+        [pivot[:, None, :] + BODY_MARKERS, _transform_to_lab(wire, pose)], axis=1
     )
-    names, seen = _in_order_of_labels(names, seen)
+    observed += layout.noise * random.standard_normal(observed.shape)
+    labels = _draw_labels("Wire", layout.n_markers, layout.scrambled, random)
+    names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS))) + labels
+    names, observed, log = apply_mishaps(
+        names, observed, scenario.mishaps, schedule, n_body=len(BODY_MARKERS), random=random
+    )
+    names, observed = _sort_columns(names, observed)
     return Take(
         time=schedule.frame_clock,
         rate=scenario.clocks.fps,
         names=names,
-        positions=seen,
+        positions=observed,
         bodies=(body,),
         fitted=fitted,
         quality=np.clip(1.0 - np.abs(0.01 * random.standard_normal(fitted.shape[:2])), 0.0, 1.0),
@@ -487,46 +489,46 @@ def film_cantilever(
 def film_conduit(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
 ) -> Take:
-    """Film a three-point test.
+    """Simulate the cameras in a three-point test.
 
     Parameters
     ----------
     path : the solved test
     scenario : markers, pose and clocks
     schedule : of the motion and the recordings
-    random : source of the noise and of the labels' order
+    random : source of the noise and of the order of the labels
 
     Returns
     -------
-    The take: no body; labels in the order of `marker_places`.
+    The take, without a body; its labels are in the order of `list_marker_places`.
     """
     markers = scenario.markers
     progress = schedule.progress_at(schedule.frame_times)
-    seen = _in_lab(cylinder_markers(path, markers, progress), scenario.pose)
-    seen += markers.noise * random.standard_normal(seen.shape)
-    labels = _labels("Bundle", seen.shape[1], markers.scrambled, random)
-    names, seen = _in_order_of_labels(labels, seen)
+    observed = _transform_to_lab(place_cylinder_markers(path, markers, progress), scenario.pose)
+    observed += markers.noise * random.standard_normal(observed.shape)
+    labels = _draw_labels("Bundle", observed.shape[1], markers.scrambled, random)
+    names, observed = _sort_columns(labels, observed)
     return Take(
         time=schedule.frame_clock,
         rate=scenario.clocks.fps,
         names=names,
-        positions=seen,
+        positions=observed,
         bodies=(),
         fitted=np.zeros((len(progress), 0, 3)),
         quality=np.zeros((len(progress), 0)),
         labels=labels,
-        arc_lengths=marker_places(markers)[0],
+        arc_lengths=list_marker_places(markers)[0],
         log=(),
     )
 
 
-def _in_lab(positions: Floats, pose: Pose) -> Floats:
+def _transform_to_lab(positions: Floats, pose: Pose) -> Floats:
     """Transform positions from the specimen frame to the motion-capture frame, m."""
     turned: Floats = positions @ pose.rotation().T + np.asarray(pose.origin)
     return turned
 
 
-def _labels(
+def _draw_labels(
     group: str, number: int, scrambled: bool, random: np.random.Generator
 ) -> tuple[str, ...]:
     numbers = np.arange(number)
@@ -535,21 +537,21 @@ def _labels(
     return tuple(f"{group}:Marker{number + 1}" for number in numbers)
 
 
-def _in_order_of_labels(names: tuple[str, ...], seen: Floats) -> tuple[tuple[str, ...], Floats]:
-    """Sort columns as Motive does: bodies first, numbers in order, unlabelled points last."""
+def _sort_columns(names: tuple[str, ...], observed: Floats) -> tuple[tuple[str, ...], Floats]:
+    """Sort columns as Motive does: bodies first, then numbers, unlabelled markers last."""
 
     def rank(column: int) -> tuple[int, int]:
         group, _, number = names[column].partition(":Marker")
         return (2, 0) if not number else (int(group != BODY), int(number))
 
     order = sorted(range(len(names)), key=rank)
-    return tuple(names[column] for column in order), seen[:, order]
+    return tuple(names[column] for column in order), observed[:, order]
 
 
-def wire_markers(
+def place_wire_markers(
     path: MechanicalPath, progress: Floats, arc_lengths: Floats, centre_offset: float
 ) -> Floats:
-    """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
+    """Compute marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
     x, y, angle = path.points(progress, arc_lengths)
     centres = [x - centre_offset * np.sin(angle), y + centre_offset * np.cos(angle)]
     return np.stack([*centres, np.zeros_like(x)], axis=2)
@@ -564,32 +566,34 @@ def _film_body(
     turns = layout.turn_noise * random.standard_normal((frames, 3))
     quaternion = np.column_stack([0.5 * turns, np.ones(frames)])  # small turns about x, y, z
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    swung = np.cross(turns[:, None, :], BODY_MARKERS[None])
+    turned = np.cross(turns[:, None, :], BODY_MARKERS[None])
     error = layout.noise * (1.5 + 0.2 * random.standard_normal(frames))
     body = RigidBody(BODY, position, quaternion, np.abs(error))
-    return body, position[:, None, :] + BODY_MARKERS + swung
+    return body, position[:, None, :] + BODY_MARKERS + turned
 
 
-def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
-    """Return arc length from mid-span, m, and angle at rest, rad, of all markers, line by line."""
+def list_marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
+    """Return arc length from mid-span, m, and angle at rest, rad, of the markers of all lines."""
     half = markers.n_sections // 2
     sections = markers.spacing * np.arange(-half, half + 1)
     angles = np.repeat(markers.angles, len(sections))
     return np.tile(sections, len(markers.angles)), angles
 
 
-def twist_at(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
+def compute_twist(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
     """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
     travel, _, _ = path.middle(progress)
     turned: Floats = markers.twist * travel / path.test.stroke
     return turned
 
 
-def cylinder_markers(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
-    """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
-    sections, angles = marker_places(markers)
+def place_cylinder_markers(
+    path: ThreePointPath, markers: CylinderMarkers, progress: Floats
+) -> Floats:
+    """Compute marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
+    sections, angles = list_marker_places(markers)
     x, y, turn = path.points(progress, sections)
-    rolled_angles = angles - twist_at(path, markers, progress)[:, None]
+    rolled_angles = angles - compute_twist(path, markers, progress)[:, None]
     up = markers.centre_offset * np.sin(rolled_angles)
     out = markers.centre_offset * np.cos(rolled_angles)
     centres: Floats = np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2)
@@ -609,43 +613,41 @@ def apply_mishaps(
 
     Parameters
     ----------
-    names : of the markers, the body's first, the wire's from the clamp on after them
+    names : of the markers of the body, then of those of the wire from the clamp on
     positions : shape (frames, markers, 3), m
     mishaps : to apply
     schedule : gaps occur while the clamp moves
-    n_body : number of the body's markers
+    n_body : number of markers of the body
     random : source of the gaps
 
     Returns
     -------
-    Names and positions with the mishaps, and their list. Gaps belong to markers, not to labels: a
-    gap during a switch appears under the other label.
+    Names and positions with the mishaps, and the list of mishaps. A gap belongs to a marker, not to
+    a label: during a switch it appears under the other label.
     """
     frames, n_wire = len(positions), positions.shape[1] - n_body
-    log = _events(mishaps, schedule, n_wire, random)
-    seen = positions.copy()
+    log = _draw_events(mishaps, schedule, n_wire, random)
+    observed = positions.copy()
     extra = np.full((frames, 1, 3), np.nan)
     for event in log:
         during, columns = slice(event.start, event.stop), [m + n_body for m in event.markers]
         match event.kind:
             case "gap":
-                seen[during, columns] = np.nan
-            case "frozen":
-                seen[during, columns] = seen[event.start, columns]
+                observed[during, columns] = np.nan
             case "unlabelled":
-                extra[during, 0] = seen[during, columns[0]]
-                seen[during, columns] = np.nan
+                extra[during, 0] = observed[during, columns[0]]
+                observed[during, columns] = np.nan
             case _:
-                seen[during, columns] = seen[during, columns[::-1]]
+                observed[during, columns] = observed[during, columns[::-1]]
     if any(event.kind == "unlabelled" for event in log):
-        return (*names, UNLABELLED), np.concatenate([seen, extra], axis=1), log
-    return names, seen, log
+        return (*names, UNLABELLED), np.concatenate([observed, extra], axis=1), log
+    return names, observed, log
 
 
-def _events(
+def _draw_events(
     mishaps: Mishaps, schedule: Schedule, n_wire: int, random: np.random.Generator
 ) -> tuple[MishapEvent, ...]:
-    """Draw frames and markers: mishaps of markers first, of labels last."""
+    """Draw frames and markers of all mishaps: gaps first, swapped labels last."""
     time = schedule.frame_times
     first, last = np.searchsorted(time, schedule.turning_times[[0, -1]])
     lengths = list(random.integers(2, 16, mishaps.n_gaps))
@@ -655,8 +657,8 @@ def _events(
     for length in lengths:
         start = int(random.integers(first, max(first + 1, last - length)))
         log.append(MishapEvent("gap", (int(random.integers(n_wire)),), start, start + int(length)))
-    stretches = (("frozen", mishaps.frozen, 1), ("unlabelled", mishaps.unlabelled, 1))
-    for kind, stretch, n_markers in (*stretches, ("switch", mishaps.switch, 2)):
+    stretches = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
+    for kind, stretch, n_markers in stretches:
         if stretch is not None:
             markers = tuple(range(stretch.marker, stretch.marker + n_markers))
             start, stop = (int(share * len(time)) for share in (stretch.start, stretch.stop))

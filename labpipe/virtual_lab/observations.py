@@ -1,10 +1,10 @@
-"""Run a virtual test, in memory or on disk: exports, test sheet and truth.
+"""Simulation of a virtual test, in memory or on disk: exports, test sheet and truth.
 
-A test sheet states the nominal gain of the load cell, never the true one, and overrides the shipped
-protocol only where the scenario's rig differs from it.
+The test sheet states the nominal gain of the load cell, not the true one. It overrides the shipped
+protocol only where the virtual rig differs from it.
 
-``truth.json`` (SI; frames, signs and clocks of `virtual_lab.truth`) is for checking; the processing
-never reads it.
+``truth.json`` holds the true values in SI, with frames, signs and clocks as in
+`virtual_lab.truth`. The processing never reads it.
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ from labpipe.virtual_lab.truth import (
 from labpipe.virtual_lab.vendor_exports import (
     Run,
     write_control_desk,
-    write_frame,
     write_motive,
+    write_r_controller,
+    write_test_suite,
 )
 
 Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario
@@ -65,7 +66,7 @@ Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario
 RECORDER_FILES: Mapping[str, tuple[str, ...]] = {"force": ("force.mat",), "markers": ("take.csv",)}
 """Exports of force recorder and cameras, by role."""
 WIRE_SHEET = "wires.csv"
-_HEAD = "# A synthetic test, made by labpipe's virtual lab. Its truth stands in truth.json.\n"
+_HEAD = "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
 
 _WIRE_VALUES: Mapping[str, object] = {
     "sources.force.calibration.gain": "0.5 N/V",
@@ -124,21 +125,21 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]] = RECORDE
     sheet: dict[str, object] = {
         "test": scenario.name,
         "protocol": scenario.protocol,
-        "specimen": _specimen(scenario),
+        "specimen": _describe_specimen(scenario),
         "date": date.fromisoformat(scenario.date),
         "operator": "virtual lab",
         "files": {
             role: names[0] if len(names) == 1 else list(names) for role, names in files.items()
         },
     }
-    if overrides := _overrides(scenario):
+    if overrides := _list_overrides(scenario):
         sheet["overrides"] = overrides
     return _HEAD + yaml.safe_dump(
         sheet, sort_keys=False, allow_unicode=True, default_flow_style=None, width=200
     )
 
 
-def _specimen(scenario: Scenario) -> dict[str, object]:
+def _describe_specimen(scenario: Scenario) -> dict[str, object]:
     entries: dict[str, object] = {
         "type": scenario.specimen_type,
         "spool": scenario.spool,
@@ -146,25 +147,25 @@ def _specimen(scenario: Scenario) -> dict[str, object]:
     }
     match scenario:
         case TensileScenario():
-            return entries | {"length": _millimetres(scenario.length)}
+            return entries | {"length": _format_mm(scenario.length)}
         case ConduitScenario():
-            span = _millimetres(scenario.test.span)
-            return entries | {"span": span, "bundle": _bundle_entries(scenario.bundle)}
+            span = _format_mm(scenario.test.span)
+            return entries | {"span": span, "bundle": _describe_bundle(scenario.bundle)}
         case CantileverScenario():
             test = scenario.mechanics
-            entries["length"] = _millimetres(test.length)
+            entries["length"] = _format_mm(test.length)
             if test.mass_per_length:
                 entries["mass_per_length"] = f"{1e3 * test.mass_per_length:.6g} g/m"
             if isinstance(test.wire, BundleModel):
-                entries["bundle"] = _bundle_entries(test.wire)
+                entries["bundle"] = _describe_bundle(test.wire)
             return entries
 
 
-def _bundle_entries(bundle: BundleModel) -> dict[str, object]:
-    """Return the block ``bundle`` of a specimen; with two kinds of wires, also their places."""
+def _describe_bundle(bundle: BundleModel) -> dict[str, object]:
+    """Return the block ``bundle`` of a specimen, with positions for several types of wires."""
     entries: dict[str, object] = {
         "wires": {
-            name: {"number": number, "diameter": _millimetres(WIRES[name].diameter)}
+            name: {"number": number, "diameter": _format_mm(WIRES[name].diameter)}
             for name, number in bundle.wires
         },
         "number": bundle.number,
@@ -177,41 +178,41 @@ def _bundle_entries(bundle: BundleModel) -> dict[str, object]:
     covers = {"tape": bundle.tape, "taping": bundle.taping, "conduit": bundle.conduit}
     entries |= {key: value for key, value in covers.items() if value != NONE}
     if bundle.conduit_bore is not None:
-        entries["conduit_bore"] = _millimetres(bundle.conduit_bore)
+        entries["conduit_bore"] = _format_mm(bundle.conduit_bore)
     return entries
 
 
-def _overrides(scenario: Scenario) -> dict[str, dict[str, object]]:
+def _list_overrides(scenario: Scenario) -> dict[str, dict[str, object]]:
     """Return the differences from the protocol with their reasons, by key."""
     match scenario:
         case TensileScenario():
-            return _tensile_changes(scenario)
+            return _list_tensile_overrides(scenario)
         case ConduitScenario():
-            length, rig = scenario.test.stroke, _conduit_values(scenario)
+            length, rig = scenario.test.stroke, _list_conduit_values(scenario)
         case CantileverScenario():
-            length, rig = scenario.mechanics.stroke, _cantilever_values(scenario)
+            length, rig = scenario.mechanics.stroke, _list_cantilever_values(scenario)
     cell = scenario.load_cell
     values = {
         "sources.force.calibration.gain": f"{cell.gain:.10g} N/V",
         "sources.force.calibration.gain_uncertainty": f"{100 * cell.gain_uncertainty:.10g} %",
         "rig.crosshead_speed": f"{1e3 * scenario.speed:.10g} mm/s",
-        "rig.stroke": _millimetres(length),
-        "markers.centre_offset": _millimetres(scenario.markers.centre_offset),
+        "rig.stroke": _format_mm(length),
+        "markers.centre_offset": _format_mm(scenario.markers.centre_offset),
         **rig,
     }
-    usual = PROTOCOL_VALUES[scenario.protocol]
+    protocol_values = PROTOCOL_VALUES[scenario.protocol]
     return {
         key: {"value": values[key], "because": "the virtual rig is set so"}
-        for key, protocol_value in usual.items()
+        for key, protocol_value in protocol_values.items()
         if values[key] != protocol_value
     }
 
 
-def _tensile_changes(scenario: TensileScenario) -> dict[str, dict[str, object]]:
-    """Return differences from the protocol: certificate of the load cell, another size of tube."""
+def _list_tensile_overrides(scenario: TensileScenario) -> dict[str, dict[str, object]]:
+    """Return the differences from the protocol: uncertainty of the load cell, size of the tube."""
     sizes: dict[str, dict[str, object]] = {
         f"specimen.section.{name}": {
-            "value": _millimetres(size),
+            "value": _format_mm(size),
             "because": "a tube of another size",
         }
         for name, size in scenario.section
@@ -224,30 +225,29 @@ def _tensile_changes(scenario: TensileScenario) -> dict[str, dict[str, object]]:
     return {key: {"value": certificate, "because": "certificate of the load cell"}, **sizes}
 
 
-def _cantilever_values(scenario: CantileverScenario) -> dict[str, object]:
+def _list_cantilever_values(scenario: CantileverScenario) -> dict[str, object]:
     mechanics, markers = scenario.mechanics, scenario.markers
     return {
         "rig.cycles": mechanics.cycles,
-        "rig.string.length": _millimetres(mechanics.string_length),
+        "rig.string.length": _format_mm(mechanics.string_length),
         "rig.string.counterweight": f"{1e3 * mechanics.counterweight:.10g} g",
-        "markers.grip_offset": _millimetres(-markers.pivot[0]),
-        "markers.pull_offset": _millimetres(markers.pull_offset),
+        "markers.grip_offset": _format_mm(-markers.pivot[0]),
+        "markers.pull_offset": _format_mm(markers.pull_offset),
     }
 
 
-def _conduit_values(scenario: ConduitScenario) -> dict[str, object]:
-    return {"specimen.section.outer_diameter": _millimetres(2.0 * scenario.test.outer_radius)}
+def _list_conduit_values(scenario: ConduitScenario) -> dict[str, object]:
+    return {"specimen.section.outer_diameter": _format_mm(2.0 * scenario.test.outer_radius)}
 
 
 def write_wire_sheet(folder: Path) -> Path:
-    """Write the sheet of the virtual wires that `labpipe model` and `labpipe calibrate` read.
+    """Write the sheet of the virtual wires for `labpipe model` and `labpipe calibrate`.
 
-    It states what is known without a test: dimensions and materials. Friction is left to a
-    calibration.
+    The sheet states dimensions and materials, but no friction, which a calibration identifies.
 
     Parameters
     ----------
-    folder : made if it is not there
+    folder : created if it does not exist
 
     Returns
     -------
@@ -256,14 +256,14 @@ def write_wire_sheet(folder: Path) -> Path:
     text = StringIO()
     sheet = csv.writer(text, lineterminator="\n")
     sheet.writerow(_WIRE_COLUMNS)
-    sheet.writerows(_wire_row(wire) for wire in WIRES.values())
+    sheet.writerows(_format_wire_row(wire) for wire in WIRES.values())
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / WIRE_SHEET
     path.write_text(text.getvalue(), encoding="utf-8")
     return path
 
 
-def _wire_row(wire: StrandedWire) -> tuple[str, ...]:
+def _format_wire_row(wire: StrandedWire) -> tuple[str, ...]:
     return (
         wire.name,
         f"{1e3 * wire.diameter:.6g}",
@@ -275,7 +275,7 @@ def _wire_row(wire: StrandedWire) -> tuple[str, ...]:
     )
 
 
-def _millimetres(length: float) -> str:
+def _format_mm(length: float) -> str:
     return f"{1e3 * length:.10g} mm"
 
 
@@ -287,14 +287,14 @@ T = TypeVar("T", CantileverTruth, ConduitTruth)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendingObservation(Generic[S, T]):
-    """One virtual bending test: records of the instruments, and the truth.
+    """A virtual bending test: records of the instruments, and true values.
 
     Parameters
     ----------
     scenario, seed : inputs
     force_record, take : of force recorder and cameras
     truth : true values
-    frame_record : of the load frame, in three-point bending, if available
+    frame_record : of the load frame; None in the cantilever rig, or without its export
     """
 
     scenario: S
@@ -328,12 +328,12 @@ ConduitObservation: TypeAlias = BendingObservation[ConduitScenario, ConduitTruth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensileObservation:
-    """One virtual tensile test: record of the load frame, and the truth.
+    """A virtual tensile test: record of the load frame, and true values.
 
     Parameters
     ----------
     scenario, seed : inputs
-    record : source of the export
+    record : of the load frame
     truth : true values
     """
 
@@ -362,44 +362,48 @@ def observe(scenario: Scenario, seed: int) -> AnyObservation:
 
     Returns
     -------
-    The observation. Tests with equal mechanics share one solution: only the first takes seconds.
+    The observation. Tests with equal mechanics share one solution, so that only the first one takes
+    seconds.
 
     Raises
     ------
     ValueError
-        If the mechanics have no solution, a mishap names no marker, or a tensile test ends before
-        its second sample.
+        If the mechanics have no solution, or a tensile test has fewer than three samples.
+    IndexError
+        If a mishap names a marker that does not exist.
     """
     match scenario:
         case CantileverScenario():
-            wire, plan = solve_path(scenario.mechanics), plan_cantilever(scenario)
-            force, marker = _generators(seed, 2)
+            path, plan = solve_path(scenario.mechanics), plan_cantilever(scenario)
+            force, marker = _spawn_generators(seed, 2)
             return BendingObservation(
                 scenario,
                 seed,
-                record_cantilever_force(wire, scenario, plan, force),
-                film_cantilever(wire, scenario, plan, marker),
-                evaluate_cantilever(wire, plan),
+                record_cantilever_force(path, scenario, plan, force),
+                film_cantilever(path, scenario, plan, marker),
+                evaluate_cantilever(path, plan),
             )
         case ConduitScenario():
-            bundle, plan = solve_three_point(scenario.test), plan_conduit(scenario)
-            force, travel, marker = _generators(seed, 3)
-            is_kept = scenario.has_frame_export
+            bending_path, plan = solve_three_point(scenario.test), plan_conduit(scenario)
+            force, travel, marker = _spawn_generators(seed, 3)
+            has_frame = scenario.has_frame_export
             return BendingObservation(
                 scenario,
                 seed,
-                record_conduit_force(bundle, scenario, plan, force),
-                film_conduit(bundle, scenario, plan, marker),
-                evaluate_conduit(bundle, scenario, plan),
-                record_crosshead(bundle, scenario, plan, travel) if is_kept else None,
+                record_conduit_force(bending_path, scenario, plan, force),
+                film_conduit(bending_path, scenario, plan, marker),
+                evaluate_conduit(bending_path, scenario, plan),
+                record_crosshead(bending_path, scenario, plan, travel) if has_frame else None,
             )
         case TensileScenario():
-            path = TensilePath(scenario)
-            record = record_frame(path, np.random.default_rng(seed))
-            return TensileObservation(scenario, seed, record, evaluate_tensile(path, record.time))
+            tensile_path = TensilePath(scenario)
+            record = record_frame(tensile_path, np.random.default_rng(seed))
+            return TensileObservation(
+                scenario, seed, record, evaluate_tensile(tensile_path, record.time)
+            )
 
 
-def _generators(seed: int, number: int) -> list[np.random.Generator]:
+def _spawn_generators(seed: int, number: int) -> list[np.random.Generator]:
     """Return an independent generator per instrument."""
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(number)]
 
@@ -410,7 +414,7 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     Parameters
     ----------
     scenario : the test
-    folder : of this test; made if needed; files of the same names are replaced
+    folder : of this test; created if it does not exist; files of the same names are replaced
     seed : the same seed gives identical files
 
     Returns
@@ -444,14 +448,17 @@ def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str,
     started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
     run = Run(scenario.name, started, observation.seed)
     if isinstance(observation, TensileObservation):
-        return {"frame": write_frame(folder, observation.record, observation.scenario.export, run)}
+        record, layout = observation.record, observation.scenario.export
+        if layout.force_unit == "lbf":
+            return {"frame": write_r_controller(folder, record, run)}
+        return {"frame": write_test_suite(folder, record, layout, run)}
     (force,), (markers,) = RECORDER_FILES.values()
     write_control_desk(folder / force, observation.force_record, run)
     write_motive(folder / markers, observation.take, run, unit=observation.scenario.length_unit)
     if observation.frame_record is None:
         return RECORDER_FILES
     layout, test_type = ExportLayout(force_unit="N"), "three-point bending test"
-    frame = write_frame(folder, observation.frame_record, layout, run, test_type=test_type)
+    frame = write_test_suite(folder, observation.frame_record, layout, run, test_type=test_type)
     return {**RECORDER_FILES, "frame": frame}
 
 
@@ -470,11 +477,11 @@ def truth_as_json(observation: AnyObservation) -> dict[str, object]:
     facts: dict[str, object] = {"synthetic": True, "seed": observation.seed}
     facts["scenario"] = asdict(observation.scenario)
     if not isinstance(observation, TensileObservation):
-        facts |= _bending_facts(observation)
+        facts |= _collect_bending_facts(observation)
     return facts | {key: _to_json(value) for key, value in asdict(observation.truth).items()}
 
 
-def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, object]:
+def _collect_bending_facts(observation: Observation | ConduitObservation) -> dict[str, object]:
     take, scenario = observation.take, observation.scenario
     gain = observation.force_record.true_gain
     markers = [
@@ -497,21 +504,21 @@ def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, o
         "rotation_specimen_to_lab": _to_json(scenario.pose.rotation()),
         "law": asdict(wire),
         **facts,
-        "first_loading": _first_loading(wire.law()),
+        "first_loading": _compute_first_loading(wire.law()),
         "markers": markers,
         "mishaps": [asdict(event) for event in take.log],
     }
 
 
-def _first_loading(law: MomentLaw) -> dict[str, object]:
-    """Return the corners of the law of first loading from zero, N m and 1/m."""
+def _compute_first_loading(law: MomentLaw) -> dict[str, object]:
+    """Return the corners of the law for first loading, N m and 1/m."""
     moment = np.concatenate([[0.0], law.half_widths])
     curvature = respond(law, moment, make_unbent_plays(law, len(moment))).curvature
     return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 
 def _to_json(value: object) -> object:
-    """Convert arrays to lists with 12 decimals."""
+    """Convert arrays to lists of numbers with 12 decimals."""
     match value:
         case np.ndarray() | np.floating():
             return np.round(value, 12).tolist()

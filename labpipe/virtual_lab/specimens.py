@@ -1,31 +1,31 @@
-"""Specimens of the virtual rigs: wires by law or strands, bars, and bundles of wires.
+"""Specimens of the virtual rigs and their laws: wires, an elastic bar, and bundles of wires.
 
-The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`fit_play_law`
-there): after a reversal strands slip and copper yields in the other direction at twice the size
-(Masing). Calibrations use the same physics, but another solution: `cantilever_scenarios` bends the
-wire station by station with a history, calibrations use the first integral. Bundles of
-wires are in `virtual_lab.specimens`.
+The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
+(`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
+the size (Masing). Calibrations use the same law but another solution: `cantilever_scenarios` bends
+the wire station by station with its history, whereas calibrations use the first integral.
 
-All wires share one curvature. The moment of a bundle is that of its wires, each bent about its own
-axis, and that of their axial forces, which neighbours and tape hold:
+All wires of a bundle have the same curvature. The moment of the bundle is the sum of the moments of
+its wires, each bent about its own axis, and of the moments of their axial forces, which are limited
+by friction between neighbours and by the tape:
 
     M(kappa) = sum M_i(kappa) + sum |y_i| min(h EA_i |y_i| kappa, T_i)
                               + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
 
-y_i is the distance of a wire from the neutral axis, EA_i the axial stiffness of its copper, h and g
-the shares of it that act: neighbours and glue hold the wires compliantly. Neighbours hold by
-friction, up to T_i = h EA_i c kappa_s, c the root mean square of y and kappa_s the curvature at
-which a wire at that distance slips (a wire twice as far slips at half of it). That is the kink. The
-tape's glue holds the outer wires until the strain kappa R at the bundle's radius R is e; then the
-tape slides on all of them at once. That is the plateau: the remaining tangent is that of the wires.
-The lever of a strongly bent bundle gets shorter, which alone increases the force by 1 % per
-millimetre; but a sliding tape holds the bundle less well: all slip moments are multiplied by 1 - q
-(kappa_max R / e - 1), with the largest curvature so far, kappa_max. If the glue outlasts the test,
-this does not occur.
+Here y_i is the distance of a wire from the neutral axis and EA_i the axial stiffness of its copper.
+The shares h and g of it are effective, because friction and glue are compliant. Friction between
+neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y and kappa_s the
+curvature at which a wire at that distance slips; a wire at twice the distance slips at half of it.
+This causes the kink. The glue of the tape holds the outer wires until the strain kappa R at the
+radius R of the bundle is e; then the tape slides on all of them at once. This causes the plateau,
+where only the wires themselves are stiff. Without further effects the force would still increase by
+1 % per millimetre, because the lever of a strongly bent bundle gets shorter. But a sliding tape
+holds the bundle less firmly: all slip moments are multiplied by 1 - q (kappa_max R / e - 1), where
+kappa_max is the largest curvature so far. If the tape does not slide, there is no such factor.
 
-Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule, so
-the bundle is one `PlayLaw`. Wires that have slipped lock: from the second cycle on all slip moments
-and slip curvatures are `locking` times as large.
+Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
+Therefore a bundle is one `PlayLaw`. Wires that have slipped lock: from the second cycle on, all
+slip moments and slip curvatures are multiplied by `locking`.
 """
 
 from __future__ import annotations
@@ -56,31 +56,32 @@ from labpipe.mechanics.wire.cross_section import (
 from labpipe.mechanics.wire.cyclic_law import harden
 from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 
 
-def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:
-    """Return the law with moments `factor` times as large at given curvatures.
+def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
+    """Multiply the moments of a law at given curvatures.
 
     Parameters
     ----------
-    law : of the plain specimen
-    factor : of a sample
-    later_slip : factor on moments and curvatures of slip
+    law : of the type
+    factor : on all moments
+    slip_factor : on moments and curvatures at which slip begins
     """
     return PlayLaw(
         law.stiffness * factor,
-        law.half_widths * factor * later_slip,
+        law.half_widths * factor * slip_factor,
         law.compliances / factor,
-        law.largest_moment * factor * later_slip,
+        law.largest_moment * factor * slip_factor,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class ElasticModel:
-    """An elastic bar, to compare the rig with textbooks.
+    """An elastic bar, with which a rig is compared with textbook solutions.
 
     Parameters
     ----------
@@ -103,11 +104,11 @@ class WireModel:
     Parameters
     ----------
     stick_stiffness : N m^2, of the first response and of unloading
-    stick_moment : N m, up to which everything sticks
-    slip_stiffness : N m^2, secant stiffness of the power law at `reference_moment` beyond that
+    stick_moment : N m, below which nothing slips
+    slip_stiffness : N m^2, secant stiffness of the power law at `reference_moment`
     reference_moment : N m
     hardening : exponent, 0 to 1
-    last_moment : N m, up to which the law is followed
+    last_moment : N m, end of the law
     n_plays : number of plays
     mass_per_length : kg/m
     """
@@ -147,19 +148,19 @@ class StrandedWire:
     ----------
     name : of the type
     n_strands : with the core
-    strand : m, diameter of a strand; of a compressed one, that of the circle with its area
-    lay_angles : rad, signed, one for each ring
+    strand : m, diameter of a strand; for a compressed strand, that of a circle of equal area
+    lay_angles : rad, signed, one for each ring of strands
     diameter : m, over the insulation
     wall : m, of the insulation
-    is_compressed : the strands are compressed without gaps; else they form a hexagon
+    is_compressed : whether the strands are compressed without gaps; otherwise they form a hexagon
     friction_strand, friction_insulation : coefficients mu_s and mu_p
-    radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
+    radial_force : F_rad of the insulation, N per radian of lay angle and strand of the outer ring
     insulation_modulus : Pa
     copper_scale : factor on the strength of annealed copper
     isotropic_share : of the hardening of the copper; 0 is Masing's rule
     factor : of this sample on all moments at given curvatures
-    largest_curvature : 1/m, end of the law; it is extrapolated linearly
-    n_plays : corners of the law, besides the onsets of slip
+    largest_curvature : 1/m, end of the law, which is extrapolated linearly
+    n_plays : number of corners of the law, in addition to the onsets of slip
     """
 
     name: str
@@ -185,7 +186,7 @@ class StrandedWire:
         Raises
         ------
         ValueError
-            If they do not fit, or a number is out of range.
+            If the strands do not fit, or a number is out of range.
         """
         copper = replace(ANNEALED_COPPER, strength=ANNEALED_COPPER.strength * self.copper_scale)
         layers = lay_up(self.n_strands, self.strand, self.lay_angles, copper)
@@ -215,7 +216,7 @@ class StrandedWire:
             largest_curvature=self.largest_curvature,
             n_plays=self.n_plays,
         )
-        return scaled_law(law, self.factor)
+        return scale_law(law, self.factor)
 
     def law(self) -> PlayLaw | MixedLaw:
         """Return the law of moment against curvature, with hysteresis: see `first_loading`."""
@@ -230,12 +231,12 @@ class StrandedWire:
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length, kg/m: copper over the strands' length, and PVC."""
+        """Return the mass per length, kg/m, of the copper of the laid strands, and of the PVC."""
         return self.section().mass_per_length()
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Return the calibration parameters by their names in `records.calibration`, SI."""
+        """Return the calibration parameters by their names in `records.wire_calibration`, SI."""
         coefficients = self.friction_strand + self.friction_insulation
         return {
             RADIAL_FRICTION: self.radial_force * coefficients,
@@ -274,8 +275,8 @@ WIRES = {
         ),
     )
 }
-"""Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into its wall of
-0.3 mm; here it is 0.2 mm."""
+"""Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into insulation of
+0.3 mm as stated there; here its thickness is 0.2 mm."""
 
 
 _PACKED, _, _ASYMMETRIC = ARRANGEMENTS
@@ -284,22 +285,22 @@ _SHELL_TOLERANCE = 1e-6  # of the pitch: distances from the centre within one sh
 
 @dataclass(frozen=True, slots=True)
 class BundleModel:
-    """A bundle defined by its parts.
+    """A bundle of wires, with friction, tape and conduit.
 
     Parameters
     ----------
-    wires : name in `WIRES` and number, of each kind
-    arrangement : one of `records.bundle.ARRANGEMENTS`; of two kinds, ``asymmetric`` has the second
-        on the side towards the pull, the others spread it over the section
+    wires : name in `WIRES` and number, of each type
+    arrangement : one of `records.harness_bundle.ARRANGEMENTS`. With two types, ``asymmetric`` has
+        the second type on the side of the pull; the other arrangements spread it over the section
     friction_share : h, of the axial stiffness that friction holds
     slip_curvature : kappa_s, 1/m
     glue_share : g, of the axial stiffness of the outer wires that the tape's glue holds
     glue_strain : e, at which the tape slides on the wires; None if it never does
-    slide_loss : q, share of the slip moments lost between the curvature at which the tape slides
-        and twice that curvature; at least half remains
-    locking : factor on slip from the second cycle on, at least 1
-    conduit_stiffness : N m^2, of a conduit around the bundle, elastic
-    tape, taping, conduit : values of `records.bundle.Bundle` for the test sheet
+    slide_loss : q, share of the slip moments that is lost between the curvature at which the tape
+        slides and twice that curvature; at least half of them remains
+    locking : factor on slip moments and curvatures from the second cycle on, at least 1
+    conduit_stiffness : N m^2, of an elastic conduit around the bundle
+    tape, taping, conduit : values of `records.harness_bundle.Bundle` for the test sheet
     conduit_bore : m, for the test sheet; None without a conduit
     factor : of this sample on all moments at given curvatures
     """
@@ -330,34 +331,34 @@ class BundleModel:
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
-    def law(self, cycle: int = 1, bent: float = 0.0) -> PlayLaw:
+    def law(self, cycle: int = 1, max_curvature: float = 0.0) -> PlayLaw:
         """Return the law of moment against curvature, with hysteresis.
 
         Parameters
         ----------
         cycle : counted from 1; the plays of one law are the history of the next
-        bent : 1/m, largest curvature so far
+        max_curvature : 1/m, largest curvature so far
 
         Raises
         ------
         ValueError
             If the wires do not make a bundle.
         """
-        plain = _plain_law(replace(self, factor=1.0))
-        grown = self.held(bent) * (1.0 if cycle == 1 else self.locking)
-        return scaled_law(plain, self.factor, grown)
+        plain = _build_law(replace(self, factor=1.0))
+        grown = self.held(max_curvature) * (1.0 if cycle == 1 else self.locking)
+        return scale_law(plain, self.factor, grown)
 
-    def held(self, bent: float) -> float:
+    def held(self, max_curvature: float) -> float:
         """Return the remaining share of all slip moments at a largest curvature, 1/m."""
         min_sticking_share = 0.5
         if self.glue_strain is None:
             return 1.0
-        slid = max(0.0, bent * self.radius / self.glue_strain - 1.0)
+        slid = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
         return max(min_sticking_share, 1.0 - self.slide_loss * slid)
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length of the wires, kg/m; tape and conduit are left out."""
+        """Return the mass per length of the wires, kg/m, without tape and conduit."""
         return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
 
     def scaled(self, factor: float) -> BundleModel:
@@ -368,11 +369,13 @@ class BundleModel:
     def stiffnesses(self) -> Mapping[str, float]:
         """Return the contributions to the bending stiffness at first loading, N m^2.
 
-        ``wires`` each about its own axis; ``friction`` and ``glue`` between them; ``conduit``;
-        ``initial`` their sum; ``rigid`` for a plane section.
+        ``wires``, each about its own axis; ``friction``; ``glue``; ``conduit``; ``initial``, the
+        sum of these; ``rigid``, of a section that stays plane.
         """
-        wires = sum(number * _wire(name).law().stiffness for name, number in self.wires)
-        rigid, outer = (float(np.sum(stiffness)) for stiffness in _axial_terms(lay_wires(self)))
+        wires = sum(number * _get_wire(name).law().stiffness for name, number in self.wires)
+        rigid, outer = (
+            float(np.sum(stiffness)) for stiffness in _compute_axial_terms(lay_wires(self))
+        )
         parts = {
             "wires": float(wires),
             "friction": self.friction_share * rigid,
@@ -385,7 +388,7 @@ class BundleModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePlaces:
-    """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its kinds.
+    """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its types.
 
     Parameters
     ----------
@@ -403,7 +406,7 @@ class WirePlaces:
 
 
 def lay_wires(bundle: BundleModel) -> WirePlaces:
-    """Lay the wires in shells of the densest lattice, around a wire or between three.
+    """Lay the wires in shells of the densest lattice, around a wire or around a gap.
 
     Parameters
     ----------
@@ -415,7 +418,7 @@ def lay_wires(bundle: BundleModel) -> WirePlaces:
         If the wires do not fill shells.
     """
     pitch = max(WIRES[name].diameter for name, _ in bundle.wires)
-    places, is_outer = _shells(bundle.number)
+    places, is_outer = _fill_shells(bundle.number)
     order = _order_by_kind(places, bundle)
     x, y = pitch * places[order].T
     kinds = [name for name, number in bundle.wires for _ in range(number)]
@@ -426,8 +429,8 @@ def lay_wires(bundle: BundleModel) -> WirePlaces:
     return WirePlaces(x - neutral[0], y - neutral[1], diameter, axial, is_outer[order])
 
 
-def _shells(number: int) -> tuple[Floats, Flags]:
-    """Return the places of full shells, in pitches, shape (number, 2), and which are outside."""
+def _fill_shells(number: int) -> tuple[Floats, Flags]:
+    """Return the places of full shells in pitches, shape (number, 2), and which are outer."""
     for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
@@ -437,57 +440,56 @@ def _shells(number: int) -> tuple[Floats, Flags]:
         first, last = distance[order[number - 1 : number + 1]]
         if last - first > _SHELL_TOLERANCE:
             inside = places[order[:number]]
-            return inside, _neighbours(inside) < 6
-    message = f"wires: expected a number that fills shells (3, 7, 12, 19, 27), found {number}"
-    raise ValueError(message)
+            return inside, _count_neighbours(inside) < 6
+    raise ValueError(format_sentence("virtual_lab.open_shell", number=number))
 
 
-def _neighbours(places: Floats) -> Ints:
+def _count_neighbours(places: Floats) -> Ints:
     gaps = np.hypot(*(places[:, None, :] - places[None]).transpose(2, 0, 1))
     touching: Ints = np.sum(np.abs(gaps - 1.0) < _SHELL_TOLERANCE, axis=1)
     return touching
 
 
 def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
-    """Return the place of each wire, with the wires of the first kind first."""
+    """Return the order of the places for wires of the first type, then those of the second."""
     first = bundle.wires[0][1]
     order = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
         return order
-    # the second kind is spread evenly over the shells
+    # the second type is spread evenly over the shells
     share = (len(places) - first) / len(places)
     is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
-def _wire(name: str) -> StrandedWire:
+def _get_wire(name: str) -> StrandedWire:
     return replace(WIRES[name], n_plays=24)
 
 
-def _axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
+def _compute_axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
     """Return EA y^2 of each wire, and of the wires that touch the tape, N m^2."""
     rigid = layout.axial * layout.y**2
     return rigid, rigid * layout.is_outer
 
 
 @lru_cache(maxsize=64)
-def _plain_law(bundle: BundleModel) -> PlayLaw:
-    """Return the law of the first cycle: a polygon with the corners of all wires and sliders."""
-    limits, stiffnesses = _sliders(bundle)
-    wires = [(number, _wire(name).first_loading()) for name, number in bundle.wires]
-    last = min(_wire(name).largest_curvature for name, _ in bundle.wires)
+def _build_law(bundle: BundleModel) -> PlayLaw:
+    """Return the law of the first cycle, a polygon with the corners of all wires and sliders."""
+    limits, stiffnesses = _build_sliders(bundle)
+    wires = [(number, _get_wire(name).first_loading()) for name, number in bundle.wires]
+    last = min(_get_wire(name).largest_curvature for name, _ in bundle.wires)
     knots = _merge_corners([*(find_corners(law)[1] for _, law in wires), limits], last)
     moment = bundle.conduit_stiffness * knots
     for number, law in wires:
-        moment += number * _moment(law, knots)
+        moment += number * _compute_moment(law, knots)
     moment += np.minimum(knots[:, None], limits) @ stiffnesses
     return make_polygon_law(knots, moment)
 
 
-def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
+def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     """Return the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
     layout = lay_wires(bundle)
-    rigid, outer = _axial_terms(layout)
+    rigid, outer = _compute_axial_terms(layout)
     off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[off_axis])
     mean = float(np.sqrt(np.mean(distance**2)))
@@ -498,11 +500,11 @@ def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     return np.append(limits, glue), np.append(stiffnesses, held)
 
 
-def _moment(law: PlayLaw, curvature: Floats) -> Floats:
+def _compute_moment(law: PlayLaw, curvature: Floats) -> Floats:
     """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
-    moment, bent, slopes = find_corners(law)
-    beyond = np.maximum(curvature - bent[-1], 0.0) / slopes[-1]
-    moments: Floats = np.interp(curvature, bent, moment) + beyond
+    moment, curvatures, slopes = find_corners(law)
+    beyond = np.maximum(curvature - curvatures[-1], 0.0) / slopes[-1]
+    moments: Floats = np.interp(curvature, curvatures, moment) + beyond
     return moments
 
 
@@ -532,4 +534,4 @@ TAPED_TYPES = {
     "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
     "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
 }
-"""The taped bundles of the dissertation's Table 4.1; the glue of PET tape never slides."""
+"""Taped bundles of the dissertation's Table 4.1, by type; PET tape never slides."""

@@ -1,13 +1,13 @@
-"""A virtual tensile test: settings, the dissertation's samples, and the force over time.
+"""Virtual tensile tests: settings, samples of the dissertation, and force over time.
 
 Everything is SI. Displacement is that of the crosshead from its position before the test; force is
-the tension in the specimen. The specimen is slack at first; its *foot* is the displacement at which
-its first straight region, extrapolated, meets zero force.
+the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at which
+its first straight region, extrapolated, reaches zero force.
 
-Sizes, speeds and the stiffness of the twist tubes are those of sections 2.2 and 2.3 and Table 2.3
-of the dissertation; forces not given there are plausible values.
+Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3 and from Table 2.3
+of the dissertation. Forces that it does not state are plausible values.
 
-The path is continuous and free of noise. The crosshead starts at time zero.
+The path is continuous and without noise. The crosshead starts at time zero.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class BilinearLaw:
-    """Force of the specimen against the distance between its ends: slack, toe, two straight lines.
+    """Force of the specimen against the displacement of its ends: slack, toe, two straight lines.
 
     Parameters
     ----------
     stiffness_first, stiffness_second : N/m
     break_point : m, from the foot to the intersection of the two straight lines
-    knee : m, length of the transition between them, half of it on either side of the break point;
-        0 for a corner; toe and knee do not overlap
-    slack : m, distance without force
+    knee : m, length of the transition between the two lines, half of it on either side of the break
+        point; 0 for a corner; toe and knee must not overlap
+    slack : m, displacement without force
     toe : m, length over which the slope grows from zero to the first stiffness; 0 for a corner
     """
 
@@ -42,7 +42,7 @@ class BilinearLaw:
 
     @property
     def foot(self) -> float:
-        """Return the distance at which the first straight line meets zero force, m."""
+        """Return the displacement at which the first straight line reaches zero force, m."""
         return self.slack + 0.5 * self.toe
 
     def scaled(self, factor: float) -> BilinearLaw:
@@ -58,7 +58,7 @@ class GripSlip:
     Parameters
     ----------
     position : m, displacement at which the force begins to fall
-    drop : N, force lost; the force continues lower by this
+    drop : N, by which the force is lower from then on
     duration : s, of the drop
     """
 
@@ -75,8 +75,8 @@ class Failure:
     ----------
     displacement : m, at which the force begins to drop
     duration : s, of the drop
-    residue : share of the force still held by a few fibres
-    tail : s, time constant of the failure of these fibres
+    residue : share of the force that a few fibres still carry
+    tail : s, time constant with which these fibres fail
     """
 
     displacement: float
@@ -92,9 +92,9 @@ class LoadFrame:
     Parameters
     ----------
     speed : m/s, of the crosshead
-    stroke : m, at which it stops if the specimen has not failed before
-    overrun : s, of motion after the failure, or of rest at full stroke
-    unloads : it returns to its start; only without a failure
+    stroke : m, at which the crosshead stops if the specimen has not failed before
+    overrun : s, motion after the failure, or rest at full stroke
+    unloads : whether the crosshead returns to its start; only without a failure
     compliance : m/N, of frame, load cell and grips, in series with the specimen
     """
 
@@ -113,9 +113,9 @@ class FrameInstruments:
     ----------
     rate : Hz
     first_sample : s, time of the first sample after the crosshead has started
-    last_step : time between the last two samples, in sampling steps; the program stops off the grid
+    last_step : time between the last two samples, in sampling steps; recording stops off the grid
     white_noise : N, rms
-    slow_noise : N, rms, of a noise that is correlated over `correlation_time`
+    slow_noise : N, rms, of noise that is correlated over `correlation_time`
     correlation_time : s, at which the correlation is 1/e
     displacement_noise : m, rms, white
     displacement_step : m, resolution; 0 for none
@@ -148,8 +148,8 @@ class ExportLayout:
     Parameters
     ----------
     force_unit : ``N`` or ``kN`` for MTS TestSuite, ``lbf`` for TestResources R-Controller
-    part_at : s, at which TestSuite begins another acquisition step; it writes both to two files,
-        not numbered in the order of time, and a third one without samples; None for one file
+    part_at : s, at which TestSuite begins another acquisition step. It then writes three files: one
+        for each step, not numbered in the order of time, and one without samples. None for one file
     """
 
     force_unit: str = "kN"
@@ -227,11 +227,13 @@ _R_CONTROLLER = FrameInstruments(
     displacement_tare=1.016e-3,
     gain_uncertainty=GAIN_UNCERTAINTY,
 )
-"""A 500 lbf load cell and a displacement sensor that reads to 1/10000 inch."""
+"""A 500 lbf load cell, and a displacement sensor with a resolution of 1/10000 inch."""
 
 
-def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) -> TensileScenario:
-    """Return a test of a corrugated tube of 10 mm: no slip, no failure, stopped at 50 mm.
+def build_corrugated_tube(
+    name: str, *, factor: float = 1.0, gain_error: float = 0.0
+) -> TensileScenario:
+    """Build a test of a corrugated tube of 10 mm, without slip and failure, to 50 mm.
 
     Parameters
     ----------
@@ -255,7 +257,7 @@ def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) 
     )
 
 
-def twist_tube(
+def build_twist_tube(
     sample: str,
     *,
     peak_force: float = 420.0,
@@ -263,7 +265,7 @@ def twist_tube(
     break_point: float = 8.0e-3,
     gain_error: float = 0.0,
 ) -> TensileScenario:
-    """Return a test of a twist tube of Table 2.3, pulled to failure.
+    """Build a test of a twist tube of Table 2.3, pulled to failure.
 
     Parameters
     ----------
@@ -275,13 +277,13 @@ def twist_tube(
 
     Notes
     -----
-    The table's numbers include the compliance of the frame. The displacement at failure follows:
-    1 = n1 b + n2 (d - b), with d the displacement from the foot and b the break point.
+    The numbers of the table include the compliance of the frame. The displacement d at failure,
+    from the foot, follows from 1 = n1 b + n2 (d - b), where b is the break point.
     """
     first, second = TABLE_2_3[sample]
     law = BilinearLaw(
-        stiffness_first=_without_frame(first * peak_force),
-        stiffness_second=_without_frame(second * peak_force),
+        stiffness_first=_remove_compliance(first * peak_force),
+        stiffness_second=_remove_compliance(second * peak_force),
         break_point=break_point * (1.0 - FRAME_COMPLIANCE * first * peak_force),
         knee=1.0e-3,
         slack=slack,
@@ -297,27 +299,27 @@ def twist_tube(
         length=75e-3,
         law=law,
         frame=LoadFrame(speed=5e-3, stroke=60e-3, overrun=0.31, compliance=FRAME_COMPLIANCE),
-        instruments=_test_suite(100.0, gain_error),
+        instruments=_build_instruments(100.0, gain_error),
         failure=Failure(tears_at, duration=0.02, residue=0.03, tail=0.15),
         export=ExportLayout("kN"),
         date="2026-03-10",
     )
 
 
-def _without_frame(stiffness: float) -> float:
+def _remove_compliance(stiffness: float) -> float:
     """Return the stiffness of the specimen alone, without the compliance of the MTS frame."""
     return stiffness / (1.0 - FRAME_COMPLIANCE * stiffness)
 
 
-def pet_tape(
+def build_pet_tape(
     sample: str, *, factor: float = 1.0, fails_at: float = 60e-3, gain_error: float = 0.0
 ) -> TensileScenario:
-    """Return a test of a PET tape, pulled to failure, with a few remaining fibres.
+    """Build a test of a PET tape, pulled to failure, of which a few fibres remain.
 
     Parameters
     ----------
-    sample : counted over both spools: 1 to 3 of the first, 4 and 5 of the second
-    factor : on its forces
+    sample : number over both spools: 1 to 3 are of the first, 4 and 5 of the second
+    factor : on the forces
     fails_at : m, displacement
     gain_error : of the load cell
     """
@@ -330,21 +332,21 @@ def pet_tape(
         length=0.3,
         law=_TAPE.scaled(factor),
         frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=FRAME_COMPLIANCE),
-        instruments=_test_suite(20.0, gain_error),
+        instruments=_build_instruments(20.0, gain_error),
         failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
         export=ExportLayout("N"),
         date="2026-03-11",
     )
 
 
-def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
-    """Return a test of a steel bar of 12 mm, which measures the compliance of the MTS frame.
+def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
+    """Build a test of a steel bar of 12 mm, which measures the compliance of the MTS frame.
 
     Parameters
     ----------
     gain_error : of the load cell
     """
-    usual = _test_suite(10.0, gain_error)
+    instruments = _build_instruments(10.0, gain_error)
     return TensileScenario(
         name="stiff-bar-1",
         protocol="stiff-bar",
@@ -354,13 +356,13 @@ def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
         length=0.15,
         law=_BAR,
         frame=LoadFrame(speed=5e-6, stroke=0.35e-3, overrun=0.52, compliance=FRAME_COMPLIANCE),
-        instruments=replace(usual, displacement_noise=2e-8, displacement_tare=0.0),
+        instruments=replace(instruments, displacement_noise=2e-8, displacement_tare=0.0),
         export=ExportLayout("kN"),
         date="2026-03-11",
     )
 
 
-def _test_suite(rate: float, gain_error: float) -> FrameInstruments:
+def _build_instruments(rate: float, gain_error: float) -> FrameInstruments:
     """Return the instruments of the MTS frame with a 50 kN load cell, oversized for these tests."""
     return FrameInstruments(
         rate=rate,
@@ -380,8 +382,8 @@ _TABLE_POINTS = 200_001
 """Points of the table for specimen and machine in series, whose error is below 1e-7 N."""
 
 
-def rounded_ramp(distance: Floats, width: float) -> Floats:
-    """Return a ramp: zero, then slope 1, with the corner rounded over `width`.
+def compute_ramp(distance: Floats, width: float) -> Floats:
+    """Compute a ramp: zero, then slope 1, with a corner rounded over `width`.
 
     Parameters
     ----------
@@ -399,8 +401,8 @@ def rounded_ramp(distance: Floats, width: float) -> Floats:
     return np.where(np.abs(distance) < 0.5 * width, within, ramp)
 
 
-def specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
-    """Return the force of the specimen alone, first loading.
+def compute_specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
+    """Compute the force of the specimen alone at first loading.
 
     Parameters
     ----------
@@ -413,17 +415,17 @@ def specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
 
     Notes
     -----
-    F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), r the rounded ramp; outside
-    toe and knee these are exactly the two straight lines.
+    F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where r is `compute_ramp`.
+    Outside toe and knee these are exactly the two straight lines.
     """
     taut = distance - law.foot
     bend = law.stiffness_second - law.stiffness_first
-    first: Floats = law.stiffness_first * rounded_ramp(taut, law.toe)
-    return first + bend * rounded_ramp(taut - law.break_point, law.knee)
+    first: Floats = law.stiffness_first * compute_ramp(taut, law.toe)
+    return first + bend * compute_ramp(taut - law.break_point, law.knee)
 
 
-def loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> Floats:
-    """Return the force of specimen and machine in series, first loading, no slips, no failure.
+def compute_loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> Floats:
+    """Compute the force of specimen and machine in series at first loading, without slips.
 
     Parameters
     ----------
@@ -440,9 +442,9 @@ def loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> 
     The crosshead is at d = distance + compliance F(distance), which is tabulated and interpolated.
     """
     if compliance == 0.0:
-        return specimen_force(law, displacement)
+        return compute_specimen_force(law, displacement)
     distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
-    force = specimen_force(law, distance)
+    force = compute_specimen_force(law, distance)
     return np.interp(displacement, distance + compliance * force, force)
 
 
@@ -485,7 +487,7 @@ class TensilePath:
         before = np.minimum(time, self.last_time)
         force = self._loading(before)
         if scenario.failure is not None:
-            return force * _share_left(scenario.failure, time - self.last_time)
+            return force * _compute_remaining_share(scenario.failure, time - self.last_time)
         if not scenario.frame.unloads:
             return force
         turned = time > self.last_time + scenario.frame.overrun
@@ -494,9 +496,9 @@ class TensilePath:
     def _loading(self, time: Floats) -> Floats:
         scenario = self.scenario
         displacement = self.displacement(time)
-        force = loading_force(scenario.law, scenario.frame.compliance, displacement)
+        force = compute_loading_force(scenario.law, scenario.frame.compliance, displacement)
         for slip in scenario.slips:
-            force = force - _lost(slip, time - slip.position / scenario.frame.speed)
+            force = force - _compute_lost_force(slip, time - slip.position / scenario.frame.speed)
         return np.maximum(force, 0.0)
 
     def _unloading(self, displacement: Floats) -> Floats:
@@ -510,19 +512,19 @@ class TensilePath:
         peak = float(self._loading(np.array([self.last_time]))[0])
         relief = np.linspace(0.0, scenario.frame.stroke, _TABLE_POINTS)
         taut = BilinearLaw(law.stiffness_first, law.stiffness_second, law.break_point, law.knee)
-        released = 2.0 * specimen_force(taut, 0.5 * relief)
+        released = 2.0 * compute_specimen_force(taut, 0.5 * relief)
         driven_back = relief + compliance * released
         lost = np.interp(scenario.frame.stroke - displacement, driven_back, released)
         return np.maximum(peak - lost, 0.0)
 
 
-def _lost(slip: GripSlip, time: Floats) -> Floats:
-    """Return the force lost by a slip, N, at times after its beginning."""
+def _compute_lost_force(slip: GripSlip, time: Floats) -> Floats:
+    """Return the force lost in a slip, N, at times after its start, s."""
     return slip.drop * np.clip(time / slip.duration, 0.0, 1.0)
 
 
-def _share_left(failure: Failure, time: Floats) -> Floats:
-    """Return the remaining share of the force at times after the beginning of the failure."""
+def _compute_remaining_share(failure: Failure, time: Floats) -> Floats:
+    """Return the remaining share of the force at times after the start of the failure, s."""
     after = np.maximum(time, 0.0)
     intact = 1.0 - np.clip(after / failure.duration, 0.0, 1.0)
     fibres = np.exp(-after / failure.tail)

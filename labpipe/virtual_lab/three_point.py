@@ -1,28 +1,28 @@
-"""Three-point bending of a conduit bundle: settings, cases, and quasi-static path.
+"""Virtual three-point bending of a bundle in a conduit: settings, types, and quasi-static path.
 
-Everything is SI. The specimen frame: x along the bundle to the right as seen by the cameras, y up,
-z towards the cameras, origin at mid-span at rest. Displacement is that of the upper roller, down;
-force is the force of that roller. True time begins when the load frame starts; recorder and cameras
-have their own clocks.
+Everything is SI. In the specimen frame x is along the bundle, to the right as seen by the cameras,
+y is up, z is towards the cameras, and the origin is at mid-span at rest. Displacement is that of
+the upper roller, positive downwards; force is the force of that roller. True time begins when the
+load frame starts; recorder and cameras have their own clocks.
 
-Half of it is solved; the other half is its mirror image. s is the arc length from mid-span, where
-the tangent is level; the history belongs to the material point, which may slide over the roller.
-The bundle touches the roller at s = l, with its axis at the distance rho, the sum of both radii,
-from the roller's centre:
+One half of the bundle is solved; the other half is its mirror image. s is the arc length from
+mid-span, where the tangent is horizontal. The history belongs to the material point, which may
+slide over the roller. The bundle touches the roller at s = l. Its axis is then at the distance rho,
+the sum of both radii, from the centre of the roller:
 
     theta(s) = integral of kappa(M),   x(s), y(s) = integrals of cos theta, sin theta
     x(l) = a - rho sin theta(l)                 the centre of the roller at half the span a
     d = y(l) + rho (1 - cos theta(l))           displacement of mid-span relative to the supports
     M(s) = (place of contact - place of s) x F,   F = N (normal + mu tangent),   P = 2 F_y
 
-so the span shrinks and the force inclines as the bundle rotates. Friction acts on the surface, r
-below the axis, and therefore adds a moment mu N r. It opposes sliding: the bundle is drawn inwards
-on loading and slides back on unloading; after a start or a reversal friction changes over a short
-travel u of the crosshead as 1 - exp(-u / u0), which models sticking. Weight is neglected. When the
-force returns to zero, the upper roller leaves the bundle.
+so that the span shrinks and the force inclines as the bundle rotates. Friction acts on the surface,
+at the distance r below the axis, and therefore adds a moment mu N r. It opposes sliding: the bundle
+is drawn inwards on loading and slides back on unloading. After a start or a reversal, friction
+builds up over a short travel u of the crosshead as 1 - exp(-u / u0), which models sticking. Weight
+is neglected. When the force returns to zero, the upper roller leaves the bundle.
 
-The problem scales: with moments f times as large at given curvatures the forces are f times as
-large at the same positions, so one solution serves all samples of a type.
+The problem is linear in the moments: a factor on all moments at given curvatures is the same factor
+on all forces at the same positions. Therefore one solution serves all samples of a type.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
@@ -56,10 +57,10 @@ OUTER_DIAMETER = {"corrugated-tube": 10.2e-3, "twist-tube": 8.0e-3}
 """Outer diameter of the conduits, m."""
 
 TAPING_EFFECT = {"coarse": 1.01, "half-lap": 1.02}
-"""Factor on all moments by the taping of the conduit, which has almost no effect."""
+"""Factor on all moments for a taped conduit; the tape has almost no effect."""
 
 _INSIDE = BundleModel(friction_share=0.05, glue_share=0.008, tape=NONE, taping=NONE)
-"""Wires in a tube are taped only at their ends: neighbours and glue hold less of them."""
+"""Wires in a tube are taped only at their ends, so that friction and glue hold them less."""
 
 
 _TUBE = replace(_INSIDE, conduit="corrugated-tube", conduit_bore=7.4e-3, conduit_stiffness=2e-3)
@@ -67,7 +68,7 @@ _TWIST = replace(_INSIDE, conduit="twist-tube", conduit_bore=7.0e-3, conduit_sti
 _B1, _B2 = (("B1", 19),), (("B2", 19),)
 
 
-def _taped(bundle: BundleModel, taping: str) -> BundleModel:
+def _tape_conduit(bundle: BundleModel, taping: str) -> BundleModel:
     """Return a bundle whose conduit is taped."""
     return replace(bundle, tape="PVC", taping=taping).scaled(TAPING_EFFECT[taping])
 
@@ -75,14 +76,14 @@ def _taped(bundle: BundleModel, taping: str) -> BundleModel:
 CONDUIT_TYPES = {
     "CWB-1": replace(_TUBE, wires=_B1),
     "CWB-2a": replace(_TUBE, wires=_B2),
-    "CWB-2b": _taped(replace(_TUBE, wires=_B2), "coarse"),
-    "CWB-2c": _taped(replace(_TUBE, wires=_B2), "half-lap"),
+    "CWB-2b": _tape_conduit(replace(_TUBE, wires=_B2), "coarse"),
+    "CWB-2c": _tape_conduit(replace(_TUBE, wires=_B2), "half-lap"),
     "CWB-3": replace(_TUBE, wires=(("B2", 12),)),
     "CWB-4": replace(_TUBE, wires=(("B1", 10), ("B2", 9)), arrangement="symmetric"),
     "CWB-5": replace(_TWIST, wires=_B1),
     "CWB-6": replace(_TWIST, wires=_B2),
 }
-"""Cases of Table 4.2: bundles in their conduits."""
+"""Bundles in conduits of the dissertation's Table 4.2, by type."""
 
 
 BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
@@ -90,20 +91,20 @@ BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
 
 @dataclass(frozen=True, slots=True)
 class ThreePointTest:
-    """Inputs of the path; equal tests share one solution.
+    """Inputs of the quasi-static path of a test; equal tests share one solution.
 
     Parameters
     ----------
-    bundle : its law
+    bundle : whose law is solved
     span : m, between the centres of the lower rollers
-    overhang : m, beyond each of them
+    overhang : m, of the bundle beyond each lower roller
     roller_radius : m
     outer_radius : m, of the specimen on the rollers
-    friction : mu, between it and the lower rollers
+    friction : mu, between specimen and lower rollers
     build_up : u0, m, over which friction builds up or reverses
-    stroke : m, of the upper roller, once down and up
-    steps_per_branch, crowding : as those of `cantilever.MechanicalTest`
-    n_stations : of the half, evenly spread
+    stroke : m, of the upper roller, which moves down and up once
+    steps_per_branch, crowding : as for `cantilever_scenarios.MechanicalTest`
+    n_stations : of one half, evenly spaced
     """
 
     bundle: BentModel
@@ -156,10 +157,11 @@ class CylinderMarkers:
     spacing : m, along the bundle
     angles : rad, of the lines, from the side of the cameras upwards
     centre_offset : m, axis of the bundle to marker centre
-    twist : rad, rotation of the sample about its axis at full stroke, right-handed about x,
-        proportional to the displacement, uniform, and constant after the roller leaves
+    twist : rad, rotation of the sample about its axis at full stroke, right-handed about x. It is
+        uniform along the bundle, proportional to the displacement, and constant after the roller
+        leaves the bundle
     noise : m, rms per axis
-    scrambled : label numbers are in random order
+    scrambled : whether the numbers of the labels are in random order
     """
 
     n_sections: int = 11
@@ -178,7 +180,7 @@ class FrameCell:
     Parameters
     ----------
     displacement_noise : m, rms
-    force_noise : N, rms, of its 50 kN cell, which is too coarse for these forces
+    force_noise : N, rms, of its 50 kN load cell, which is too coarse for these forces
     force_tare : N
     """
 
@@ -200,7 +202,7 @@ class ConduitScenario:
     speed : m/s, of the crosshead
     rest : s, before and after the motion of the crosshead
     clocks, load_cell, markers, frame, pose : the instruments
-    has_frame_export : the load frame's record is available
+    has_frame_export : whether the load frame writes an export
     length_unit : of the motion-capture export
     """
 
@@ -224,7 +226,7 @@ class ConduitScenario:
 
     @property
     def bundle(self) -> BundleModel:
-        """Return the sample, with its factor.
+        """Return the bundle with the factor of the sample.
 
         Raises
         ------
@@ -232,13 +234,13 @@ class ConduitScenario:
             If the specimen is not a bundle.
         """
         if not isinstance(self.test.bundle, BundleModel):
-            message = f"bundle: expected a BundleModel, found {type(self.test.bundle).__name__}"
-            raise TypeError(message)
+            found = type(self.test.bundle).__name__
+            raise TypeError(format_sentence("virtual_lab.no_bundle", found=found))
         return self.test.bundle.scaled(self.factor)
 
 
-def conduit_scenario(name: str) -> ConduitScenario:
-    """Return a test of a case of Table 4.2.
+def build_conduit_scenario(name: str) -> ConduitScenario:
+    """Build a test of a type of Table 4.2.
 
     Parameters
     ----------
@@ -247,7 +249,7 @@ def conduit_scenario(name: str) -> ConduitScenario:
     Raises
     ------
     KeyError
-        If the case is unknown.
+        If the type is unknown.
     """
     marker_radius = 1.5e-3
     bundle = CONDUIT_TYPES[name]
@@ -272,14 +274,14 @@ class ThreePointPath:
     ----------
     test : solved test
     arc_length : shape (stations,), m, from mid-span
-    loading : positions from rest to full stroke
-    unloading : positions from full stroke back to rest, or to zero force
+    loading : shapes from rest to full stroke
+    unloading : shapes from full stroke back to rest, or to zero force
     """
 
     test: ThreePointTest
     arc_length: Floats
-    loading: tuple[BentHalf, ...]
-    unloading: tuple[BentHalf, ...]
+    loading: tuple[HalfShape, ...]
+    unloading: tuple[HalfShape, ...]
 
     @property
     def residual(self) -> float:
@@ -324,11 +326,11 @@ class ThreePointPath:
         return side * x, y - travel[:, None], side * angle
 
     @property
-    def _halves(self) -> tuple[BentHalf, ...]:
+    def _halves(self) -> tuple[HalfShape, ...]:
         return self.loading + self.unloading
 
     def _look_up(self, progress: Floats, rows: object) -> Floats:
-        """Interpolate along both branches; after zero force the shape is constant."""
+        """Interpolate along both branches; the shape is constant after the force is zero."""
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
         down = CubicSpline([h.displacement for h in self.loading], columns[:n])
@@ -362,49 +364,60 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.law(), arc_length)
-    rest = half.free(make_unbent_plays(half.law, test.n_stations))
-    loading = [rest, *_branch(half, rest, test.stroke, turns=False)]
-    unloading = [loading[-1], *_branch(half, loading[-1], 0.0, turns=True)]
+    rest = half.release(make_unbent_plays(half.law, test.n_stations))
+    loading = [rest, *_solve_branch(half, rest, test.stroke, is_unloading=False)]
+    unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
 
 
-def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> Iterator[BentHalf]:
+def _solve_branch(
+    half: HalfBundle, begin: HalfShape, goal: float, *, is_unloading: bool
+) -> Iterator[HalfShape]:
     """Solve up to a displacement; on unloading stop at zero force."""
     test, state = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
-        if turns:
-            curvature_after_release = half.free(state.plays)
-            if curvature_after_release.displacement >= wanted - _MIN_DISPLACEMENT_STEP:
-                yield curvature_after_release
+    for goal_displacement in (begin.displacement + share * (goal - begin.displacement)).tolist():
+        if is_unloading:
+            released = half.release(state.plays)
+            if released.displacement >= goal_displacement - _MIN_DISPLACEMENT_STEP:
+                yield released
                 return
-        state = _reach(half, state, wanted, begin.displacement, turns=turns)
+        state = _solve_displacement(
+            half, state, goal_displacement, begin.displacement, is_unloading=is_unloading
+        )
         yield state
 
 
-def _reach(
-    half: HalfBundle, state: BentHalf, wanted: float, turned_at: float, *, turns: bool
-) -> BentHalf:
+def _solve_displacement(
+    half: HalfBundle,
+    state: HalfShape,
+    goal_displacement: float,
+    turned_at: float,
+    *,
+    is_unloading: bool,
+) -> HalfShape:
     """Solve at a displacement, with halved steps where Newton's method fails."""
     while True:
-        ahead = wanted
+        ahead = goal_displacement
         while (
-            solved := half.settle(state, ahead, half.friction(ahead - turned_at, turns))
+            solved := half.settle(state, ahead, half.friction(ahead - turned_at, is_unloading))
         ) is None:
             ahead = 0.5 * (state.displacement + ahead)
             if abs(ahead - state.displacement) < _MIN_DISPLACEMENT_STEP:
-                message = (
-                    f"displacement={wanted!r}: no equilibrium beyond {state.displacement:.6g} m"
+                last = state.displacement
+                raise ValueError(
+                    format_sentence(
+                        "virtual_lab.no_equilibrium", displacement=goal_displacement, last=last
+                    )
                 )
-                raise ValueError(message)
-        if ahead == wanted:
+        if ahead == goal_displacement:
             return solved
         state = solved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentHalf:
-    """One solved position; arrays of shape (stations,) from mid-span outwards.
+class HalfShape:
+    """Solved shape of one half; arrays of shape (stations,) from mid-span outwards.
 
     Parameters
     ----------
@@ -430,10 +443,10 @@ class BentHalf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfBundle:
-    """Half a bundle on its roller: stations and equations.
+    """Equilibrium of half a bundle on its roller.
 
-    The Jacobian is found by complex steps: the imaginary part of the equations at unknowns with a
-    tiny imaginary step is their exact derivative (Squire and Trapp 1998).
+    The Jacobian is computed by complex steps: the imaginary part of the residuals at unknowns with
+    a tiny imaginary step is the exact derivative (Squire and Trapp 1998).
 
     Parameters
     ----------
@@ -446,27 +459,29 @@ class HalfBundle:
     law: MomentLaw
     arc_length: Floats
 
-    def friction(self, travel: float, turns: bool) -> float:
-        """Return the signed coefficient at a `travel` after the start or the reversal."""
+    def friction(self, travel: float, is_unloading: bool) -> float:
+        """Return the signed coefficient of friction at a travel after the start or the reversal."""
         built = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
-        return self.test.friction * (1.0 - 2.0 * built if turns else built)
+        return self.test.friction * (1.0 - 2.0 * built if is_unloading else built)
 
-    def free(self, plays: Floats) -> BentHalf:
-        """Return the bundle with its history on its rollers without force."""
+    def release(self, plays: Floats) -> HalfShape:
+        """Return the shape without force of a bundle with this history."""
         nothing = np.zeros(self.test.n_stations)
         answer = respond(self.law, nothing, plays)
-        shape = self._shape(answer.curvature)
+        shape = self._compute_shape(answer.curvature)
 
         def gaps(contact: float) -> Floats:
-            return self._gaps(self._at(shape, np.float64(contact)))
+            return self._compute_gaps(self._interpolate(shape, np.float64(contact)))
 
         last = float(self.arc_length[-1])
         contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
         travel = float(gaps(contact)[1])
         x, y, angle = shape
-        return BentHalf(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
+        return HalfShape(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
-    def settle(self, state: BentHalf, wanted: float, friction: float) -> BentHalf | None:
+    def settle(
+        self, state: HalfShape, goal_displacement: float, friction: float
+    ) -> HalfShape | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
         max_iterations = 40
         tolerance = 1e-9
@@ -475,41 +490,45 @@ class HalfBundle:
         steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
             answer = respond(self.law, unknowns[:-2], state.plays)
-            bent = answer.curvature + answer.compliance * steps[:, :-2]
-            equations = self._equations(unknowns + steps, bent, wanted, friction)
+            curvatures = answer.curvature + answer.compliance * steps[:, :-2]
+            equations = self._compute_residuals(
+                unknowns + steps, curvatures, goal_displacement, friction
+            )
             change = -np.linalg.solve(equations.imag.T / 1e-30, equations[-1].real)
-            largest = float(np.max(np.abs(self._along(answer.compliance * change[:-2]))))
+            largest = float(np.max(np.abs(self._integrate(answer.compliance * change[:-2]))))
             change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
             unknowns = unknowns + change
             if not (0.0 < unknowns[-1] < self.arc_length[-1]) or not np.isfinite(largest):
                 return None
             moment = unknowns[:-2]
             if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
-                return self._bent(unknowns, state.plays, wanted, friction)
+                return self._build_shape(unknowns, state.plays, goal_displacement, friction)
         return None
 
-    def _bent(self, unknowns: Floats, plays: Floats, wanted: float, friction: float) -> BentHalf:
+    def _build_shape(
+        self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
+    ) -> HalfShape:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         answer = respond(self.law, moment, plays)
-        shape = self._shape(answer.curvature)
+        shape = self._compute_shape(answer.curvature)
         x, y, angle = shape
-        _, fy = _direction(self._at(shape, unknowns[-1])[2], friction)
+        _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
         force = 2.0 * normal * float(fy)
         curvature, after = answer.curvature, answer.plays
-        return BentHalf(wanted, force, contact, x, y, angle, moment, curvature, after)
+        return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, after)
 
-    def _along(self, values: Floats) -> Floats:
+    def _integrate(self, values: Floats) -> Floats:
         """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""
         step = float(self.arc_length[1])
         integral: Floats = cumulative_trapezoid(values, dx=step, axis=-1, initial=0)
         return integral
 
-    def _shape(self, curvature: Floats) -> Floats:
+    def _compute_shape(self, curvature: Floats) -> Floats:
         """Return x, y and angle, shape (3, ..., stations)."""
-        angle = self._along(curvature)
-        return np.stack([self._along(np.cos(angle)), self._along(np.sin(angle)), angle])
+        angle = self._integrate(curvature)
+        return np.stack([self._integrate(np.cos(angle)), self._integrate(np.sin(angle)), angle])
 
-    def _at(self, shape: Floats, contact: Floats | np.float64) -> Floats:
+    def _interpolate(self, shape: Floats, contact: Floats | np.float64) -> Floats:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
@@ -518,42 +537,46 @@ class HalfBundle:
         )
         return here
 
-    def _gaps(self, touch: Floats) -> Floats:
-        """Return how far the roller is from its place, and the displacement, m, shape (2, ...)."""
+    def _compute_gaps(self, touch: Floats) -> Floats:
+        """Return the distance of the roller from its place, and the displacement, m, (2, ...)."""
         x, y, angle = touch
         reach = self.test.reach
         gap = x + reach * np.sin(angle) - 0.5 * self.test.span
         return np.stack([gap, y + reach * (1.0 - np.cos(angle))])
 
-    def _equations(
-        self, unknowns: Floats, curvature: Floats, wanted: float, friction: float
+    def _compute_residuals(
+        self, unknowns: Floats, curvature: Floats, goal_displacement: float, friction: float
     ) -> Floats:
-        """Return what lacks to equilibrium.
+        """Compute the residuals of equilibrium and of both geometric conditions.
 
         Parameters
         ----------
         unknowns : shape (n, stations + 2), complex: moments, normal force, contact
         curvature : shape (n, stations), 1/m, complex, of these moments
-        wanted, friction : displacement, m, and signed coefficient
+        goal_displacement, friction : displacement, m, and signed coefficient
 
         Returns
         -------
         shape (n, stations + 2), complex: moments, N m, and both conditions, m.
         """
         moment, normal, contact = unknowns[:, :-2], unknowns[:, -2], unknowns[:, -1]
-        shape = self._shape(curvature)
-        touch = self._at(shape, contact)
-        fx, fy = _direction(touch[2], friction)
+        shape = self._compute_shape(curvature)
+        touch = self._interpolate(shape, contact)
+        fx, fy = _compute_direction(touch[2], friction)
         lever_x, lever_y, _ = touch[:, :, None] - shape
         lever = lever_x * fy[:, None] - lever_y * fx[:, None]
         inside = (contact[:, None] - self.arc_length) / self.arc_length[1]
         unit = np.where(inside.real > 0.0, lever, 0.0)
         unit += self.test.outer_radius * friction * np.clip(inside, 0.0, 1.0)
-        gap, displacement = self._gaps(touch)
-        lacks = [moment - normal[:, None] * unit, gap[:, None], displacement[:, None] - wanted]
+        gap, displacement = self._compute_gaps(touch)
+        lacks = [
+            moment - normal[:, None] * unit,
+            gap[:, None],
+            displacement[:, None] - goal_displacement,
+        ]
         return np.concatenate(lacks, axis=1)
 
 
-def _direction(angle: Floats, friction: float) -> tuple[Floats, Floats]:
-    """Return the roller's force per unit of normal force, along the normal and the tangent."""
+def _compute_direction(angle: Floats, friction: float) -> tuple[Floats, Floats]:
+    """Return the force of the roller per unit of normal force: x and y components."""
     return friction * np.cos(angle) - np.sin(angle), np.cos(angle) + friction * np.sin(angle)

@@ -1,7 +1,7 @@
-"""True values of a virtual test, to check the processing.
+"""True values of a virtual test, with which the results of the processing are compared.
 
-Curves are free of noise. Numbers are found by search, not by the formulas of the processing: the
-kink over all breaks of a fine grid, the plateau by the tangent from the end.
+They are computed from curves without noise, and not by the formulas of the processing: the kink is
+searched over a fine grid, and the start of the plateau backwards from the end of the curve.
 
 Everything is SI; frames and signs are those of `virtual_lab.cantilever_scenarios`,
 `virtual_lab.three_point` and `virtual_lab.tensile`.
@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.cantilever_scenarios import MechanicalPath
-from labpipe.virtual_lab.instruments import Schedule, twist_at
+from labpipe.virtual_lab.instruments import Schedule, compute_twist
 from labpipe.virtual_lab.tensile import GripSlip, TensilePath
 from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointPath
 
@@ -28,7 +28,7 @@ _KINK_GRID_POINTS = 800
 
 @dataclass(frozen=True, slots=True)
 class KinkTruth:
-    """The two joined straight lines closest to a curve.
+    """The two connected straight lines that fit a curve best.
 
     Parameters
     ----------
@@ -44,27 +44,23 @@ class KinkTruth:
 
 @dataclass(frozen=True, slots=True)
 class LoadingTruth:
-    """Numbers of a first loading; lengths in m.
+    """True numbers of a first loading; lengths in m.
 
     Parameters
     ----------
     tangent_at_zero : N/m
     stiffness : N/m, slope of the least-squares line over the first 5 mm
-    secant_stiffness : N/m, force at 5 mm over 5 mm
     windowed_stiffness : N/m, slope of the least-squares line over `KINK_WINDOW`
     kink : within `KINK_WINDOW`
-    end_tangent : N/m, slope of the least-squares line over the last 5 mm
-    end_slope : the same as a share of `windowed_stiffness`
+    end_slope : slope of the least-squares line over the last 5 mm, over `windowed_stiffness`
     plateau_displacement, plateau_force : m, N, from which the tangent over a millimetre stays below
-        a tenth of `windowed_stiffness`; None if `end_slope` is not below it
+        a tenth of `windowed_stiffness`; None if `end_slope` is 0.1 or more
     """
 
     tangent_at_zero: float
     stiffness: float
-    secant_stiffness: float
     windowed_stiffness: float
     kink: KinkTruth
-    end_tangent: float
     end_slope: float
     plateau_displacement: float | None
     plateau_force: float | None
@@ -78,7 +74,8 @@ class TapedTruth:
     ----------
     loading : of the first cycle
     bending_stiffness : N m^2, K L^3 / 3 with the slope K over `KINK_WINDOW`, uncorrected
-    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force exceeds the rest
+    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force exceeds its rest
+        value
     hardening : loading stiffnesses relative to the first cycle
     """
 
@@ -89,7 +86,7 @@ class TapedTruth:
 
 
 def evaluate_taped(path: MechanicalPath) -> TapedTruth:
-    """Return the true numbers of a bundle in the cantilever rig.
+    """Compute the true numbers of a bundle in the cantilever rig.
 
     Parameters
     ----------
@@ -97,11 +94,13 @@ def evaluate_taped(path: MechanicalPath) -> TapedTruth:
 
     Returns
     -------
-    The numbers. Displacement is the deflection of the pull point, force the tension of the string
-    less that at rest.
+    The numbers. Displacement is the deflection of the pull point; force is the tension of the
+    string minus that at rest.
     """
-    loading = evaluate_loading(*_loading(path, 1))
-    slopes = tuple(_slope_after_slack(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
+    loading = evaluate_loading(*_sample_loading(path, 1))
+    slopes = tuple(
+        _fit_slope_after_slack(*_sample_loading(path, n)) for n in range(1, path.test.cycles + 1)
+    )
     return TapedTruth(
         loading=loading,
         bending_stiffness=loading.windowed_stiffness * path.test.length**3 / 3.0,
@@ -110,25 +109,25 @@ def evaluate_taped(path: MechanicalPath) -> TapedTruth:
     )
 
 
-def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
+def _sample_loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
     """Return deflection and force of one loading, m and N."""
     n_steps = 20_001
     progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, n_steps))
     return path.deflection(progress), path.tension(progress) - path.rest.tension
 
 
-def _slope_after_slack(displacement: Floats, force: Floats) -> float:
+def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
     """Return the slope over the first 5 mm from where the force exceeds zero, N/m."""
     slack = np.flatnonzero(force <= 0.0)
     begin = 0 if len(slack) == 0 else int(slack[-1])
     pair = slice(begin, begin + 2)
     start = float(np.interp(0.0, force[pair], displacement[pair]))
     moving = slice(begin, None)
-    return line_slope(displacement[moving], force[moving], start, start + STIFFNESS_RANGE)
+    return fit_slope(displacement[moving], force[moving], start, start + STIFFNESS_RANGE)
 
 
 def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
-    """Return the true numbers of a first loading.
+    """Compute the true numbers of a first loading.
 
     Parameters
     ----------
@@ -141,40 +140,38 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     """
     plateau_share = 0.1  # slope of the plateau over that of the window
     zero_distance = 0.02e-3
-    windowed = line_slope(displacement, force, *KINK_WINDOW)
+    windowed = fit_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
-    end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
+    end = fit_slope(displacement, force, last - STIFFNESS_RANGE, last)
     is_level = end < plateau_share * windowed
-    tangents = _tangents(displacement, force)
-    onset = _last_above(*tangents, plateau_share * windowed) if is_level else None
+    tangents = _compute_tangents(displacement, force)
+    onset = _find_last_above(*tangents, plateau_share * windowed) if is_level else None
     return LoadingTruth(
         tangent_at_zero=float(np.interp(zero_distance, displacement, force)) / zero_distance,
-        stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
-        secant_stiffness=float(np.interp(STIFFNESS_RANGE, displacement, force)) / STIFFNESS_RANGE,
+        stiffness=fit_slope(displacement, force, 0.0, STIFFNESS_RANGE),
         windowed_stiffness=windowed,
         kink=find_kink(displacement, force, *KINK_WINDOW),
-        end_tangent=end,
         end_slope=end / windowed,
         plateau_displacement=onset,
         plateau_force=None if onset is None else float(np.interp(onset, displacement, force)),
     )
 
 
-def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
-    """Return the slope of the least-squares line between two displacements, N/m."""
+def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
+    """Fit a line between two displacements by least squares; return its slope, N/m."""
     grid = np.linspace(start, stop, _KINK_GRID_POINTS)
-    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_build_weights())[0])
 
 
-def _roots() -> Floats:
-    """Return the roots of the trapezoidal weights of a grid."""
+def _build_weights() -> Floats:
+    """Return the square roots of the trapezoidal weights of a grid."""
     roots = np.ones(_KINK_GRID_POINTS)
     roots[[0, -1]] = np.sqrt(0.5)
     return roots
 
 
 def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> KinkTruth:
-    """Find the kink as the best break of two joined lines between two displacements, m.
+    """Find the kink: the break point of the best two connected lines between two displacements.
 
     Parameters
     ----------
@@ -183,31 +180,31 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
     Returns
     -------
-    The best by least squares, with the break refined by a parabola through the best of the grid and
-    its neighbours.
+    The best pair of lines by least squares. The break point is refined by a parabola through the
+    best point of the grid and its neighbours.
     """
     grid = np.linspace(start, stop, _KINK_GRID_POINTS)
-    wanted = np.interp(grid, displacement, force)
+    forces = np.interp(grid, displacement, force)
     breaks = grid[10:-10]
-    misfits = np.array([_two_lines(grid, wanted, place)[1] for place in breaks.tolist()])
+    misfits = np.array([_fit_two_lines(grid, forces, place)[1] for place in breaks.tolist()])
     best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
     below, middle, above = misfits[best - 1 : best + 2]
     shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
     place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
-    (level, first, change), _ = _two_lines(grid, wanted, place)
+    (level, first, change), _ = _fit_two_lines(grid, forces, place)
     return KinkTruth(place, float(level + first * place), float(first), float(first + change))
 
 
-def _two_lines(grid: Floats, wanted: Floats, place: float) -> tuple[Floats, float]:
-    """Return level, slope and change of slope of the best pair of lines, and the sum of squares."""
+def _fit_two_lines(grid: Floats, forces: Floats, place: float) -> tuple[Floats, float]:
+    """Return level, slope and change of slope of the best lines, and the sum of squares."""
     basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
-    roots = _roots()
-    coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
-    return coefficients, float(np.sum((roots * (basis @ coefficients - wanted)) ** 2))
+    roots = _build_weights()
+    coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * forces, rcond=None)[0]
+    return coefficients, float(np.sum((roots * (basis @ coefficients - forces)) ** 2))
 
 
-def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """Return the middles of intervals of a millimetre, m, and the tangents over them, N/m."""
+def _compute_tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """Return centres of intervals of 1 mm, m, and the slopes of the curve over them, N/m."""
     tangent_step = 1e-3
     half = 0.5 * tangent_step
     grid = np.linspace(half, displacement[-1] - half, 2001)
@@ -215,8 +212,8 @@ def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
     return grid, (ahead - behind) / tangent_step
 
 
-def _last_above(grid: Floats, tangent: Floats, limit: float) -> float | None:
-    """Return where the tangent finally falls below a limit, m; None if it is above at the end."""
+def _find_last_above(grid: Floats, tangent: Floats, limit: float) -> float | None:
+    """Return where the tangent falls below a limit for the last time, m, or None."""
     above = np.flatnonzero(tangent >= limit)
     if len(above) == 0 or above[-1] == len(grid) - 1:
         return None
@@ -229,14 +226,14 @@ _TRUTH_POINTS = 20_001
 
 @dataclass(frozen=True, slots=True)
 class CycleTruth:
-    """One cycle; lengths in m, times in s on the marker clock.
+    """True values of a cycle; lengths in m, times in s on the marker clock.
 
     Parameters
     ----------
     cycle : counted from 1
     start_time, top_time, stop_time : of the clamp: start, reversal, return
     peak_force, peak_deflection : N, m, the largest of the cycle
-    residual_deflection : m, at which the force returns to zero on unloading, if it does
+    residual_deflection : m, at which the force returns to zero on unloading; None if it does not
     energy : J, integral of force over deflection from the start of the cycle to its end
     """
 
@@ -252,11 +249,11 @@ class CycleTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeTruth:
-    """The wire's axis in the specimen frame in one frame of the take; arrays of shape (points,).
+    """Axis of the wire in the specimen frame at a camera frame; arrays of shape (points,).
 
     Parameters
     ----------
-    frame : frame of the take
+    frame : number of the camera frame
     arc_length, x, y : m
     """
 
@@ -276,7 +273,7 @@ class CantileverTruth:
     time : s, marker clock
     travel, deflection : m
     force : N
-    shapes : at several frames, evenly spread over each branch
+    shapes : at six frames of each branch
     """
 
     cycles: tuple[CycleTruth, ...]
@@ -288,7 +285,7 @@ class CantileverTruth:
 
 
 def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverTruth:
-    """Return the true values at every camera frame and of every cycle.
+    """Compute the true values at every camera frame and of every cycle.
 
     Parameters
     ----------
@@ -302,16 +299,16 @@ def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverT
     progress = schedule.progress_at(schedule.frame_times)
     cycles = range(1, path.test.cycles + 1)
     return CantileverTruth(
-        cycles=tuple(_cycle(path, schedule, number) for number in cycles),
+        cycles=tuple(_evaluate_cycle(path, schedule, number) for number in cycles),
         time=schedule.frame_times,
         travel=path.travel(progress),
         deflection=path.deflection(progress),
         force=path.tension(progress) - path.rest.tension,
-        shapes=tuple(_shapes(path, schedule)),
+        shapes=tuple(_sample_shapes(path, schedule)),
     )
 
 
-def _cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
+def _evaluate_cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
     start, top, stop = schedule.turning_times[2 * number - 2 : 2 * number + 1]
     stroke = path.test.stroke
     progress = 2.0 * stroke * (number - 1) + np.linspace(0.0, 2.0 * stroke, _TRUTH_POINTS)
@@ -324,12 +321,12 @@ def _cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
         stop_time=float(stop),
         peak_force=float(np.max(force)),
         peak_deflection=float(np.max(deflection)),
-        residual_deflection=_residual(path, number),
+        residual_deflection=_find_residual(path, number),
         energy=float(np.trapezoid(force, deflection)),
     )
 
 
-def _residual(path: MechanicalPath, number: int) -> float | None:
+def _find_residual(path: MechanicalPath, number: int) -> float | None:
     """Return the deflection at which the force first returns to zero on unloading."""
     zero_force = 1e-9
     for segment in path.segments:
@@ -345,7 +342,7 @@ def _residual(path: MechanicalPath, number: int) -> float | None:
     return None
 
 
-def _shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
+def _sample_shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
     shape_points = 41
     arc_length = np.linspace(0.0, path.test.length, shape_points)
     turns = schedule.turning_times
@@ -358,24 +355,20 @@ def _shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
 
 @dataclass(frozen=True, slots=True)
 class MiddleTruth:
-    """Mid-span at full stroke, and its initial stiffness.
+    """True values of mid-span at full stroke, and its stiffness.
 
     Parameters
     ----------
     curvature : 1/m
     moment : N m, in the bundle
-    moment_of_force : N m, P L / 4, of a straight bundle on point supports
-    bending_stiffness : N m^2, slope of moment over curvature for displacements of 1 to 10 mm,
+    bending_stiffness : N m^2, slope of moment over curvature for displacements of 1 to 10 mm, by
         least squares over even steps of curvature
-    bending_stiffness_of_force : N m^2, the same with P L / 4
     twist : rad, right-handed about x
     """
 
     curvature: float
     moment: float
-    moment_of_force: float
     bending_stiffness: float
-    bending_stiffness_of_force: float
     twist: float
 
 
@@ -387,8 +380,7 @@ class ConduitTruth:
     ----------
     loading : displacement is that of the crosshead
     initial_bending_stiffness : N m^2, of the law before anything slips
-    bending_stiffness : N m^2, K L^3 / 48 with the slope K over
-        `KINK_WINDOW`, uncorrected
+    bending_stiffness : N m^2, K L^3 / 48 with the slope K over `KINK_WINDOW`, uncorrected
     peak_force, peak_displacement : N, m
     residual_displacement : m, at which the roller leaves the bundle on unloading
     energy : J, of the cycle
@@ -424,7 +416,7 @@ class ConduitTruth:
 def evaluate_conduit(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, *, rate: float = 5.0
 ) -> ConduitTruth:
-    """Return the true values of a three-point test.
+    """Compute the true values of a three-point test.
 
     Parameters
     ----------
@@ -439,8 +431,11 @@ def evaluate_conduit(
     stroke, factor, clocks = scenario.test.stroke, scenario.factor, scenario.clocks
     down = stroke * np.linspace(0.0, 1.0, _TRUTH_POINTS)
     loading = evaluate_loading(down, factor * path.force(down))
-    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _TRUTH_POINTS - 1)
-    force, displacement = factor * path.force(both), path.displacement(both)
+    progress_of_cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _TRUTH_POINTS - 1)
+    force, displacement = (
+        factor * path.force(progress_of_cycle),
+        path.displacement(progress_of_cycle),
+    )
     top = int(np.argmax(force))
     time: Floats = np.arange(0.0, schedule.end + clocks.camera_lead, 1.0 / rate)
     progress = schedule.progress_at(time - clocks.camera_lead)
@@ -454,7 +449,7 @@ def evaluate_conduit(
         peak_displacement=float(displacement[top]),
         residual_displacement=path.residual,
         energy=float(np.trapezoid(force, displacement)),
-        middle=_middle(path, scenario),
+        middle=_evaluate_middle(path, scenario),
         start_time=start_time,
         top_time=top_time,
         stop_time=stop_time,
@@ -466,29 +461,21 @@ def evaluate_conduit(
         time=time,
         displacement=path.displacement(progress),
         force=factor * path.force(progress),
-        twist=twist_at(path, scenario.markers, progress),
+        twist=compute_twist(path, scenario.markers, progress),
         curvature=curvature,
         moment=factor * moment,
     )
 
 
-def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
-    stroke, span = scenario.test.stroke, scenario.test.span
+def _evaluate_middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
     first, last = 1e-3, 10e-3  # m, range of the slope
     _, moment, curvature = path.middle(np.linspace(first, last, _TRUTH_POINTS))
-    of_force = 0.25 * span * path.force(np.linspace(first, last, _TRUTH_POINTS))
-    slopes = [
-        scenario.factor * line_slope(curvature, values, float(curvature[0]), float(curvature[-1]))
-        for values in (moment, of_force)
-    ]
-    full = np.array([stroke])
-    _, at_full, bent = path.middle(full)
+    slope = fit_slope(curvature, moment, float(curvature[0]), float(curvature[-1]))
+    _, full_moment, full_curvature = path.middle(np.array([scenario.test.stroke]))
     return MiddleTruth(
-        curvature=float(bent[0]),
-        moment=scenario.factor * float(at_full[0]),
-        moment_of_force=0.25 * span * scenario.factor * float(path.force(full)[0]),
-        bending_stiffness=slopes[0],
-        bending_stiffness_of_force=slopes[1],
+        curvature=float(full_curvature[0]),
+        moment=scenario.factor * float(full_moment[0]),
+        bending_stiffness=scenario.factor * slope,
         twist=scenario.markers.twist,
     )
 
@@ -497,9 +484,9 @@ def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
 class TensileTruth:
     """True values of a tensile test, free of tare, gain error and noise.
 
-    *At the crosshead* means including the compliance of the machine, as measured without compliance
-    correction. All displacements are relative to the crosshead before the test; relative to the
-    first sample they are lower by `displacement[0]`.
+    *At the crosshead* means that the compliance of the machine is included, as in a measurement
+    without compliance correction. Displacements count from the position of the crosshead before the
+    test; from the first sample they are smaller by `displacement[0]`.
 
     Parameters
     ----------
@@ -539,7 +526,7 @@ class TensileTruth:
 
 
 def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
-    """Return the true values of a tensile test.
+    """Compute the true values of a tensile test.
 
     Parameters
     ----------
@@ -564,8 +551,8 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
         displacement=path.displacement(time),
         force=path.force(time),
         foot=law.foot,
-        stiffness_first=in_series(law.stiffness_first, compliance),
-        stiffness_second=in_series(law.stiffness_second, compliance),
+        stiffness_first=add_compliance(law.stiffness_first, compliance),
+        stiffness_second=add_compliance(law.stiffness_second, compliance),
         specimen_stiffness_first=law.stiffness_first,
         specimen_stiffness_second=law.stiffness_second,
         break_point=law.foot + from_foot if bends else None,
@@ -580,6 +567,6 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
     )
 
 
-def in_series(stiffness: float, compliance: float) -> float:
+def add_compliance(stiffness: float, compliance: float) -> float:
     """Return the stiffness, N/m, of a specimen in series with a compliance, m/N."""
     return stiffness / (1.0 + stiffness * compliance)

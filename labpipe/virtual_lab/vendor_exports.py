@@ -1,22 +1,23 @@
-"""Exports of the programs of the bench, in the layout of real exports.
+"""Writers of exports in the vendors' file formats, one function for each program.
 
-**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. One struct with
-Info, X, Y and Description; channels known by Path and Name; units empty; whole numbers stored as
-small integers; data as rows; the text header names the time of saving.
+**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. It holds one struct
+with Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
+rows, and whole numbers are stored as small integers. The text header states the time of saving.
 
-**Motive** (cameras): a table CSV, Format Version 1.23. One line of keys and values, a blank line,
-rows of types, names, ids and quantities, then a row of axes and the data with six decimals and
-blanks for untracked markers; CRLF line ends; the body's fitted markers (Rigid Body Marker, quoted
-names) beside the measured ones of the same name (Marker, bare names).
+**Motive** (cameras): a table CSV, Format Version 1.23, with CRLF line ends. A line of keys and
+values and a blank line are followed by rows of types, names, ids, quantities and axes, and by the
+data with six decimals; cells of untracked markers are blank. The fitted markers of the body (Rigid
+Body Marker, quoted names) stand beside the measured markers of the same names (Marker, bare names).
 
-**MTS TestSuite** (load frame): ``(Timed)`` text. UTF-8 with byte order mark, CRLF, four lines of
-preamble and two blank ones, names with a trailing blank, numbers that are 32-bit SI numbers turned
-into the unit of the column. Several acquisition steps give several files whose numbers are not in
-the order of time, and a step without samples leaves a byte order mark alone.
+**MTS TestSuite** (load frame): ``(Timed)`` text, UTF-8 with byte order mark, CRLF line ends. Four
+lines of preamble and two blank lines are followed by names with a trailing blank. Numbers are
+32-bit SI numbers, converted to the unit of the column. Several acquisition steps give several
+files, not numbered in the order of time; the file of a step without samples has only a byte order
+mark.
 
 **TestResources R-Controller** (load frame): a workbook with time s, force lbf, travel in. No real
-export was available: the three quantities and their units are known; sheet name, names of columns
-and rows above them are assumed.
+export was available: the three quantities and their units are from the dissertation; the name of
+the sheet, the names of the columns and the rows above them are assumed.
 
 Every file states that it is synthetic.
 """
@@ -42,7 +43,7 @@ from labpipe.virtual_lab.instruments import (
     ForceRecord,
     FrameRecord,
     Take,
-    single,
+    round_to_single,
 )
 from labpipe.virtual_lab.tensile import ExportLayout
 
@@ -65,7 +66,7 @@ SHEET = "Test Data"
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Data for the heads of the files.
+    """Name, time and seed of a virtual test, for the headers of its exports.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ class Run:
 
 
 def write_control_desk(path: Path, record: ForceRecord, run: Run) -> None:
-    """Write a force record as ControlDesk does, saved when its last sample was taken.
+    """Write a force record as ControlDesk does; the time of saving is that of its last sample.
 
     Parameters
     ----------
@@ -101,23 +102,23 @@ def write_control_desk(path: Path, record: ForceRecord, run: Run) -> None:
         "RevisionMinor": np.int32(1),
         "MeasurementID": np.int32(1),
     }
-    channels = [_channel(*signal) for signal in sorted(record.signals.items())]
+    channels = [_build_channel(*signal) for signal in sorted(record.signals.items())]
     fields = [(name, object) for name in channels[0]]
     content = {
         "Info": info,
         "X": axis,
         "Y": np.array([[tuple(channel.values()) for channel in channels]], dtype=fields),
-        "Description": _description(record.clock, saved, run.seed),
+        "Description": _build_description(record.clock, saved, run.seed),
     }
     savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
-    _stamp(path, saved)
+    _set_header_date(path, saved)
 
 
-def _channel(where: str, values: Floats) -> dict[str, object]:
+def _build_channel(where: str, values: Floats) -> dict[str, object]:
     return {
         "Name": PORT,
         "Type": np.int32(4),
-        "Data": _compact(values)[None, :],
+        "Data": _compact_integers(values)[None, :],
         "Unit": "",
         "Raster": _RASTER,
         "Device": "Platform",
@@ -134,7 +135,7 @@ def _channel(where: str, values: Floats) -> dict[str, object]:
     }
 
 
-def _compact(values: Floats) -> NDArray[np.generic]:
+def _compact_integers(values: Floats) -> NDArray[np.generic]:
     """Convert whole numbers to the smallest unsigned integers, as ControlDesk does."""
     is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
     if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
@@ -143,7 +144,7 @@ def _compact(values: Floats) -> NDArray[np.generic]:
     return values.astype(np.uint8 if small else np.uint16)
 
 
-def _description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]:
+def _build_description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]:
     origin = (
         f"Software revision: virtual_lab.sdf\r\n"
         f"Variable description: virtual_lab.sdf\r\n"
@@ -168,8 +169,8 @@ def _description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]
     }
 
 
-def _stamp(path: Path, saved: datetime) -> None:
-    """Write the scenario's date to the text header, so that equal tests give equal files."""
+def _set_header_date(path: Path, saved: datetime) -> None:
+    """Write a date to the text header, so that equal tests give equal files."""
     text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
     with path.open("r+b") as file:
         file.write(text.encode("ascii").ljust(116))
@@ -182,13 +183,17 @@ def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
     ----------
     path : the file
     take : of the cameras
-    run : for the head; its seed is also that of the ids
+    run : for the header; its seed is also that of the ids
     unit : m, cm or mm
     """
     rows_at_a_time = 2000
     word, factor = UNITS[unit]
-    labels, table = _motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
-    head = [_first_line(take, word, run), "", *(",".join(row) for row in zip(*labels, strict=True))]
+    labels, table = _build_motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
+    head = [
+        _format_first_line(take, word, run),
+        "",
+        *(",".join(row) for row in zip(*labels, strict=True)),
+    ]
     row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
     with path.open("w", encoding="ascii", newline="") as file:
         file.write("".join(line + "\r\n" for line in head))
@@ -198,7 +203,7 @@ def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
             file.write("".join(lines).replace("nan", ""))
 
 
-def _first_line(take: Take, word: str, run: Run) -> str:
+def _format_first_line(take: Take, word: str, run: Run) -> str:
     frames = str(len(take.time))
     pairs = {
         "Format Version": "1.23",
@@ -216,7 +221,7 @@ def _first_line(take: Take, word: str, run: Run) -> str:
     return ",".join(f"{key},{value}" for key, value in pairs.items())
 
 
-def _motive_columns(
+def _build_motive_columns(
     take: Take, factor: float, random: np.random.Generator
 ) -> tuple[list[tuple[str, ...]], Floats]:
     """Return type, name, id, quantity and axis of every column, and the data after the frame."""
@@ -243,7 +248,7 @@ def _motive_columns(
     return labels, np.hstack(data)
 
 
-def write_frame(
+def write_test_suite(
     folder: Path,
     record: FrameRecord,
     layout: ExportLayout,
@@ -251,48 +256,48 @@ def write_frame(
     *,
     test_type: str = "tensile test",
 ) -> tuple[str, ...]:
-    """Write a record as MTS TestSuite does, or, with forces in lbf, as TestResources does.
+    """Write a record as MTS TestSuite does.
 
     Parameters
     ----------
     folder : of the files
     record : of the controller
-    layout : unit of force and parts
-    run : for the head of the files
-    test_type : of the test, for the note that it is synthetic
+    layout : unit of force, and time at which the record is divided
+    run : for the headers
+    test_type : for the note that the test is synthetic
 
     Returns
     -------
     Names of the files, in the order of their numbers.
     """
-    if layout.force_unit == "lbf":
-        file = f"{run.name}.xlsx"
-        write_r_controller(folder / file, record, run)
-        return (file,)
     names = []
-    for number, part in enumerate(_parts(record, layout)):
+    for number, part in enumerate(_split_parts(record, layout)):
         file = f"{ACTIVITY}{number or ''}.txt"
-        head = _preamble(file, layout.force_unit, run, test_type)
-        text = "" if part is None else head + _rows(part, layout.force_unit)
+        head = _format_preamble(file, layout.force_unit, run, test_type)
+        text = "" if part is None else head + _format_rows(part, layout.force_unit)
         (folder / file).write_bytes(text.encode("utf-8-sig"))
         names.append(file)
     return tuple(names)
 
 
-def _parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
-    """Return the parts by number of file: later step, earlier step, and one without samples."""
+def _split_parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
+    """Return the parts by number of file: later step, earlier step, and a step without samples."""
     lost_rows = 2
     if layout.part_at is None:
         return [record]
     first = int(np.searchsorted(record.time, layout.part_at))
-    return [_piece(record, slice(first + lost_rows, None)), _piece(record, slice(first)), None]
+    return [
+        _slice_record(record, slice(first + lost_rows, None)),
+        _slice_record(record, slice(first)),
+        None,
+    ]
 
 
-def _piece(record: FrameRecord, piece: slice) -> FrameRecord:
+def _slice_record(record: FrameRecord, piece: slice) -> FrameRecord:
     return FrameRecord(record.time[piece], record.displacement[piece], record.force[piece])
 
 
-def _preamble(file: str, force_unit: str, run: Run, test_type: str) -> str:
+def _format_preamble(file: str, force_unit: str, run: Run, test_type: str) -> str:
     started = run.started
     clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
     lines = (
@@ -308,25 +313,30 @@ def _preamble(file: str, force_unit: str, run: Run, test_type: str) -> str:
     return "".join(line + "\r\n" for line in lines)
 
 
-def _rows(record: FrameRecord, force_unit: str) -> str:
+def _format_rows(record: FrameRecord, force_unit: str) -> str:
     columns = (
-        1e3 * single(record.displacement),
-        single(record.force) / NEWTONS[force_unit],
-        single(record.time),
+        1e3 * round_to_single(record.displacement),
+        round_to_single(record.force) / NEWTONS[force_unit],
+        round_to_single(record.time),
     )
     rows = np.column_stack(columns).tolist()
     return "".join("\t".join(f"{value:.15G}" for value in row) + "\r\n" for row in rows)
 
 
-def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
+def write_r_controller(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     """Write a record as a workbook of TestResources; equal records give equal bytes.
 
     Parameters
     ----------
-    path : the file
+    folder : of the file
     record : of the controller
-    run : for the head of the sheet and the properties of the workbook
+    run : for the header of the sheet and the properties of the workbook
+
+    Returns
+    -------
+    Name of the file.
     """
+    path = folder / f"{run.name}.xlsx"
     note = f"SYNTHETIC: made by labpipe's virtual lab, seed {run.seed}, not a measurement"
     book = Workbook(write_only=True)
     properties = book.properties
@@ -342,10 +352,11 @@ def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
         sheet.append(values.tolist())
     buffer = io.BytesIO()
     book.save(buffer)
-    path.write_bytes(_without_dates(buffer.getvalue(), run.started))
+    path.write_bytes(_replace_dates(buffer.getvalue(), run.started))
+    return (path.name,)
 
 
-def _without_dates(book: bytes, started: datetime) -> bytes:
+def _replace_dates(book: bytes, started: datetime) -> bytes:
     """Replace the time of writing by the date of the test, so that equal tests give equal files."""
     oldest_date = (1980, 1, 1, 0, 0, 0)
     stamp = f">{started:%Y-%m-%dT%H:%M:%SZ}</dcterms:modified>".encode("ascii")

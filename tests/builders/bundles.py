@@ -46,5 +46,5 @@ def solid_stiffnesses() -> tuple[float, float]:
 
 @cache
 def example_wires() -> dict[str, WireTable]:
-    specs = {spec.name: spec for spec in read_wire_sheet(EXAMPLES)}
+    specs = {spec.name: spec for spec in read_wire_sheet(EXAMPLES).specs}
     return {name: wire_table(specs[name]) for name in ("B1", "B2")}

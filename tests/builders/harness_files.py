@@ -10,7 +10,7 @@ from typing import NamedTuple
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_section import Material, material_of
+from labpipe.mechanics.studies.harness_section import Material, read_material
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 
@@ -110,7 +110,7 @@ def followed(text: str, **inputs: float) -> Followed:
     with TemporaryDirectory() as folder:
         file = written(Path(folder), text)
         harness = load_harness(file)
-        material = material_of(harness, file)
+        material = read_material(harness, file)
     best = {**material.best, **inputs}
     prepared = prepare_line(harness, material.sections[0](best), best)
     path = follow(prepared.line, prepared.boundaries, steps=harness.steps)

@@ -43,8 +43,8 @@ class StandIn:
             name = task.sheet.parent.name
             self.before(name)
             self.processed.append(name)
-            assert task.goal is not None
-            yield outcome_of(task, task.goal, self.shift)
+            assert task.results_folder is not None
+            yield outcome_of(task, task.results_folder, self.shift)
 
 
 def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:

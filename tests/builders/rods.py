@@ -6,13 +6,13 @@ import numpy as np
 
 from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import (
-    frame_from_axes,
+    build_frame,
     from_rotation_vectors,
-    matrices,
     multiply,
+    to_matrices,
     unit,
 )
 from labpipe.mechanics.rod.statics import follow
@@ -43,7 +43,7 @@ def straight_line(
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Line:
     """A line of equal elements that is straight at rest, d1 as near to `up` as can be."""
-    frame = frame_from_axes(np.asarray(direction), np.asarray(up))
+    frame = build_frame(np.asarray(direction), np.asarray(up))
     along = unit(np.asarray(direction, dtype=np.float64))
     positions = np.asarray(start) + np.linspace(0.0, length, n + 1)[:, None] * along
     return Line(
@@ -86,14 +86,14 @@ def space_case(turn: Floats | None = None, *, steps: int = 6) -> tuple[Line, lis
     angle = np.linspace(0.0, 1.2, 13) ** 1.1
     points = np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.1 * angle], axis=1)
     scale = LENGTH / np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
-    line = line_along(scale * points, sliding_section(mass=0.02), is_formed=True)
+    line = build_line(scale * points, sliding_section(mass=0.02), is_formed=True)
     way = line.positions[-1] + ramp((-0.1, 0.06, 0.03), steps)
     twist = from_rotation_vectors(ramp((0.4, -0.3, 0.9), steps))
     frames = multiply(twist, line.frame_at(-1)[None])
     load, weight = ramp((0.0, 0.02, -0.01), steps), ramp((0.0, 0.0, -9.81), steps)
     first = line.frame_at(0)
     if turn is not None:
-        space = matrices(turn)
+        space = to_matrices(turn)
         line = Line(
             line.lengths,
             line.section,

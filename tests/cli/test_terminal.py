@@ -21,7 +21,7 @@ from labpipe.cli.terminal import show_completed
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.mechanics.studies.calibration_study import Calibrated
 from labpipe.mechanics.studies.first_loadings import FirstLoading
-from labpipe.mechanics.studies.validation import compare
+from labpipe.mechanics.studies.validation import compare_tests
 from labpipe.mechanics.studies.wire_models import ModelledWires
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
@@ -146,7 +146,7 @@ def done() -> Calibrated:
     found = calibrate(wire_of("A2"), curves, Settings())
     assert isinstance(found, Calibration)
     loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
-    groups = compare(found, {"A2": wire_of("A2")}, loadings)
+    groups = compare_tests(found, {"A2": wire_of("A2")}, loadings)
     return Calibrated(Path("processed/calibration"), found, groups, {}, ())
 
 

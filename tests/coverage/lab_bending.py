@@ -31,7 +31,7 @@ from labpipe.virtual_lab.three_point import (
     ThreePointTest,
     solve_three_point,
 )
-from labpipe.virtual_lab.truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
+from labpipe.virtual_lab.truth import KINK_WINDOW, LoadingTruth, evaluate_taped, fit_slope
 from tests.builders.bent_tests import law_moment
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
@@ -295,7 +295,7 @@ def as_elastic_bar(rig: ThreePointTest, stiffness: float) -> float:
 def windowed(test: ThreePointTest) -> float:
     """Slope of force over displacement in the window of the initial stiffness, N/m."""
     way = np.linspace(0.0, test.stroke, STEPS)
-    return line_slope(way, solve_three_point(test).force(way), *KINK_WINDOW)
+    return fit_slope(way, solve_three_point(test).force(way), *KINK_WINDOW)
 
 
 def conduit_truth(test: ConduitObservation) -> Truth:

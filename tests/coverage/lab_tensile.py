@@ -12,10 +12,10 @@ from labpipe.virtual_lab import TensileObservation, TensileScenario
 from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
-    corrugated_tube,
-    pet_tape,
-    stiff_bar,
-    twist_tube,
+    build_corrugated_tube,
+    build_pet_tape,
+    build_stiff_bar,
+    build_twist_tube,
 )
 from tests.builders.tensile_tests import true_values
 from tests.judges.foreign.rig import scale, stated, wander, zero_drift
@@ -74,7 +74,7 @@ def truth(kind: str, seed: int, test: TensileObservation) -> dict[str, float]:
 
 def _tube(random: np.random.Generator, gain_error: float) -> TensileScenario:
     factor = float(np.exp(0.02 * random.standard_normal()))
-    tube = corrugated_tube("CT-10-1", factor=factor, gain_error=gain_error)
+    tube = build_corrugated_tube("CT-10-1", factor=factor, gain_error=gain_error)
     first, second = random.uniform(0.45, 0.9, 2)
     slips = (
         GripSlip(float(random.uniform(17e-3, 20e-3)), float(first)),
@@ -85,7 +85,7 @@ def _tube(random: np.random.Generator, gain_error: float) -> TensileScenario:
 
 
 def _twist(random: np.random.Generator, gain_error: float) -> TensileScenario:
-    return twist_tube(
+    return build_twist_tube(
         str(random.choice(list(TABLE_2_3))),
         peak_force=420.0 * float(np.exp(0.04 * random.standard_normal())),
         slack=float(random.uniform(0.8e-3, 1.1e-3)),
@@ -95,7 +95,7 @@ def _twist(random: np.random.Generator, gain_error: float) -> TensileScenario:
 
 
 def _tape(random: np.random.Generator, gain_error: float) -> TensileScenario:
-    tape = pet_tape(
+    tape = build_pet_tape(
         "1",
         factor=float(np.exp(0.02 * random.standard_normal())),
         fails_at=float(random.uniform(45e-3, 65e-3)),
@@ -106,7 +106,7 @@ def _tape(random: np.random.Generator, gain_error: float) -> TensileScenario:
 
 def _bar(random: np.random.Generator, gain_error: float) -> TensileScenario:
     del random
-    return stiff_bar(gain_error=gain_error)
+    return build_stiff_bar(gain_error=gain_error)
 
 
 KINDS = {

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.rod.bands import LineBands, bands_of
+from labpipe.mechanics.rod.bands import LineBands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
-    calibrated_distributions,
+    build_calibrated_distributions,
+    build_stated_distribution,
     join_distributions,
-    stated_distribution,
 )
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.response import Band
@@ -138,7 +138,7 @@ def known_of(seed: int) -> KnownFacts:
 def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
-        stated_distribution(
+        build_stated_distribution(
             _INPUTS.get(name, name),
             deviation,
             freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
@@ -147,7 +147,9 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
         for name, deviation in drawn.stated.items()
         if name != "specimen"
     ]
-    calibrated = calibrated_distributions(found.solutions, found.widening, specimen=LAW_FACTOR)
+    calibrated = build_calibrated_distributions(
+        found.solutions, found.widening, specimen=LAW_FACTOR
+    )
     return tuple(join_distributions([each, *stated]) for each in calibrated)
 
 
@@ -172,7 +174,7 @@ def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | Non
         for solution in what.calibration.solutions
         if solution.is_allowed
     ]
-    return bands_of(
+    return predict_line_bands(
         [
             partial(path_of, kind, drawn, make_law_family(spec_of(drawn.wire), own))
             for own in values

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.bands import line_curvatures
+from labpipe.mechanics.rod.bands import compute_line_curvatures
 from labpipe.mechanics.rod.boundaries import EARTH, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.rotations import from_rotation_vectors, matrices, multiply
+from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, to_matrices
 from labpipe.mechanics.rod.statics import follow
 from tests.builders.rods import straight_line
 from tests.coverage.drawn_lines import (
@@ -83,7 +83,7 @@ class PreparedLine:
         section = Section(self.law, self.torsional_stiffness, mass_per_length=self.mass_per_length)
         base = straight_line(self.length, self.elements, section)
         aside, up = self.free_curvature
-        turns = np.array([0.0, -up, aside]) @ matrices(base.frames[0])  # in the line's own axes
+        turns = np.array([0.0, -up, aside]) @ to_matrices(base.frames[0])  # in the line's own axes
         rest_curvature = np.tile(turns, (self.elements - 1, 1))
         near = Held(0, np.zeros(3), base.frames[0])
         steps = self.loading + self.returning + kind.lets_go
@@ -135,7 +135,7 @@ def _circle(base: Line, drawn: Drawn) -> tuple[Numbers, Numbers]:
     share = (np.arange(len(base.lengths)) + 0.5) / len(base.lengths)
     turns = np.stack([share * drawn.way.first, np.full_like(share, drawn.way.side), 0.0 * share])
     frames = frames_of(turns.T, base.frames[0])
-    steps = base.lengths[:, None] * matrices(frames)[:, :, 2]
+    steps = base.lengths[:, None] * to_matrices(frames)[:, :, 2]
     return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]), frames
 
 
@@ -224,7 +224,7 @@ def _in_space(kind: LineKind, drawn: Drawn, length: float, mass: float, torsion:
         message = f"the truth fails: {path.reasons}"
         raise RuntimeError(message)
     held, last = path.states[held_at(kind, laid.returning)], path.last
-    most = float(np.linalg.norm(line_curvatures(held), axis=-1).max())
+    most = float(np.linalg.norm(compute_line_curvatures(held), axis=-1).max())
     return TrueLine(
         held.positions[::FINER],
         last.positions[::FINER],

@@ -16,7 +16,7 @@ from labpipe.mechanics.decks.mujoco_line import write_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_section import material_of
+from labpipe.mechanics.studies.harness_section import read_material
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
@@ -132,7 +132,7 @@ def test_refused() -> None:
 def ready(folder: Path, text: str) -> PreparedLine:
     file = written(folder, text)
     harness = load_harness(file)
-    return prepare_line(harness, material_of(harness, file).sections[0]({}), {})
+    return prepare_line(harness, read_material(harness, file).sections[0]({}), {})
 
 
 def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:

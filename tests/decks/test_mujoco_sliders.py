@@ -38,7 +38,7 @@ TOWARDS = np.radians([0.0, 11.25, 31.5])
 
 @cache
 def example(name: str) -> WireTable:
-    return wire_table(next(spec for spec in read_wire_sheet(EXAMPLES) if spec.name == name))
+    return wire_table(next(spec for spec in read_wire_sheet(EXAMPLES).specs if spec.name == name))
 
 
 @cache

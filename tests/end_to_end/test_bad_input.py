@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile import twist_tube
+from labpipe.virtual_lab.tensile import build_twist_tube
 from tests.approved import Approve
 from tests.builders.bad_input import refused, told
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
@@ -42,7 +42,7 @@ def pulled(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
     """A twist tube with earlier results; not to be changed."""
     from labpipe.process.run import process_test
 
-    lab = make_tensile(tmp_path_factory.mktemp("done"), twist_tube("1b"))
+    lab = make_tensile(tmp_path_factory.mktemp("done"), build_twist_tube("1b"))
     process_test(lab.sheet, figures=False)
     assert len(state(lab.home / "processed")) == 2
     return lab
@@ -356,4 +356,4 @@ def test_a_unit_in_the_export_that_is_said_to_be_wrong(pull: TensileLab, run: Ru
     assert run("process", pull.raw, "--no-figures").status == 0
     pounds = pull.results["peak_force.1"]["value"]
     assert pounds == pytest.approx(newtons * 4.4482216152605 / 1e3, rel=0.01)
-    assert re.match("the export says 'kN', the protocol 'lbf'", pull.notes["unit_overridden"])
+    assert re.match("the export states 'kN', the protocol 'lbf'", pull.notes["unit_overridden"])

@@ -22,7 +22,7 @@ from labpipe.results.measured_law import evaluate_law
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, observe
 from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.three_point import conduit_scenario
+from labpipe.virtual_lab.three_point import build_conduit_scenario
 from tests.builders.bent_tests import law_moment
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, LabFolder, Run, make_lab, small_scenario, state
@@ -126,7 +126,7 @@ def test_a_bundle_in_a_conduit(
 ) -> None:
     """With the export of the frame, or by the speed of the crosshead."""
     lab = LabFolder(tmp_path, name)
-    simulate_test(replace(conduit_scenario(name), has_frame_export=has_frame), lab.raw, seed)
+    simulate_test(replace(build_conduit_scenario(name), has_frame_export=has_frame), lab.raw, seed)
     assert run("process", lab.raw, "--no-figures").status == 0
     results, truth = lab.results, lab.truth
     assert {result["status"] for result in results.values()} == {"ok"}

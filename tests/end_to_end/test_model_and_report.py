@@ -17,8 +17,8 @@ from labpipe.virtual_lab.observations import simulate_test
 from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
-    corrugated_tube,
-    twist_tube,
+    build_corrugated_tube,
+    build_twist_tube,
 )
 from tests.approved import Approve
 from tests.builders.small_tests import Run, RunSummary, state
@@ -99,8 +99,8 @@ TUBES = ("1a", "1b", "1c", "2a", "2b", "2c")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six twist tubes of two spools, and two corrugated tubes, one of which slipped."""
     home = tmp_path_factory.mktemp("campaign")
-    slipped = replace(corrugated_tube("CT-10-2"), slips=(GripSlip(24e-3, 0.8),))
-    scenarios = [*map(twist_tube, TUBES), corrugated_tube("CT-10-1"), slipped]
+    slipped = replace(build_corrugated_tube("CT-10-2"), slips=(GripSlip(24e-3, 0.8),))
+    scenarios = [*map(build_twist_tube, TUBES), build_corrugated_tube("CT-10-1"), slipped]
     for seed, scenario in enumerate(scenarios, start=1):
         simulate_test(scenario, home / "raw" / scenario.name, seed)
     assert main(["process", str(home / "raw"), "--no-figures"]) in (0, 1)

@@ -16,30 +16,35 @@ from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
 from labpipe.virtual_lab.tensile import (
     GripSlip,
-    corrugated_tube,
-    pet_tape,
-    stiff_bar,
-    twist_tube,
+    build_corrugated_tube,
+    build_pet_tape,
+    build_stiff_bar,
+    build_twist_tube,
 )
 from tests.builders.small_tests import Run, state
 from tests.builders.tensile_tests import TensileLab, make_tensile, true_results
 
 SLIPS = (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))
 """Those of the source's specimen."""
-_TUBE, _TAPE = corrugated_tube("CT-10-slit-2", gain_error=0.002), pet_tape("1", gain_error=-0.003)
+_TUBE, _TAPE = (
+    build_corrugated_tube("CT-10-slit-2", gain_error=0.002),
+    build_pet_tape("1", gain_error=-0.003),
+)
 KINDS: dict[str, TensileScenario] = {
     "corrugated-tube": replace(_TUBE, slips=SLIPS),
     "driven back": replace(
-        corrugated_tube("CT-10-3"), frame=replace(_TUBE.frame, unloads=True, overrun=0.0)
+        build_corrugated_tube("CT-10-3"), frame=replace(_TUBE.frame, unloads=True, overrun=0.0)
     ),
-    "twist-tube": twist_tube("1b", gain_error=0.001),
-    "twist-tube, other spool": twist_tube("2a", slack=0.8e-3, peak_force=400.0),
+    "twist-tube": build_twist_tube("1b", gain_error=0.001),
+    "twist-tube, other spool": build_twist_tube("2a", slack=0.8e-3, peak_force=400.0),
     "pet-tape": _TAPE,
-    "pet-tape, 10 Hz": replace(pet_tape("2"), instruments=replace(_TAPE.instruments, rate=10.0)),
-    "corrugated-tube, 10 Hz": replace(
-        corrugated_tube("CT-10-1"), instruments=replace(_TUBE.instruments, rate=10.0)
+    "pet-tape, 10 Hz": replace(
+        build_pet_tape("2"), instruments=replace(_TAPE.instruments, rate=10.0)
     ),
-    "stiff-bar": stiff_bar(gain_error=0.001),
+    "corrugated-tube, 10 Hz": replace(
+        build_corrugated_tube("CT-10-1"), instruments=replace(_TUBE.instruments, rate=10.0)
+    ),
+    "stiff-bar": build_stiff_bar(gain_error=0.001),
 }
 VARIANTS = {"driven back", "twist-tube, other spool", "pet-tape, 10 Hz", "corrugated-tube, 10 Hz"}
 SEED = 1
@@ -140,13 +145,13 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make)
         assert corrected[name]["value"] > plain[name]["value"]
         alone = truth[f"specimen_stiffness_{region}"]
         assert corrected[name]["value"] == pytest.approx(alone, rel=0.006)
-    said = f"{1e6 * found:.4g} um/N x force subtracted from the displacement, "
+    said = f"{1e6 * found:.4g} um/N x force was subtracted from the displacement, "
     assert lab.notes["compliance_removed"].startswith(said)
 
 
 def test_parts_out_of_order_and_one_without_samples(tmp_path: Path, run: Run) -> None:
     """Two parts are the whole but for the two samples that the program loses between them."""
-    whole = twist_tube("2b")
+    whole = build_twist_tube("2b")
     parts = replace(whole, export=replace(whole.export, part_at=4.5))
     labs = [make_tensile(tmp_path / name, each) for name, each in (("1", whole), ("2", parts))]
     for lab in labs:

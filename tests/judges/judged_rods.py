@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
+from labpipe.mechanics.rod.rotations import build_frame, from_rotation_vectors, multiply
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
-from labpipe.mechanics.rod.supports import supports_of
+from labpipe.mechanics.rod.supports import split_supports
 from labpipe.records.arrays import Floats
 from tests.builders.rods import straight_line
 from tests.judges.rod_references import (
@@ -119,7 +119,7 @@ def rate_on_joints(
     not below zero else, as the rod may spin.
     """
     line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
-    supports = supports_of(line, ((0, False), (elements, False)))
+    supports = split_supports(line, ((0, False), (elements, False)))
     none = (np.zeros(0, dtype=np.int64), np.zeros(0))
     assembly = Assembly(line, supports, (), none, n_rings=0, force=1.0 + moment)
     middles = (np.arange(elements) + 0.5) / elements
@@ -192,7 +192,7 @@ def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPat
     angle = np.linspace(-0.3, 0.3, 17)
     points = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1) / 0.6
     own = section(stretch=1.2e4)
-    line = line_along(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
+    line = build_line(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
     ends = [Held(node, line.positions[node], line.frame_at(node)) for node in (0, -1)]
     down, rows = np.array([0.0, 0.0, -1.0]), loads if ways is None else ways
     assert rows is not None
@@ -206,8 +206,8 @@ def bend_path(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0)
     """The bend of 45 degrees, as `bend_of_45_degrees` puts it, its load grown in six steps."""
     angle = np.linspace(0.0, 0.25 * np.pi, elements + 1)
     points = 100.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
-    line = line_along(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
-    frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    line = build_line(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
+    frame = build_frame(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     force = Load(-1, grown((0.0, 0.0, load), 6))
     return follow(line, [Held(0, np.zeros(3), frame), force], steps=6)
 

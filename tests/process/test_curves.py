@@ -39,10 +39,8 @@ def test_a_column_of_noise_is_no_motion() -> None:
     noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
     test, results = reduced(time, path + noise, force)
     assert test.curve is None
-    assert results["initial_stiffness"].reason_text == (
-        "no_motion: the noise of the motion is 1.97 mm, too much to distinguish strokes of "
-        "min_stroke, 1 mm: is it the right channel?"
-    )
+    reason = results["initial_stiffness"].reason_text
+    assert reason.startswith("no_motion: the noise of the motion is 1.97 mm")
 
 
 @pytest.mark.parametrize(

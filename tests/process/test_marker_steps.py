@@ -158,7 +158,8 @@ def test_a_clamp_that_is_stale_or_lost_for_some_frames(
     )
     np.testing.assert_allclose(made.take.clamp[frames], expected, atol=1e-4)
     why = doubted(findings.entries).get("displacement", "")
-    assert why.startswith("clamp_frozen: Clamp keeps its last pose for 40" if is_stale else "")
+    assert why.startswith("clamp_frozen: " if is_stale else "")
+    assert "40 frames" in why or not is_stale
 
 
 def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Protocol) -> None:
@@ -169,7 +170,7 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
     made, said = done(crowded, protocol)
     assert made.take.repaired is not None
     assert "Table:Marker1" not in made.take.repaired.names
-    assert "markers of Table are not used; markers.along can name them" in str(said.notes)
+    assert "bodies_left_out" in {note.code for note in said.notes if "Table" in note.message}
 
 
 def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
@@ -180,8 +181,8 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
     assert "displacement" not in doubted(done(found, protocol)[1].entries)
     _, said = done(found, protocol, grip_offset=0.016)
     why = doubted(said.entries)["displacement"]
-    assert why.startswith("shape_misfit: the markers are ")
-    assert "check grip_offset, centre_offset and terms" in why
+    assert why.startswith("shape_misfit: ")
+    assert "grip_offset" in why
 
 
 SPAN = "span: 152.4 mm"
@@ -227,7 +228,7 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
         BendingRecord(),
         (f"  {SPAN}\n", ""),
         "mid_span_curvature",
-        "no_span: specimen.span, the distance between the supports, is not given: write it into",
+        "no_span: specimen.span",
     ),
     "a span between markers": (
         BendingRecord(),
@@ -239,7 +240,7 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
         BendingRecord(),
         (SPAN, "span: 120 mm"),
         "bending_stiffness",
-        "mid_span_differs: cameras see mid-span sink by 19.9",
+        "mid_span_differs: in the camera data mid-span moves by 19.9",
     ),
     "cameras that began under load": (
         BendingRecord(cameras_early=-2.0),
@@ -251,7 +252,7 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
         BendingRecord(angles=(float(np.radians(90.0)),)),
         None,
         "twist",
-        "too_few_markers: twist needs two markers at different places around the axis in one sec",
+        "too_few_markers: twist",
     ),
     "a window that is not reached": (
         BendingRecord(),

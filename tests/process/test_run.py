@@ -90,7 +90,7 @@ def spoil(error: Exception) -> Callable[..., Any]:
 
 FAULT = (
     r"expected no error, found a fault of labpipe itself \(ZeroDivisionError: of all\)\."
-    r" Report it \(run.py, line \d+\) with the exports of the test; processed alone, it says more"
+    r" Report it \(run.py, line \d+\) with the exports of the test; process the test alone"
 )
 
 

@@ -118,7 +118,7 @@ def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
     noise = np.random.default_rng(3).normal(0.0, 1.0, len(TIME))
     test = after(f"{{step: zero, channel: force, over: 45 ms, by: {by}}}", noise)
     (note,) = (note for note in test.notes if note.code == "zeroed")
-    assert note.message.endswith(", 5 samples: their noise is taken from the rest of the record")
+    assert ", 5 samples" in note.message
     assert test.signals.raw["force"].zero_error == pytest.approx(error, rel=0.1)
 
 
@@ -188,10 +188,6 @@ def test_a_zero_that_was_taken_under_load() -> None:
 
 
 def test_a_force_that_never_turns() -> None:
-    with pytest.raises(Exception, match="expected a corner where it turns from rising") as info:
+    with pytest.raises(Exception, match="expected a corner") as info:
         reduced(BendingRecord(rigidity=0.0, noise=(1e-12, 0.0, 0.0)), without=ALONE)
-    assert str(info.value).startswith(
-        "steps.4 (travel-from-speed): force: expected a corner where it turns from rising to "
-        "falling, which says when the frame turned, found none: look whether it is the right "
-        "channel, and whether the unloading was recorded. Check the exports with"
-    )
+    assert str(info.value).startswith("steps.4 (travel-from-speed): force: ")

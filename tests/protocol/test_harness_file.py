@@ -127,3 +127,29 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
     assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
     with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm at step 30"):
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "facts"),
+    [
+        ("{kind: ring, name: eye, position: [10 mm, 0 mm, 160 mm], direction: [1, 0, 0]}", "2",
+         ["'eye'", "456.8", "300 mm"]),
+        ("{kind: pin, name: mid, at: 9 mm, position: [10 mm, 9 mm, 0 mm], by: 5, release: 5}",
+         "2.release", ["'mid'", "after 5"]),
+    ],
+)  # fmt: skip
+def test_rings_out_of_reach_and_early_releases(
+    tmp_path: Path, text: str, place: str, facts: list[str]
+) -> None:
+    with pytest.raises(ProtocolError) as refused:
+        load(tmp_path, f"{BETWEEN_CLIPS}  - {text}\n")
+    assert all(fact in str(refused.value) for fact in (f"boundaries.{place}", *facts))
+
+
+def test_a_heavy_line_without_holds_falls(tmp_path: Path) -> None:
+    heavy = BETWEEN_CLIPS.replace("2.2 mm", "2.2 mm\n    mass_per_length: 7 g/m")
+    heavy = heavy.replace("1, 0]}", "1, 0], release: 20}")
+    heavy = heavy.replace("250 mm, 0 mm]}", "250 mm, 0 mm], by: 9, release: 30}")
+    with pytest.raises(ProtocolError, match="from step 30 on, found nothing"):
+        load(tmp_path, heavy)
+    assert load(tmp_path, heavy + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")

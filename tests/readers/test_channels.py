@@ -13,7 +13,7 @@ from labpipe.readers.channels import (
     NoChannelError,
     find_channel,
 )
-from labpipe.readers.recording_checks import clock_notes, find_holes
+from labpipe.readers.recording_checks import find_holes, make_clock_notes
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock
@@ -126,7 +126,7 @@ def test_what_is_noted_of_a_clock(approved: Approve) -> None:
     approved(
         f"{what}: {note.severity} {note.code} {note.message}"
         for what, (clock, is_variable) in CLOCKS.items()
-        for note in clock_notes(clock, is_variable=is_variable) or [NOTHING]
+        for note in make_clock_notes(clock, is_variable=is_variable) or [NOTHING]
     )
 
 

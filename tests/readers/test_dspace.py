@@ -24,9 +24,9 @@ from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, read_export
 from labpipe.readers.controldesk import (
     Export,
     Trace,
-    day_of_saving,
     load_export,
-    written_date,
+    parse_saving_day,
+    resolve_date,
 )
 from labpipe.readers.dspace_mat import parse_mat5
 from labpipe.records.recording import Recording
@@ -210,7 +210,7 @@ def test_notes_on_names_and_units() -> None:
     ],
 )
 def test_the_day_of_saving_settles_the_order(text: str, near: date | None, iso: str) -> None:
-    assert written_date(text, near) == iso
+    assert resolve_date(text, near) == iso
 
 
 DAYS = {
@@ -222,8 +222,8 @@ DAYS = {
 
 def test_the_day_in_a_mat_header() -> None:
     header = "MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {} 17:31:15 2023"
-    assert {day: day_of_saving(header.format(day)) for day in DAYS} == DAYS
-    assert day_of_saving("") is None
+    assert {day: parse_saving_day(header.format(day)) for day in DAYS} == DAYS
+    assert parse_saving_day("") is None
 
 
 def written(variables: dict[str, Any], *, compress: bool = False) -> bytes:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_rows import RowExport, parse_rows
-from labpipe.readers.motive_takes import Header, derived_rate, parse_header, unique_names
+from labpipe.readers.motive_takes import Header, derive_rate, parse_header, unique_names
 from labpipe.readers.recording_checks import track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -151,7 +151,7 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
 
     recording = motive_takes.read(edited(tmp_path, infinite))
     assert tracks(recording).missing["Unlabeled 12"] == 1
-    assert notes(recording)["not_finite"] == ("1 infinite numbers count as blank")
+    assert notes(recording)["not_finite"] == ("1 infinite numbers became blank")
     file = edited(tmp_path, lambda lines: [*lines[:20], lines[12], *lines[20:]])
     (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)
     assert note.message.startswith("time runs backwards 1 times, first at sample 14")
@@ -160,11 +160,11 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
 NOTED: dict[str, tuple[list[Column], Layout, str]] = {
     "time_rounded": (
         *(TRACKED, replace(LAYOUT, milliseconds=True)),
-        "the column of times is rounded to milliseconds (up",
+        "the column of times is rounded to milliseconds",
     ),
     "time_column_differs": (
         *(TRACKED, replace(LAYOUT, time_shift=0.5)),
-        "the column of times is up to 500 ms off frame / rate: kept",
+        "the column of times differs from frame / rate by up to 500 ms: the column is used",
     ),
     "rate_not_stated": (
         TRACKED,
@@ -229,8 +229,8 @@ def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
 
 def test_the_derived_rate_leaves_holes_out() -> None:
     time = np.delete(np.arange(100) / 50.0, np.arange(40, 60))
-    assert derived_rate(time) == pytest.approx(50.0)
-    assert np.isnan([derived_rate(np.zeros(1)), derived_rate(np.zeros(5))]).all()
+    assert derive_rate(time) == pytest.approx(50.0)
+    assert np.isnan([derive_rate(np.zeros(1)), derive_rate(np.zeros(5))]).all()
 
 
 FILE = Path("take.csv")
@@ -386,7 +386,7 @@ def test_a_point_of_no_body(tmp_path: Path) -> None:
     np.testing.assert_array_equal(export.tracks.positions[:, -1], stray)
     file = write_row_style(tmp_path / "take.csv", TIMES, [body()], version="1.0", stray=stray)
     assert notes(parse_file(file))["anonymous_markers"] == (
-        "11 points belong to no body and have no identity: left out"
+        "11 points without body and identity were left out"
     )
 
 
@@ -409,9 +409,9 @@ def test_notes_on_tracks() -> None:
         "marker_gaps Unlabeled 7": "missing in 28 of 40 frames, the longest gap 28 frames",
         "marker_gaps Unlabeled 8": "missing in 35 of 40 frames, the longest gap 35 frames",
         "frozen_pose Clamp": "position unchanged to the last digit in 19 of 39 steps,"
-        " up to 19 in a row: lost, with its last pose repeated?",
+        " up to 19 in a row: the program may repeat a lost pose",
         "label_switch label": (
-            "missing in rows 0-11, exactly where Unlabeled 7 is seen: label switch?"
+            "missing in rows 0-11, exactly where Unlabeled 7 is visible: perhaps a label switch"
         ),
         "unlabelled_markers markers": "2 of 5 markers have no label",
     }

@@ -10,8 +10,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from labpipe.errors import ReadError
-from labpipe.readers.number_table import Body, read_columns, thousandfold_jump, whole_lines
-from labpipe.readers.text_cells import cell_error, name_and_unit
+from labpipe.readers.number_table import (
+    Body,
+    drop_incomplete_line,
+    find_thousandfold_jump,
+    read_columns,
+)
+from labpipe.readers.text_cells import build_cell_error, split_name_and_unit
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 
@@ -155,7 +160,7 @@ def test_a_cut_anywhere_loses_only_the_last_line(cut: int) -> None:
 
 
 def is_whole(text: str) -> bool:
-    rows, notes = whole_lines(body(text))
+    rows, notes = drop_incomplete_line(body(text))
     assert rows.data.decode() in {text, text[: text.rfind("\n") + 1]}
     return not notes
 
@@ -210,7 +215,7 @@ def test_a_resaved_file_loses_nothing(seed: int, keep: int) -> None:
     ],
 )
 def test_a_unit_in_the_cell_of_the_name(cell: str, parted: tuple[str, str] | None) -> None:
-    assert name_and_unit(cell) == parted
+    assert split_name_and_unit(cell) == parted
 
 
 NO_NUMBERS = {
@@ -226,7 +231,7 @@ NO_NUMBERS = {
 
 def test_why_a_cell_is_no_number(approved: Approve) -> None:
     approved(
-        cell_error(cell, decimal, "a.csv", f"decimal {decimal}")
+        build_cell_error(cell, decimal, "a.csv", f"decimal {decimal}")
         for decimal, cells in NO_NUMBERS.items()
         for cell in cells
     )
@@ -253,7 +258,7 @@ def test_a_curve_that_lost_its_signs_is_found(
     decimals = chance.choice([3, 6], len(curve), p=[0.9, 0.1])
     decimals[[10, 11, 12]] = [3, 6, 3]
     written = lost(np.round(curve, 6) + 1e-6, list(decimals))
-    assert thousandfold_jump(written) is not None
+    assert find_thousandfold_jump(written) is not None
 
 
 @given(
@@ -276,10 +281,10 @@ def test_spikes_and_overflows_are_no_lost_signs(
     values = level * (1.0 + 0.3 * chance.standard_normal(400).cumsum() / 20.0)
     values[chance.integers(0, 400, 3)] *= size
     written = np.array([float(f"{value:.{digits}g}") for value in values])
-    assert thousandfold_jump(written) is None
+    assert find_thousandfold_jump(written) is None
     counts = np.asarray(int(chance.choice([7, 20, 300, 5000])) + chance.integers(-3, 4, 400) + 0.0)
     counts[chance.integers(1, 399)] = top
-    assert thousandfold_jump(counts) is None
+    assert find_thousandfold_jump(counts) is None
 
 
 NONE, LOST_DECIMALS = np.nan, 1110797.0
@@ -304,4 +309,4 @@ JUMPS: list[tuple[list[float], tuple[int, int] | None]] = [
 
 @pytest.mark.parametrize(("values", "place"), JUMPS)
 def test_a_thousandfold_jump(values: list[float], place: tuple[int, int] | None) -> None:
-    assert thousandfold_jump(np.array(values, dtype=np.float64)) == place
+    assert find_thousandfold_jump(np.array(values, dtype=np.float64)) == place

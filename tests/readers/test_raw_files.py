@@ -78,7 +78,7 @@ def test_what_a_file_appears_to_be(tmp_path: Path, approved: Approve) -> None:
     def described(content: bytes) -> str:
         (tmp_path / "file.dat").write_bytes(content)
         stranger = describe_unknown(tmp_path / "file.dat")
-        return f"{stranger.what}. {stranger.remedy}"
+        return f"{stranger.kind}. {stranger.remedy}"
 
     tables = [described(text.encode()) for text in TABLES]
     assert tables == [described(text.encode("utf-16")) for text in TABLES]
@@ -97,4 +97,4 @@ def test_what_a_file_appears_to_be(tmp_path: Path, approved: Approve) -> None:
     ],
 )
 def test_real_strangers(realdata: Path, name: str, words: str) -> None:
-    assert describe_unknown(realdata / name).what.startswith(words)
+    assert describe_unknown(realdata / name).kind.startswith(words)

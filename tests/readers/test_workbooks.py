@@ -19,8 +19,8 @@ from labpipe.readers.workbooks import (
     Cell,
     Table,
     as_table,
+    clear_sheet_cache,
     csv_cells,
-    forget_sheets,
     is_workbook,
     open_sheets,
     read_campaign_sheet,
@@ -43,7 +43,7 @@ from tests.readers.load_frame.exports import (
 @pytest.fixture(autouse=True)
 def forgotten() -> Iterator[None]:
     yield
-    forget_sheets()
+    clear_sheet_cache()
 
 
 def test_a_workbook_is_parsed_once(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_workbooks_that_are_refused(tmp_path: Path, book: Path, approved: Approv
         book.write_bytes(whole)
         messages.append(refusal(open_sheets, changed(book, stray(place))))
     locked = locked_workbook(tmp_path / "locked.xlsx")
-    assert describe_unknown(locked).what == "a workbook with a password"
+    assert describe_unknown(locked).kind == "a workbook with a password"
     messages += [refusal(read, locked) for read in (open_sheets, read_campaign_sheet, read_export)]
     messages += [
         refusal(open_sheets, archive(tmp_path / "a.ods", "content.xml")),

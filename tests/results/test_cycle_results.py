@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import replicate_curves
-from labpipe.results.cycles import _time_of_part, find_cycle_samples
+from labpipe.results.cycles import _find_time_interval, find_cycle_samples
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 
@@ -38,7 +38,7 @@ def test_parts_of_a_cycle_counted_in_branches() -> None:
         **{(0.0, 1.0): (0.0, 2.0), (1.0, 2.0): (2.0, 5.0), (0.5, 1.5): (1.0, 3.5)},
         **{(0.0, 2.0): (0.0, 5.0), (0.0, 3.0): (0.0, 5.0), (2.0, 3.0): None},
     }
-    assert {reads: _time_of_part([up, down], reads) for reads in stretches} == stretches
+    assert {reads: _find_time_interval([up, down], reads) for reads in stretches} == stretches
 
 
 def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> ReducedTest:

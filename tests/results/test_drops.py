@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
-from labpipe.results.curve_replicates import add_back
+from labpipe.results.curve_replicates import add_slips_back
 from labpipe.results.failures import (
     LossOfForce,
     find_loss_start,
@@ -20,10 +20,10 @@ from labpipe.results.failures import (
 from labpipe.results.slack_and_slips import (
     LoadDrop,
     PullCurve,
-    _block_size,
-    _correlation,
+    _choose_block_size,
+    _estimate_correlation,
     _is_outlier,
-    _step_kernel,
+    _make_step_kernel,
     _Window,
     count_samples_before,
     find_slips,
@@ -107,8 +107,8 @@ def test_a_slow_loss_needs_a_motion_that_goes_on() -> None:
 
 def test_no_tension() -> None:
     for force, most in ((-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")):
-        message = f"the force is nowhere above zero, at most {most} N"
-        assert find_loss_start(TIME, force, RULE) == Failure("no_tension", message)
+        failure = find_loss_start(TIME, force, RULE)
+        assert failure == Failure.of("results.no_tension", largest=float(most))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_the_two_slips_of_the_source() -> None:
         assert D_SLIPS[slip.start] <= slip.position <= D_SLIPS[slip.stop]
         ends = slip.position_interval.lower, slip.position_interval.upper
         assert ends == pytest.approx((D_SLIPS[slip.start], D_SLIPS[slip.stop]), abs=2 * D_SLIPS[1])
-    repaired = add_back(force, (one, two))
+    repaired = add_slips_back(force, (one, two))
     assert np.abs(repaired - SMOOTH - noise()).max() < 0.3
 
 
@@ -200,10 +200,10 @@ def ledger(start: int, stop: int, drop: float) -> Slip:
 
 def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
     force = np.array([0.0, 1.0, 0.7, 1.0, 2.0, 2.5, 3.5])
-    repaired = add_back(force, (ledger(1, 3, 1.0), ledger(4, 5, 0.5)))
+    repaired = add_slips_back(force, (ledger(1, 3, 1.0), ledger(4, 5, 0.5)))
     assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     force[2] = np.nan
-    assert np.isnan(add_back(force, (ledger(1, 3, 1.0),))[2])
+    assert np.isnan(add_slips_back(force, (ledger(1, 3, 1.0),))[2])
     assert count_samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
     assert count_samples_before((), 7) == 7
 
@@ -241,7 +241,11 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
     travel: float, longest: float
 ) -> None:
     d = np.linspace(0.0, travel, 20_001)
-    assert _block_size(d, None) == _block_size(d, longest) != _block_size(d, 1.4 * longest)
+    assert (
+        _choose_block_size(d, None)
+        == _choose_block_size(d, longest)
+        != _choose_block_size(d, 1.4 * longest)
+    )
 
 
 @pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])
@@ -292,12 +296,12 @@ def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
     """A cubic and a fall over two samples, in noise of which 0.4 is remembered."""
     at = np.arange(10.0, 60.0)
     drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, 0.0, 0.0, 0.0)
-    kernel = _step_kernel(_Window(10, 60, 3, 0.4), drop)
+    kernel = _make_step_kernel(_Window(10, 60, 3, 0.4), drop)
     design = np.column_stack([np.vander(at / 60.0, 4), np.clip((at - 34.0) / 2.0, 0.0, 1.0)])
     force = noise()[10:60]
     white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))
     assert kernel @ force == pytest.approx(np.linalg.lstsq(white, target)[0][-1], rel=1e-9)
-    assert 0.0 <= _correlation(noise()[:100]) < 0.3  # a curve of one window has one, too
+    assert 0.0 <= _estimate_correlation(noise()[:100]) < 0.3  # a curve of one window has one, too
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:

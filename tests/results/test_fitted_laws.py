@@ -46,7 +46,7 @@ def loading(
         rest_weight=5.0,
         centre_offset=0.0008,
     )
-    moved = LawShapes.of(blank, basis).movement(law)
+    moved = LawShapes.of(blank, basis).compute_movement(law)
     rng = np.random.default_rng(seed)
     markers = np.stack(np.split(moved, 2, axis=1), axis=2)
     at_rest = noise / np.sqrt(5.0) * rng.standard_normal((len(PLACES), 2))
@@ -87,7 +87,9 @@ def test_a_shift_is_what_another_fit_finds() -> None:
     test = loading()
     fit = fit_law(test, BASIS)
     other = replace(test, moment=1.001 * test.moment)
-    before, after = (LawShapes.of(each, BASIS).movement(fit.compliance) for each in (test, other))
+    before, after = (
+        LawShapes.of(each, BASIS).compute_movement(fit.compliance) for each in (test, other)
+    )
     again = fit_law(other, BASIS)
     change = again.compliance - fit.compliance
     assert fit.shift(after - before) == pytest.approx(change, abs=0.02 * np.abs(change).max())
@@ -123,23 +125,23 @@ amounts = st.lists(st.floats(0.0, 500.0), min_size=7, max_size=7)
 @given(amounts, st.lists(st.floats(-0.08, 0.08), min_size=2, max_size=20))
 def test_laws_are_odd_and_never_fall(compliance: list[float], moment: list[float]) -> None:
     at, weights = np.sort(np.array(moment)), np.array(compliance)
-    curvature = BASIS_BASIS.values(at) @ weights
-    assert BASIS_BASIS.values(-at) @ weights == pytest.approx(-curvature)
+    curvature = BASIS_BASIS.compute_values(at) @ weights
+    assert BASIS_BASIS.compute_values(-at) @ weights == pytest.approx(-curvature)
     assert (np.diff(curvature) >= -1e-9).all()
 
 
 @given(amounts, st.floats(1e-4, 0.08))
 def test_slopes_are_those_of_the_values(compliance: list[float], moment: float) -> None:
     weights, step = np.array(compliance), 1e-7
-    ends = BASIS_BASIS.values(np.array([moment - step, moment + step])) @ weights
+    ends = BASIS_BASIS.compute_values(np.array([moment - step, moment + step])) @ weights
     slope = float((ends[1] - ends[0]) / (2.0 * step))
-    near = BASIS_BASIS.slopes(np.array([moment - step, moment, moment + step])) @ weights
+    near = BASIS_BASIS.compute_slopes(np.array([moment - step, moment, moment + step])) @ weights
     assert near.min() - 1e-3 <= slope <= near.max() + 1e-3
 
 
 def test_a_law_goes_on_straight_beyond_its_last_knot() -> None:
     basis = LawBasis(np.array([0.0, 1.0, 2.0]))
-    assert basis.values(np.array([2.0, 3.0])) @ np.array([1.0, 1.0, 4.0]) == pytest.approx(
+    assert basis.compute_values(np.array([2.0, 3.0])) @ np.array([1.0, 1.0, 4.0]) == pytest.approx(
         [3.5, 7.5]
     )
 
@@ -164,7 +166,7 @@ def bent_evenly(moment: float, *, height: float) -> LawShapes:
 @pytest.mark.parametrize("height", [0.0, 0.0008])
 def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
     compliance, moment = 200.0, 0.05
-    moved = bent_evenly(moment, height=height).movement(np.full(5, compliance))
+    moved = bent_evenly(moment, height=height).compute_movement(np.full(5, compliance))
     curvature = compliance * moment
     turn, radius = curvature * PLACES, 1.0 / curvature - height
     x = radius * np.sin(turn) - PLACES
@@ -176,7 +178,7 @@ def test_derivatives_are_those_of_the_movement() -> None:
     compliance = np.array([180.0, 200.0, 240.0, 300.0, 280.0])
     shapes = bent_evenly(0.05, height=0.0008)
     moved, slopes = shapes.predict(compliance)
-    assert moved.tolist() == shapes.movement(compliance).tolist()
+    assert moved.tolist() == shapes.compute_movement(compliance).tolist()
     for knot, step in enumerate(1e-3 * np.eye(5)):
-        more, less = (shapes.movement(compliance + sign * step) for sign in (1.0, -1.0))
+        more, less = (shapes.compute_movement(compliance + sign * step) for sign in (1.0, -1.0))
         assert slopes[..., knot] == pytest.approx((more - less) / 2e-3, abs=1e-9)

@@ -64,11 +64,11 @@ def table(*, scale_error: float = 0.0, noise: float = 0.05) -> MeasuredLaw:
 
 def test_points_lie_on_the_law() -> None:
     moment = np.array([0.001, 0.02, 0.05])
-    curvature = BASIS.values(moment) @ LAW
+    curvature = BASIS.compute_values(moment) @ LAW
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert at.moment == pytest.approx(moment, rel=1e-4)
     assert at.secant == pytest.approx(moment / curvature, rel=1e-4)
-    assert at.tangent == pytest.approx(1.0 / (BASIS.slopes(moment) @ LAW), rel=1e-3)
+    assert at.tangent == pytest.approx(1.0 / (BASIS.compute_slopes(moment) @ LAW), rel=1e-3)
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_errors_are_those_of_other_laws() -> None:
 
 
 def test_nothing_is_extrapolated_and_a_flat_law_has_no_stiffness() -> None:
-    last = float(BASIS.values(BASIS.knots[-1:])[0] @ LAW)
+    last = float(BASIS.compute_values(BASIS.knots[-1:])[0] @ LAW)
     curvature = np.array([1e3, -1.0, 1.01 * last, last])
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert np.isnan([at.moment[:3], at.secant[:3], at.tangent[:3]]).all()

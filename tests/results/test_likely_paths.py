@@ -28,7 +28,7 @@ from labpipe.records.causes import (
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import (
-    add_back,
+    add_slips_back,
     find_piece_starts,
     make_trace,
     replicate_curves,
@@ -220,7 +220,7 @@ def slipped(decision: SlipDecision) -> ReducedTest:
     slips = tuple(Slip(1e-3, 20.0, drop, drop, decision, start, start + 2) for start in (200, 500))
     test = recorded(time, 1e-3 * time, force, slips=slips)
     if decision is SlipDecision.REPAIRED:
-        whole = add_back(test.required_curve.force, slips)
+        whole = add_slips_back(test.required_curve.force, slips)
         return replace(test, curve=replace(test.required_curve, force=whole))
     return test
 
@@ -554,7 +554,7 @@ def test_the_largest_of_all_samples_in_noise() -> None:
     noise[:, -1000:] = rows.reshape(1000, -1, 3).mean(axis=2)
     for sense in (1.0, -1.0):
         falling = replace(samples, smooth=sense * samples.smooth)
-        raised = sense * falling.raised(noise, sense)
+        raised = sense * falling.compute_peak_effect(noise, sense)
         by_hand = (samples.smooth[-3000:] + sense * rows[:, -len(samples.smooth) :]).max(axis=1)
         by_hand -= samples.smooth.max()
         # Deviations of one record: 5 % of the mean.
@@ -565,9 +565,11 @@ def test_the_largest_of_all_samples_in_noise() -> None:
 def test_without_noise_nothing_is_raised() -> None:
     samples = around_turn(force_at(SINGLE * np.arange(2000.0)))
     assert samples is not None
-    assert samples.raised(np.zeros((3, 501)), 1.0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert samples.compute_peak_effect(np.zeros((3, 501)), 1.0) == pytest.approx(
+        np.zeros(3), abs=1e-9
+    )
     assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
-    assert samples.drawn((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
+    assert samples.draw_deviations((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
 
 
 def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:
@@ -576,7 +578,7 @@ def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:
     samples = around_turn(noisy, filters=False)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx(NOISE, rel=0.05)
-    raised = samples.raised(1e3 * np.ones((400, 501)), 1.0)
+    raised = samples.compute_peak_effect(1e3 * np.ones((400, 501)), 1.0)
     assert 0.5 * NOISE < raised.mean() < 4.0 * NOISE
 
 
@@ -584,7 +586,7 @@ def test_single_samples_deviate_from_their_block() -> None:
     noisy = force_at(SINGLE * np.arange(2000.0)) + NOISE * RNG(0).normal(size=2000)
     samples = around_turn(noisy)
     assert samples is not None
-    assert np.std(samples.drawn((4000,))) == pytest.approx(0.75**0.5 * NOISE, rel=0.06)
+    assert np.std(samples.draw_deviations((4000,))) == pytest.approx(0.75**0.5 * NOISE, rel=0.06)
 
 
 def test_a_curve_with_all_samples_needs_no_more_of_them() -> None:

@@ -80,7 +80,7 @@ ALL = np.arange(len(D))
 def test_a_sample_moved_along_the_curve_keeps_its_place_on_it() -> None:
     moved = D + np.random.default_rng(0).normal(0.0, 2e-5, (3, len(D)))
     bent, curvature = 800.0 * D - 2e4 * D**2, 2 * 2e4
-    found = CommonPath.of(D, bent, ALL).force(800.0 * moved - 2e4 * moved**2, moved)
+    found = CommonPath.of(D, bent, ALL).move_force(800.0 * moved - 2e4 * moved**2, moved)
     second_order = 0.5 * curvature * (moved - D) ** 2
     assert np.abs(800.0 * (moved - D)).max() > 0.02
     # Slopes at the ends are read from one side: off by the curvature over half of four steps.
@@ -106,18 +106,18 @@ def test_some_samples_in_another_order() -> None:
     assert path.slope[D[mixed] < 2.8e-3] == pytest.approx(900.0)
     assert path.displacement.tolist() == D[mixed].tolist()
     curves = kinked + np.array([[0.0], [2.0]])
-    assert path.force(curves, D + 1e-5) == pytest.approx(
-        plain.force(curves, D + 1e-5)[:, mixed], abs=2e-3
+    assert path.move_force(curves, D + 1e-5) == pytest.approx(
+        plain.move_force(curves, D + 1e-5)[:, mixed], abs=2e-3
     )
-    assert path.force(curves).tolist() == curves[:, mixed].tolist()
+    assert path.move_force(curves).tolist() == curves[:, mixed].tolist()
 
 
 def test_the_same_displacements_change_nothing() -> None:
     path = CommonPath.of(D, 900.0 * D, ALL)
     force = np.array([900.0 * D, 5.0 + 0.0 * D])
-    assert path.force(force) is force
-    assert path.force(force, D) is force
-    moved = path.force(force, D + np.where(ALL == 3, 1e-3, 0.0))
+    assert path.move_force(force) is force
+    assert path.move_force(force, D) is force
+    moved = path.move_force(force, D + np.where(ALL == 3, 1e-3, 0.0))
     assert (force - moved)[:, [2, 3]] == pytest.approx(np.array([[0.0, 0.9], [0.0, 0.9]]))
 
 
@@ -162,7 +162,7 @@ def test_it_is_where_the_force_is_back_at_zero(way: str) -> None:
     """Gaps are passed over; rows are as each alone, and a foot that rises is no number."""
     path, force = WAYS[way]
     plain = decided(path, force)
-    assert plain.how == way
+    assert plain.kind == way
     assert plain.compute(path, force) == pytest.approx(LEFT, abs=1e-12)
     rng = np.random.default_rng(1)
     paths, forces = (point + rng.normal(0, 1e-5, (3, len(TIME))) for point in (path, force))
@@ -198,7 +198,7 @@ def test_through_zero_by_hand() -> None:
     force = -0.05 * after + 2e-4 * after**2
     path = 0.004 - 1e-3 * after + 1e-5 * after**2
     found = decided(path, force)
-    assert found.how == "through zero"
+    assert found.kind == "through zero"
     assert found.compute(path, force) == pytest.approx(0.004, abs=1e-12)
 
 
@@ -206,7 +206,7 @@ def test_a_foot_of_few_samples_is_not_followed() -> None:
     """The force is lost between two samples: the displacement is that of the last one above."""
     force = np.where(TIME < 40.0, 1.0, 0.0)
     found = decided(PATH, force)
-    assert found.how == "followed"
+    assert found.kind == "followed"
     rows = found.compute(np.array([PATH, PATH + 0.001]), force)
     np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
 
@@ -218,11 +218,11 @@ def test_a_curve_without_noise_ends_as_the_one_that_was_measured(way: str) -> No
     noisy = path + rng.normal(0, 1e-5, len(TIME)), force + rng.normal(0, 2e-3, len(TIME))
     measured = decided(*noisy)
     again = decided(path, force, like=measured)
-    assert again.how == measured.how == way
+    assert again.kind == measured.kind == way
     assert again.limit == measured.limit
     # Shown a rest that creeps by more than no noise at all, it is a rest all the same.
     creeping = path - np.where(path <= LEFT, 1e-8 * TIME, 0.0)
-    assert decided(creeping, force, like=measured).how == way
+    assert decided(creeping, force, like=measured).kind == way
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -237,7 +237,7 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     force[21] -= 1.0
     force[22, 2045:] += 0.006
     found = decided(path[10], force[10])
-    assert found.how == "followed"
+    assert found.kind == "followed"
     for d, f, each in zip(
         path[10:], force[10:], each_row(found, path[10:], force[10:]), strict=True
     ):
@@ -292,7 +292,7 @@ def test_a_rest_is_seen_once_the_line_were_three_limits_lower(lasts: float, way:
     """15 mN at 24 mN a second are 0.625 s."""
     path, force = WAYS["at rest"]
     part = lasts + 41.0 >= TIME
-    assert find_unloading_end(TIME[part], path[part], force[part], force_below=LIMIT).how == way
+    assert find_unloading_end(TIME[part], path[part], force[part], force_below=LIMIT).kind == way
 
 
 @pytest.mark.parametrize(("pulls", "creeps"), [(0.0, 0.0), (-0.0125, 0.0), (0.0, 2e-6)])
@@ -305,7 +305,7 @@ def test_a_string_that_pulls_or_a_specimen_that_creeps_is_not_at_rest(
     force = force + np.where((after > 4.0) & (after < 8.0), pulls, 0.0)
     noise = np.random.default_rng(4).normal(0.0, 1e-7, len(TIME))
     found = decided(path - creeps * after / 12.0 + noise, force)
-    assert found.how == ("at rest" if pulls == creeps == 0.0 else "followed")
+    assert found.kind == ("at rest" if pulls == creeps == 0.0 else "followed")
 
 
 def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
@@ -314,10 +314,10 @@ def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
     force = force + noise_rows("white", 1.5e-3, (4, len(TIME)), seed=1)
     force[3] = WAYS["followed"][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
     found = decided(path, force[0])
-    assert found.how == "followed"
+    assert found.kind == "followed"
     assert found.limit > LIMIT
     alone = decided(path, force[3])
-    assert alone.how == "followed"
+    assert alone.kind == "followed"
     assert alone.limit == LIMIT
     paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
     each = each_row(found, paths, force)[3]

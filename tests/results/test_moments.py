@@ -45,10 +45,10 @@ def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
 def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
     force, flags = TEST.force.copy(), TEST.shape.flags.copy()
     force[RESTING : RESTING + 4] = np.nan
-    frames = replace(TEST, force=force).frames(TEST.branch, per_mean=2)
+    frames = replace(TEST, force=force).fit_means(TEST.branch, per_mean=2)
     assert len(frames.means.force) == 4
     with pytest.raises(ValueError, match="expected means with a shape and a force, found none"):
-        replace(TEST, force=np.full_like(force, np.nan)).frames(TEST.branch, per_mean=2)
+        replace(TEST, force=np.full_like(force, np.nan)).fit_means(TEST.branch, per_mean=2)
     flags[:RESTING, 2] = PointFlag.FILLED
     with pytest.raises(ValueError, match="frames at rest that show all markers, found 0"):
         _ = replace(TEST, shape=replace(TEST.shape, flags=flags)).specimen_at_rest
@@ -73,7 +73,7 @@ TEST_MOMENTS = bending_test(SHAPES)
 def test_the_pull_of_a_string_by_hand(
     pull: TipPull, tension: float, tip: float, force: tuple[float, float]
 ) -> None:
-    pulling = pull.force(np.array([tension]), np.array([tip]))[0]
+    pulling = pull.compute_force(np.array([tension]), np.array([tip]))[0]
     assert pulling[1] == pytest.approx(force[1], nan_ok=True)
     assert np.isnan(force[0]) or pulling[0] == pytest.approx(force[0])
 
@@ -137,4 +137,4 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> Non
     assert means.markers[0, 0] == pytest.approx(shape.positions[first, 1].mean(axis=0))
     assert np.isfinite(means.markers[1:]).all()
     assert len(average_frames(shape, TEST_MOMENTS.force, np.full(frames, -1), per_mean=4).time) == 0
-    assert means.part(means.branch == 1).time.tolist() == means.time[2:].tolist()
+    assert means.select(means.branch == 1).time.tolist() == means.time[2:].tolist()

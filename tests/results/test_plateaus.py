@@ -33,7 +33,7 @@ def tangents_of(d: Floats, f: Floats) -> Tangents:
 
 
 def onset(force: Floats, initial: float = INITIAL, below: float = 0.1) -> tuple[float, float]:
-    place, level = tangents_of(D, force).onset(force, np.array(initial), slope_below=below)
+    place, level = tangents_of(D, force).find_onset(force, np.array(initial), slope_below=below)
     return float(place), float(level)
 
 
@@ -54,24 +54,24 @@ CURVES: dict[str, tuple[Floats, Floats, float, float, float]] = {
 def test_where_the_tangent_is_a_tenth(name: str) -> None:
     path, force, initial, expected_place, expected_force = CURVES[name]
     tangents = tangents_of(path, force)
-    place, level = tangents.onset(force, np.array(initial), slope_below=0.1)
+    place, level = tangents.find_onset(force, np.array(initial), slope_below=0.1)
     assert float(place) == pytest.approx(expected_place, abs=1e-4)
     assert float(level) == pytest.approx(expected_force, abs=0.02, nan_ok=True)
 
 
 def test_slope_at_the_end_and_its_line() -> None:
     tangents, curves = tangents_of(D, SOFT), np.stack([SOFT, SOFT + noise(1, len(D))])
-    assert float(tangents.slope_at_end(SOFT)) / INITIAL == pytest.approx(
+    assert float(tangents.fit_end_slope(SOFT)) / INITIAL == pytest.approx(
         np.exp(-0.0475 / SCALE), rel=0.02
     )
     assert tangents.ends == pytest.approx((0.045, 0.05), abs=4e-5)
     assert len(tangents.last) == np.count_nonzero(tangents.ends[0] <= D)
-    for curve, found in zip(curves, tangents.slope_at_end(curves), strict=True):
+    for curve, found in zip(curves, tangents.fit_end_slope(curves), strict=True):
         slope, level = parabola(D, curve, 0.0475, OVER)
         assert float(found) == pytest.approx(slope, rel=1e-9)
         for at in (0.045, 0.0475):
             line = level + (at - 0.0475) * slope
-            assert tangents.level_at(at, curve) == pytest.approx(line, rel=1e-12)
+            assert tangents.compute_level(at, curve) == pytest.approx(line, rel=1e-12)
 
 
 def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
@@ -83,8 +83,8 @@ def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
     for off in (0.0, 1.0, -1.0):
         path: Floats = even * (1.0 + off * last_bits)
         tangents = Tangents.of(path, force, length=OVER)
-        place, level = tangents.onset(force, np.array(INITIAL), slope_below=0.1)
-        found.append([float(tangents.slope_at_end(force)), float(place), float(level)])
+        place, level = tangents.find_onset(force, np.array(INITIAL), slope_below=0.1)
+        found.append([float(tangents.fit_end_slope(force)), float(place), float(level)])
     np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
 
 
@@ -97,7 +97,7 @@ def test_force_at_a_corner_is_not_cut_off() -> None:
     cut = float(np.interp(at, D, force)) - whole
     assert cut > 0.01
     assert level - whole > 0.3 * cut
-    change = tangents_of(D, force).corners(force, at, 45.0)
+    change = tangents_of(D, force).measure_corner_changes(force, at, 45.0)
     assert change[1] == pytest.approx(level - whole, rel=0.02)
 
 
@@ -125,7 +125,7 @@ def onset_of(d: Floats, f: Floats, slope: float) -> tuple[float, float]:
 def test_onset_as_one_curve_at_a_time() -> None:
     curves = SOFT + noise(2, 2, 3, len(D))
     initial = INITIAL * (1.0 + noise(3, 2, 3))
-    place, force = tangents_of(D, SOFT).onset(curves, initial, slope_below=0.1)
+    place, force = tangents_of(D, SOFT).find_onset(curves, initial, slope_below=0.1)
     assert place.shape == force.shape == (2, 3)
     for each in np.ndindex(2, 3):
         at, level = onset_of(D, curves[each], 0.1 * float(initial[each]))
@@ -136,7 +136,7 @@ def test_onset_as_one_curve_at_a_time() -> None:
 def test_a_curve_without_onset_among_many() -> None:
     """Nowhere so steep: no number. Steep at its end: the place of the last tangent."""
     curves = np.stack([SOFT, 20.0 * D, 500.0 * D])
-    place, force = tangents_of(D, SOFT).onset(curves, np.full(3, INITIAL), slope_below=0.1)
+    place, force = tangents_of(D, SOFT).find_onset(curves, np.full(3, INITIAL), slope_below=0.1)
     assert np.isnan(place).tolist() == np.isnan(force).tolist() == [False, True, False]
     assert place[2] == pytest.approx(0.0475)
     assert force[2] == pytest.approx(500.0 * 0.0475)
@@ -150,23 +150,23 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
     initial = np.full(3, INITIAL)
     plain = tangents_of(D[known], SOFT[known])
     found = tangents_of(D, holes)
-    assert found.slope_at_end(curves) == pytest.approx(plain.slope_at_end(curves[:, known]))
+    assert found.fit_end_slope(curves) == pytest.approx(plain.fit_end_slope(curves[:, known]))
     for one, other in zip(
-        found.onset(curves, initial, slope_below=0.1),
-        plain.onset(curves[:, known], initial, slope_below=0.1),
+        found.find_onset(curves, initial, slope_below=0.1),
+        plain.find_onset(curves[:, known], initial, slope_below=0.1),
         strict=True,
     ):
         assert one == pytest.approx(other)
     off = noise(5, 3, len(D), deviation=2e-5)
     seen = np.broadcast_to(SOFT, off.shape)
-    place, force = plain.onset(seen[:, known], initial, (D + off)[:, known], slope_below=0.1)
+    place, force = plain.find_onset(seen[:, known], initial, (D + off)[:, known], slope_below=0.1)
     moved = SOFT - INITIAL * np.exp(-D / SCALE) * off
-    same = plain.onset(moved[:, known], initial, slope_below=0.1)
+    same = plain.find_onset(moved[:, known], initial, slope_below=0.1)
     assert np.ptp(place) > 1e-5
     assert place == pytest.approx(same[0], abs=2e-6)
     assert force == pytest.approx(same[1], abs=2e-5)
-    ends = plain.slope_at_end(seen[:, known], (D + off)[:, known])
-    assert ends == pytest.approx(plain.slope_at_end(moved[:, known]), abs=0.01)
+    ends = plain.fit_end_slope(seen[:, known], (D + off)[:, known])
+    assert ends == pytest.approx(plain.fit_end_slope(moved[:, known]), abs=0.01)
 
 
 def test_says_why_not() -> None:
@@ -189,8 +189,8 @@ def test_what_a_corner_hides() -> None:
     """Two lines that meet: the tangent smears their corner, the parabola cuts it."""
     force = np.where(D < 0.03, 300.0, 10.0) * (D - 0.03) + 9.0
     tangents = tangents_of(D, force)
-    at, level = tangents.onset(force, np.array(300.0), slope_below=0.1)
-    place, cut, beyond = tangents.corners(force, float(at), 30.0)
+    at, level = tangents.find_onset(force, np.array(300.0), slope_below=0.1)
+    place, cut, beyond = tangents.measure_corner_changes(force, float(at), 30.0)
     assert beyond == pytest.approx(10.0)
     assert 0.0 < float(at) - 0.03 < 0.5 * OVER
     # Half the length smears half as far, and cuts half as much.
@@ -201,7 +201,7 @@ def test_what_a_corner_hides() -> None:
     )
     assert abs(cut) > 0.005
     assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(float(cut)))
-    smooth = tangents_of(D, SOFT).corners(SOFT, SCALE * np.log(10.0), 0.1 * INITIAL)
+    smooth = tangents_of(D, SOFT).measure_corner_changes(SOFT, SCALE * np.log(10.0), 0.1 * INITIAL)
     assert abs(smooth[0]) < 2e-4
 
 
@@ -212,7 +212,7 @@ def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
         return Reading(lambda _: (np.array(INITIAL if trace is made.measured else 0.0),), 9)
 
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
-    assert return_failure(plateau._begun)(made.smooth, initial) == flat
-    corner = plateau._corner(made, initial)
+    assert return_failure(plateau._choose_tangents)(made.smooth, initial) == flat
+    corner = plateau._estimate_corner(made, initial)
     assert np.any(corner.size != 0.0)
     assert not corner.in_noise(np.ones((2, 5))).any()

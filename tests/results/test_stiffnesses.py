@@ -164,7 +164,7 @@ def test_loading_is_read_behind_the_take_up() -> None:
     80 mN less move the zero of 20 N/m by 4 mm, to where there are 800 x 4 mm more N/m.
     """
     slope = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
-    assert slope.take_up.compute(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
+    assert slope.onset.compute(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
     plain, lower = slope.compute(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(3.2, rel=0.03)
@@ -210,7 +210,7 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
         slope = choose_window(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
         taut = find_force_onset(UP, taking_up(UP))
         found = LoadingSlope(taut, first, slope, 0.0)
-        assert found.share_at_rest == pytest.approx(share, abs=0.03)
+        assert found.share_of_start == pytest.approx(share, abs=0.03)
 
 
 def test_between_samples_the_window_begins_with_the_motion() -> None:

@@ -65,7 +65,7 @@ def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: 
     d = np.linspace(0.002, 0.02, count)
     f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
     f += noise(3, count, deviation=deviation)
-    best, found = best_of(d, f), hinges_of(d, f).fitted(f)
+    best, found = best_of(d, f), hinges_of(d, f).fit(f)
     assert found.break_point.shape == ()
     assert float(found.break_point) == pytest.approx(best, rel=1e-9)
     level, first, second = lines_at(best, d, f)
@@ -83,13 +83,13 @@ def test_a_break_may_be_the_fourth_sample_from_an_end(at: int) -> None:
         f = 10.0 * np.minimum(d - d[at], 0.0) - 10.0 * np.maximum(d - d[at], 0.0)
         f += noise(seed, 20, deviation=3.0)
         bests.append(best_of(d, f))
-        assert float(hinges_of(d, f).fitted(f).break_point) == pytest.approx(bests[-1], rel=1e-9)
+        assert float(hinges_of(d, f).fit(f).break_point) == pytest.approx(bests[-1], rel=1e-9)
     assert bests.count(d[at]) > 2
 
 
 def test_replicates_are_the_optimum_of_brute_force() -> None:
     curves = F + noise(5, 2, 3, len(D))
-    found = hinges_of(D, F).fitted(curves)
+    found = hinges_of(D, F).fit(curves)
     assert found.break_point.shape == (2, 3)
     scatter = float(found.break_point.std())
     for place in np.ndindex(2, 3):
@@ -108,7 +108,7 @@ def test_steps_and_waits_in_the_displacement() -> None:
     d = np.repeat(np.linspace(0.002, 0.02, 25), 8)
     d[96:104] = d[95]
     f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
-    found = hinges_of(d, f).fitted(f + noise(1, 20, len(d)))
+    found = hinges_of(d, f).fit(f + noise(1, 20, len(d)))
     for at, first in zip(found.break_point, found.first, strict=True):
         assert abs(float(at) - 0.0093) < 1e-3
         assert abs(float(first) - 5000.0) < 200.0
@@ -122,15 +122,15 @@ def test_order_and_unknown_samples() -> None:
     holes[:, 50] = np.nan
     hole = F.copy()
     hole[50] = np.nan
-    plain = hinges_of(np.delete(D, 50), np.delete(F, 50)).fitted(np.delete(curves, 50, axis=1))
+    plain = hinges_of(np.delete(D, 50), np.delete(F, 50)).fit(np.delete(curves, 50, axis=1))
     for found in (
-        hinges_of(D, hole).fitted(holes),
-        hinges_of(D[mixed], hole[mixed]).fitted(holes[:, mixed]),
+        hinges_of(D, hole).fit(holes),
+        hinges_of(D[mixed], hole[mixed]).fit(holes[:, mixed]),
     ):
         for name in ("break_point", "first", "second", "level"):
             assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-9)
     curves[2, 7] = np.nan
-    found = hinges_of(D, F).fitted(curves)
+    found = hinges_of(D, F).fit(curves)
     assert np.isnan(found.first).tolist() == [False, False, True, False, False, False]
 
 
@@ -139,8 +139,8 @@ def test_displacements_of_their_own_are_noise_of_the_force() -> None:
     off = noise(4, 50, len(D), deviation=2e-5)
     hinges, at = hinges_of(D, F), np.abs(D - 0.0093) > 5e-4
     slope = np.where(D < 0.0093, 5000.0, 2700.0)
-    found = hinges.fitted(np.broadcast_to(F, off.shape), D + off * at)
-    same = hinges.fitted(F - slope * off * at)
+    found = hinges.fit(np.broadcast_to(F, off.shape), D + off * at)
+    same = hinges.fit(F - slope * off * at)
     assert found.break_point == pytest.approx(same.break_point, abs=1e-9)
     assert found.first == pytest.approx(same.first, rel=1e-6)
     spread = float(found.first.std())
@@ -152,7 +152,7 @@ def test_samples_beyond_the_places() -> None:
     for count, beyond in ((16, 4), (31, 4), (48, 6), (64, 8), (400, 8)):
         d = np.arange(float(count))
         hinges = hinges_of(d, np.minimum(d, 0.5 * count))
-        ends = [hinges.scan.d_of(float(hinges.places[place])) for place in (0, -1)]
+        ends = [hinges.scan.to_displacement(float(hinges.places[place])) for place in (0, -1)]
         assert ends == pytest.approx([d[beyond - 1], d[-beyond]])
 
 
@@ -254,10 +254,8 @@ def test_kinks() -> None:
     assert straight is not None
     assert straight.code == "no_kink"
     deviation = float(np.std(left - np.polyval(np.polyfit(D, left, 1), D), ddof=2))
-    assert straight.message.startswith(
-        f"one straight line does as well, to within {deviation:.3g} N from 2 to 20 mm: slopes 900 "
-        "and 899 N/m differ by 1 N/m"
-    )
+    for fact in (f"{deviation:.3g} N", "2 to 20 mm", "slopes 900 and 899 N/m differ by 1 N/m"):
+        assert fact in straight.message
 
 
 def test_a_break_within_a_quarter_of_the_stretch() -> None:
@@ -276,6 +274,6 @@ def test_a_straight_line_does_not_bend() -> None:
         f = slope * D + noise(seed, len(D))
         hinges = hinges_of(D, f)
         line: Floats = np.polynomial.Polynomial.fit(D, f, 5)(D)
-        drawn = hinges_of(D, line).fitted(line + noise(seed + 5000, 400, len(D)))
-        found = bend_of(hinges.fitted(f), drawn, hinges)
+        drawn = hinges_of(D, line).fit(line + noise(seed + 5000, 400, len(D)))
+        found = bend_of(hinges.fit(f), drawn, hinges)
         assert found is not None, seed

@@ -10,11 +10,11 @@ from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import Band
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.mechanics.rod.input_distributions import join_distributions, stated_distribution
+from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
-from labpipe.mechanics.rod.response import Fields, field_band, respond
+from labpipe.mechanics.rod.response import Fields, compute_field_band, respond
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
-from labpipe.mechanics.rod.supports import supports_of
+from labpipe.mechanics.rod.supports import split_supports
 from labpipe.records.arrays import Floats
 from tests.builders.rods import (
     LENGTH,
@@ -47,7 +47,7 @@ class Case:
         random = np.random.default_rng(6)
         self.line = bent_line(section)
         grips = ((0, True), (3, False), (N, True))
-        supports = supports_of(self.line, grips)
+        supports = split_supports(self.line, grips)
         # every node is in, and half of them slide
         plane = Plane(np.array([0.0, 0.0, 0.1]), np.array([0.1, 0.2, 1.0]), 0.4)
         strings = (np.array([2]), np.array([0.05]))
@@ -177,15 +177,18 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     line = straight_line(0.02, 1, sliding_section())
     path = walked(line, [clamp(line), Moment(-1, ramp((0.0, 0.0, 6e-3), 12))], 12)
     curvature = float(path.last.bendings[0])
-    slid = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
-    assert np.all(slid > 0.0)
-    lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ slid
+    ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
+    assert np.all(ring_stations > 0.0)
+    lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
     assert path.lost[-1] == pytest.approx(0.01 * lost, rel=1e-9)
     assert path.work[-1] == pytest.approx(path.stored[-1] + path.lost[-1], rel=2e-3)
 
 
 BELIEF = join_distributions(
-    [stated_distribution("a", 0.3, draws=16_384), stated_distribution("b", 0.4, draws=16_384)]
+    [
+        build_stated_distribution("a", 0.3, draws=16_384),
+        build_stated_distribution("b", 0.4, draws=16_384),
+    ]
 )
 
 
@@ -197,7 +200,7 @@ def straight(inputs: Mapping[str, float]) -> Fields:
 def test_a_straight_line_has_the_band_of_its_inputs() -> None:
     response = respond(straight, BELIEF)
     assert response is not None
-    band = field_band([response], "sum")
+    band = compute_field_band([response], "sum")
     assert band.value.tolist() == [0.0, 0.0]
     assert band.upper == pytest.approx([1.96 * 0.5, 1.96 * 0.6], rel=0.04)
     assert band.lower == pytest.approx([-1.96 * 0.5, -1.96 * 0.6], rel=0.04)
@@ -220,15 +223,15 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
 ) -> None:
     """The line is solved there."""
     response = respond(
-        lambda inputs: {"y": np.array(answer(inputs["a"]))}, stated_distribution("a", 0.3)
+        lambda inputs: {"y": np.array(answer(inputs["a"]))}, build_stated_distribution("a", 0.3)
     )
     assert response is not None
-    band = field_band([response], "y")
+    band = compute_field_band([response], "y")
     assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
 
 
 def test_a_parabola_is_met_and_goes_on_straight() -> None:
-    belief = stated_distribution("a", 1.0, freedom=4.0)
+    belief = build_stated_distribution("a", 1.0, freedom=4.0)
     response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
     assert response.reach.tolist() == [2.0]
@@ -247,8 +250,8 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
     response = respond(partly, BELIEF)
     assert response is not None
     assert (response.one_sided, response.silent) == (("a",), ("b",))
-    assert field_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
-    assert np.ptp(field_band([response], "one").upper) == 0.0
+    assert compute_field_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
+    assert np.ptp(compute_field_band([response], "one").upper) == 0.0
 
 
 def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:
@@ -273,8 +276,8 @@ def test_strings_rings_and_planes_have_their_reactions() -> None:
     assert state.reaction_forces[1, 2] > 1e-3
     assert state.reaction_forces[2, 2] < -1e-3
     np.testing.assert_allclose(state.reaction_forces.sum(axis=0), 0.0, atol=1e-10)
-    assert np.isfinite(state.slid).tolist() == [False, False, True, False]
-    assert state.slid[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
+    assert np.isfinite(state.ring_stations).tolist() == [False, False, True, False]
+    assert state.ring_stations[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
     assert state.contact_forces.shape == (1, 11, 3)
     assert state.positions[-1, 2] == pytest.approx(0.05, rel=0.1)
 

@@ -8,13 +8,13 @@ import pytest
 from scipy.special import stdtrit
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.bands import bands_of, line_curvatures
+from labpipe.mechanics.rod.bands import compute_line_curvatures, predict_line_bands
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
-    calibrated_distributions,
+    build_calibrated_distributions,
+    build_stated_distribution,
     join_distributions,
-    stated_distribution,
 )
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
@@ -32,9 +32,9 @@ LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
 
 BELIEF = join_distributions(
     [
-        stated_distribution("law_factor", 0.08, draws=2048),
-        stated_distribution("length_factor", 0.01, draws=2048),
-        stated_distribution("free_curvature", 0.3, draws=2048, seed=4),
+        build_stated_distribution("law_factor", 0.08, draws=2048),
+        build_stated_distribution("length_factor", 0.01, draws=2048),
+        build_stated_distribution("free_curvature", 0.3, draws=2048, seed=4),
     ]
 )
 
@@ -56,7 +56,7 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
 
 @pytest.mark.slow
 def test_bands_hold_as_many_draws_as_they_say() -> None:
-    bands = bands_of(pushed, [BELIEF], steps=(4, -1))
+    bands = predict_line_bands(pushed, [BELIEF], steps=(4, -1))
     assert bands is not None
     assert not bands.notes
     held, free = bands.states
@@ -65,7 +65,7 @@ def test_bands_hold_as_many_draws_as_they_say() -> None:
     inside = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
     assert inside.mean() >= 0.85
     most = np.array(
-        [np.linalg.norm(line_curvatures(path.states[4]), axis=-1).max() for path in paths]
+        [np.linalg.norm(compute_line_curvatures(path.states[4]), axis=-1).max() for path in paths]
     )
     radius = held.smallest_bend_radius
     assert np.mean((1.0 / most > radius.lower) & (1.0 / most < radius.upper)) >= 0.85
@@ -81,7 +81,7 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
 
     tips = []
     for solvers in ([pushed], [stiffer], [pushed, stiffer]):
-        bands = bands_of(solvers, [BELIEF] * len(solvers), steps=(4,))
+        bands = predict_line_bands(solvers, [BELIEF] * len(solvers), steps=(4,))
         assert bands is not None
         shares = bands.states[0].shares["positions"]
         assert set(shares) == {"law_factor", "length_factor", "free_curvature"}
@@ -100,16 +100,21 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
         return replace(pushed(inputs), snapped=(0, 3) if inputs["law_factor"] < 0.0 else (0,))
 
     for solve, code in ((torn, "one_sided"), (jumping, "jumps")):
-        bands = bands_of(solve, [stated_distribution("law_factor", 0.05)])
+        bands = predict_line_bands(solve, [build_stated_distribution("law_factor", 0.05)])
         assert bands is not None
         assert [note.code for note in bands.notes] == [code]
-    assert bands_of(torn, [stated_distribution("law_factor", 0.05, centre=0.2)]) is None
+    assert (
+        predict_line_bands(torn, [build_stated_distribution("law_factor", 0.05, centre=0.2)])
+        is None
+    )
     with pytest.raises(ValueError, match="at least one"):
-        bands_of(pushed, [])
+        predict_line_bands(pushed, [])
 
 
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
-    bands = bands_of(pushed, [stated_distribution("law_factor", 0.05)], tested_curvature=2.0)
+    bands = predict_line_bands(
+        pushed, [build_stated_distribution("law_factor", 0.05)], tested_curvature=2.0
+    )
     assert bands is not None
     assert [note.code for note in bands.notes] == ["beyond_tested"]
     assert bands.notes[0].where == "step 4, node 0"
@@ -131,7 +136,7 @@ def drawn(belief: InputDistribution, direction: dict[str, float]) -> np.ndarray:
 
 
 def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> None:
-    beliefs = calibrated_distributions(
+    beliefs = build_calibrated_distributions(
         calibration.solutions, calibration.widening, specimen=LAW_FACTOR
     )
     assert len(beliefs) == 2
@@ -139,13 +144,13 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
         assert belief.inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
         assert belief.inputs()[LAW_FACTOR] == 0.0
     far = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
-    assert len(calibrated_distributions([calibration.solutions[0], far])) == 1
+    assert len(build_calibrated_distributions([calibration.solutions[0], far])) == 1
 
 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
     solution = replace(calibration.solutions[0], rise=0.0)
-    belief = calibrated_distributions([solution], specimen=LAW_FACTOR, draws=MANY)[0]
+    belief = build_calibrated_distributions([solution], specimen=LAW_FACTOR, draws=MANY)[0]
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
@@ -157,7 +162,7 @@ def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_m
 def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
     solution = calibration.solutions[0]
     half = replace(solution, rise=0.75 * solution.limit)
-    one, other = calibrated_distributions([replace(solution, rise=0.0), half])
+    one, other = build_calibrated_distributions([replace(solution, rise=0.0), half])
     ratio = np.std(other.amounts @ other.steps.T, axis=0) / np.std(
         one.amounts @ one.steps.T, axis=0
     )
@@ -167,19 +172,19 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
-        belief = stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
+        belief = build_stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
         assert belief.inputs(np.ones(1)) == {"mass_factor": 0.02}
         upper = np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975)
         assert upper == pytest.approx(0.02 * quantile, rel=1e-3)
     with pytest.raises(ValueError, match=r"length_factor: deviation=0\.0"):
-        stated_distribution("length_factor", 0.0)
+        build_stated_distribution("length_factor", 0.0)
 
 
 def test_causes_of_one_input_add() -> None:
     both = join_distributions(
         [
-            stated_distribution("law_factor", 0.03, cause="specimen"),
-            stated_distribution("law_factor", 0.04, cause="spool"),
+            build_stated_distribution("law_factor", 0.03, cause="specimen"),
+            build_stated_distribution("law_factor", 0.04, cause="spool"),
         ]
     )
     assert both.names == ("law_factor",)

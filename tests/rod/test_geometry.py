@@ -19,21 +19,21 @@ from labpipe.mechanics.rod.boundaries import (
     Ring,
     String,
 )
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
+    build_frame,
     conjugate,
     cross,
-    frame_from_axes,
+    find_shortest_turns,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
-    shortest_turns,
     skew,
+    to_matrices,
+    to_rotation_vectors,
     unit,
 )
 from labpipe.mechanics.rod.schedule import Schedule
-from labpipe.mechanics.rod.supports import END_SHARE, supports_of
+from labpipe.mechanics.rod.supports import END_SHARE, split_supports
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 from tests.builders.rods import linear_section, sliding_section, straight_line
@@ -44,28 +44,28 @@ SECTION = linear_section()
 def test_a_line_along_points_is_not_twisted() -> None:
     t = np.linspace(0.0, 6.0, 61)
     helix = np.stack([np.cos(t), np.sin(t), 0.3 * t], axis=1)
-    line = line_along(helix, SECTION, is_formed=True)
+    line = build_line(helix, SECTION, is_formed=True)
     np.testing.assert_allclose(line.rest_curvature[:, 2], 0.0, atol=1e-12)
     bends = np.linalg.norm(line.rest_curvature, axis=1)
     np.testing.assert_allclose(bends, 1.0 / (1.0 + 0.3**2), rtol=1e-3)
     steps = np.diff(helix, axis=0)
-    along = matrices(line.frames)[:, :, 2]
+    along = to_matrices(line.frames)[:, :, 2]
     np.testing.assert_allclose(along, steps / np.linalg.norm(steps, axis=1)[:, None], atol=1e-14)
-    assert not np.any(line_along(helix, SECTION).rest_curvature)
+    assert not np.any(build_line(helix, SECTION).rest_curvature)
 
 
 def test_a_line_knows_its_frames_at_the_nodes() -> None:
     """Of an arc its tangents, at the ends as well; between unequal elements by their lengths."""
     angles = np.linspace(0.0, 1.2, 7)
-    line = line_along(ARC, SECTION, is_formed=True)
+    line = build_line(ARC, SECTION, is_formed=True)
     for node, angle in enumerate(angles):
-        direction = matrices(line.frame_at(node))[:, 2]
+        direction = to_matrices(line.frame_at(node))[:, 2]
         np.testing.assert_allclose(direction, [np.cos(angle), np.sin(angle), 0.0], atol=1e-12)
     np.testing.assert_array_equal(line.frame_at(-1), line.frame_at(6))
-    line = line_along(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]]), SECTION)
+    line = build_line(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]]), SECTION)
     back = conjugate(line.frames[0])
     whole, part = (
-        rotation_vectors(multiply(back, other)) for other in (line.frames[1], line.frame_at(1))
+        to_rotation_vectors(multiply(back, other)) for other in (line.frames[1], line.frame_at(1))
     )
     np.testing.assert_allclose(part, line.lengths[0] / line.length * whole, atol=1e-14)
 
@@ -88,8 +88,8 @@ REFUSED: list[Callable[[], object]] = [
     lambda: line_of(rest_curvature=np.zeros((2, 3))),
     lambda: line_of(positions=np.full((3, 3), np.nan)),
     lambda: line_of(frames=2.0 * np.ones((2, 4))),
-    lambda: line_along(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION),
-    lambda: line_along(np.zeros((1, 3)), SECTION),
+    lambda: build_line(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION),
+    lambda: build_line(np.zeros((1, 3)), SECTION),
     lambda: Held(0, np.zeros((2, 2))),
     lambda: Held(0, np.zeros(3), np.array([2.0, 0.0, 0.0, 0.0])),
     lambda: Held(0, np.zeros(3), release=0),
@@ -99,7 +99,7 @@ REFUSED: list[Callable[[], object]] = [
     lambda: Plane(np.zeros(3), friction=-0.1),
     lambda: Plane(np.zeros(3), np.zeros(3)),
     lambda: schedule(Ring(np.array([0.4, 0.02, 0.0]), near=9, name="eye")),
-    lambda: frame_from_axes(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -1.0])),
+    lambda: build_frame(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -1.0])),
 ]
 
 
@@ -146,7 +146,7 @@ def test_a_line_is_laid_in_gradually() -> None:
     plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
     half = plan.demands(-0.5, (0,))
     np.testing.assert_allclose(half.held, [[0.0, 0.1, 0.0]])
-    turned = matrices(LINE.frames[0]).T @ matrices(half.clamps)[0]
+    turned = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
     assert np.arccos((np.trace(turned) - 1.0) / 2.0) == pytest.approx(0.3)
     np.testing.assert_allclose(plan.demands(0.0, (0,)).clamps, [frame])
 
@@ -158,27 +158,27 @@ def uneven() -> Line:
 
 
 def test_clamps_part_cells() -> None:
-    free = supports_of(uneven(), ((0, False), (4, False)))
+    free = split_supports(uneven(), ((0, False), (4, False)))
     assert free.nodes.tolist() == [1, 2, 3]
     assert free.lengths == pytest.approx([0.15, 0.25, 0.35])
     assert free.sides[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
     assert free.held.tolist() == [0, 4]
     assert len(free.ends) == 0
-    supports = supports_of(uneven(), ((2, True), (0, True)))
+    supports = split_supports(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
     assert supports.before.tolist() == [-2, 0, 1, -1, 2]
     assert supports.behind.tolist() == [0, 1, -1, 2, 3]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
     assert supports.ends.tolist() == [0, 1, 2]
-    assert supports.own == pytest.approx([1.0 - END_SHARE] * 3)
+    assert supports.own_weights == pytest.approx([1.0 - END_SHARE] * 3)
 
 
 def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
-    supports = supports_of(uneven(), ((1, True), (2, True)))
+    supports = split_supports(uneven(), ((1, True), (2, True)))
     at = supports.ends.tolist().index(1)
-    assert supports.own[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
-    assert sorted(supports.lent[supports.lent[:, 0] == at, 1].tolist()) == [0, 1]
+    assert supports.own_weights[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
+    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == at, 1].tolist()) == [0, 1]
 
 
 def some_vectors(number: int = 40) -> Floats:
@@ -196,10 +196,12 @@ def test_rotations_are_those_of_scipy() -> None:
     u, v = some_vectors(), some_vectors()[::-1]
     first, second = from_rotation_vectors(u), from_rotation_vectors(v)
     np.testing.assert_allclose(other(first).as_rotvec(), u, atol=1e-14)
-    np.testing.assert_allclose(rotation_vectors(first), u, atol=1e-14)
-    np.testing.assert_allclose(rotation_vectors(-first), u, atol=1e-14)
+    np.testing.assert_allclose(to_rotation_vectors(first), u, atol=1e-14)
+    np.testing.assert_allclose(to_rotation_vectors(-first), u, atol=1e-14)
     expected = (other(first) * other(second).inv()).as_matrix()
-    np.testing.assert_allclose(matrices(multiply(first, conjugate(second))), expected, atol=1e-14)
+    np.testing.assert_allclose(
+        to_matrices(multiply(first, conjugate(second))), expected, atol=1e-14
+    )
     np.testing.assert_allclose(cross(u, v), np.cross(u, v), atol=1e-15)
     np.testing.assert_allclose(np.einsum("nxy,ny->nx", skew(u), v), np.cross(u, v), atol=1e-15)
 
@@ -207,7 +209,7 @@ def test_rotations_are_those_of_scipy() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_frame_points_along_and_its_first_axis_up(seed: int) -> None:
     direction, up = np.random.default_rng(seed).normal(size=(2, 3))
-    axes = matrices(frame_from_axes(direction, up))
+    axes = to_matrices(build_frame(direction, up))
     np.testing.assert_allclose(axes[:, 2], unit(direction), atol=1e-14)
     assert axes[:, 0] @ up > 0.0
     assert axes[:, 1] @ up == pytest.approx(0.0, abs=1e-14)
@@ -217,10 +219,10 @@ def test_a_frame_points_along_and_its_first_axis_up(seed: int) -> None:
 def test_shortest_turns_turn_one_into_the_other_opposites_too() -> None:
     before = unit(np.random.default_rng(1).normal(size=(5, 3)))
     behind = np.concatenate([unit(np.random.default_rng(2).normal(size=(4, 3))), -before[4:]])
-    turns = shortest_turns(before, behind)
-    turned = np.einsum("nxy,ny->nx", matrices(turns), before)
+    turns = find_shortest_turns(before, behind)
+    turned = np.einsum("nxy,ny->nx", to_matrices(turns), before)
     np.testing.assert_allclose(turned, behind, atol=1e-14)
-    along = np.einsum("nk,nk->n", rotation_vectors(turns), before)
+    along = np.einsum("nk,nk->n", to_rotation_vectors(turns), before)
     np.testing.assert_allclose(along, 0.0, atol=1e-14)
 
 

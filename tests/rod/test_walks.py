@@ -8,19 +8,24 @@ import pytest
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
-from labpipe.mechanics.rod.contacts import nearest_place, point_at, thread, touch_plane
+from labpipe.mechanics.rod.contacts import (
+    evaluate_curve,
+    find_nearest_place,
+    hold_in_ring,
+    touch_plane,
+)
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
+    to_matrices,
+    to_rotation_vectors,
 )
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
-from labpipe.mechanics.rod.supports import Grip, supports_of
-from labpipe.mechanics.studies.harness_numbers import residual_curvature
+from labpipe.mechanics.rod.supports import Grip, split_supports
+from labpipe.mechanics.studies.harness_numbers import compute_residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,
@@ -41,12 +46,12 @@ TURN = from_rotation_vectors(np.array([0.7, -1.1, 2.0]))
 
 def test_nothing_depends_on_the_frame_of_space() -> None:
     plain, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
-    space = matrices(TURN)
+    space = to_matrices(TURN)
     for before, behind in zip(plain.states, turned.states, strict=True):
         np.testing.assert_allclose(behind.positions, before.positions @ space.T, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(behind.rests, before.rests, atol=1e-9 * 5.0)
         np.testing.assert_allclose(behind.forces, before.forces @ space.T, atol=1e-9)
-        off = rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
+        off = to_rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
         np.testing.assert_allclose(off, 0.0, atol=1e-9)
     np.testing.assert_allclose(turned.lost, plain.lost, atol=1e-9 * plain.lost[-1])
 
@@ -199,7 +204,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     settings = RodSettings(max_turn=max_turn)
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
-    kept = residual_curvature(held, line.section.law)
+    kept = compute_residual_curvature(held, line.section.law)
     assert np.max(held.bendings) > 8.0
     left = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(left, kept, atol=1e-6)
@@ -261,7 +266,7 @@ def column(
     grips: tuple[Grip, ...], *, load: float = 0.0, moment: float = 0.0
 ) -> tuple[StabilityCheck, Balance, Shape]:
     """A straight line pressed along itself, or its free end turned by a moment along it."""
-    supports = supports_of(LINE, grips)
+    supports = split_supports(LINE, grips)
     strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
     assembly = Assembly(LINE, supports, (), strings, n_rings=0, force=STIFFNESS / LENGTH**2)
     forces, moments, none = np.zeros((N + 1, 3)), np.zeros((N, 3)), np.zeros((0, 3))
@@ -306,7 +311,7 @@ def test_a_cantilever_turned_about_itself_whirls() -> None:
     check, balance, _ = column(FREE, moment=0.5 * np.pi * STIFFNESS / LENGTH)
     assembly = check._assembly
     whole = np.zeros((assembly.places.total,) * 2)
-    np.add.at(whole, assembly.pattern, balance.even)
+    np.add.at(whole, assembly.pattern, balance.symmetric_values)
     fixed = assembly.band.fixed
     whole[fixed, :] = np.eye(len(whole))[fixed]
     own = np.flatnonzero((assembly.drag > 0.0) & ~fixed)
@@ -340,13 +345,13 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
     turn = np.linspace(0.0, 2.0, 21)
     nodes = np.stack([np.cos(turn), np.sin(turn), 0.2 * turn], axis=1)
     middle = 0.5 * (nodes[7] + nodes[8])
-    np.testing.assert_allclose(point_at(nodes, 7.5), middle, atol=1e-15)
-    np.testing.assert_array_equal(point_at(nodes, 20.0), nodes[-1])
-    along = point_at(nodes, place + 1e-6) - point_at(nodes, place - 1e-6)
+    np.testing.assert_allclose(evaluate_curve(nodes, 7.5), middle, atol=1e-15)
+    np.testing.assert_array_equal(evaluate_curve(nodes, 20.0), nodes[-1])
+    along = evaluate_curve(nodes, place + 1e-6) - evaluate_curve(nodes, place - 1e-6)
     across = np.cross(along, [0.3, 0.1, 1.0])
-    ring = point_at(nodes, place) + 0.02 * across / np.linalg.norm(across)
-    assert nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
-    threaded = thread(nodes, ring, place, 50.0)
+    ring = evaluate_curve(nodes, place) + 0.02 * across / np.linalg.norm(across)
+    assert find_nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
+    threaded = hold_in_ring(nodes, ring, place, 50.0)
     assert threaded.force @ along == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(threaded.force) == pytest.approx(50.0 * 0.02)
     assert threaded.weights.sum() == pytest.approx(1.0)
@@ -359,11 +364,11 @@ def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -
     np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
     sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
-    assert sticking.rubbed == 0.0
+    assert sticking.friction_loss == 0.0
     sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
-    assert sliding.rubbed == pytest.approx(5.0 * 4e-4)
+    assert sliding.friction_loss == pytest.approx(5.0 * 4e-4)
     back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, close=0.0)
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 

@@ -11,7 +11,7 @@ from labpipe.errors import LabpipeError
 from labpipe.mechanics.studies.bundle_bounds import (
     Conduit,
     as_json,
-    bundle_loop,
+    extract_loop,
     find_places,
     model_bundle,
 )
@@ -28,7 +28,7 @@ from tests.builders.bent_bundles import LENGTH, bent_bundle
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample, grouped, three_of
 from tests.builders.bundles import EXAMPLES, bundle, example_wires
 
-WIRES = read_wire_sheet(EXAMPLES)
+WIRES = read_wire_sheet(EXAMPLES).specs
 
 
 SEVEN = bundle_of("7 B1", conduit="corrugated-tube", conduit_bore=0.0107)
@@ -217,28 +217,28 @@ def test_bounds_without_a_loop(tmp_path: Path) -> None:
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
     bare = replace(whole, specimen=replace(whole.specimen, dimensions={}))
-    with pytest.raises(ValueError, match=r"^the test sheet has neither length nor span$"):
-        bundle_loop(bare)
+    with pytest.raises(ValueError, match=r"^the test sheet states neither length nor span$"):
+        extract_loop(bare)
 
 
 def test_a_span_is_two_cantilevers_and_a_cantilever_weighs_what_its_sheet_says() -> None:
     whole = bent_bundle()
     assert whole.curve is not None
     half = replace(whole, specimen=replace(whole.specimen, dimensions={"span": 2.0 * LENGTH}))
-    one, other = bundle_loop(whole), bundle_loop(half)
+    one, other = extract_loop(whole), extract_loop(half)
     assert other.length == one.length == LENGTH
     assert other.force == pytest.approx(0.5 * one.force)
     assert other.kink == (one.kink[0], 0.5 * one.kink[1])
     force = whole.curve.force.copy()
     force[10] = np.nan
-    gap = bundle_loop(replace(whole, curve=replace(whole.curve, force=force)))
+    gap = extract_loop(replace(whole, curve=replace(whole.curve, force=force)))
     assert np.all(np.isfinite(gap.force))
     assert gap.deflection.min() > 1e-3 * LENGTH
     protocol = parse_protocol(whole.protocol_yaml, "p.yaml")
     specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
     text = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
     assert one.self_weight == 0.0
-    assert bundle_loop(replace(whole, protocol_yaml=text)).self_weight == pytest.approx(
+    assert extract_loop(replace(whole, protocol_yaml=text)).self_weight == pytest.approx(
         0.0758 * GRAVITY
     )
-    assert bundle_loop(replace(half, protocol_yaml=text)).self_weight == 0.0
+    assert extract_loop(replace(half, protocol_yaml=text)).self_weight == 0.0

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
-from labpipe.mechanics.studies.calibration_file import comparison_json, read_calibrated
+from labpipe.mechanics.studies.calibration_file import build_comparison_json, read_calibrated
 from labpipe.mechanics.studies.calibration_study import (
     Calibrated,
+    apply_calibration,
     as_json,
-    calibrated_spec,
 )
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.validation import (
-    built_wire,
-    compare,
-    default_sheet,
+    build_sheet_wire,
+    choose_wire,
+    compare_tests,
     drop_copies,
-    misfit_notes,
+    find_wire_sheet,
+    note_misfits,
     require_wires,
-    wire_to_calibrate,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
@@ -108,12 +108,12 @@ WIRES = {"A2": wire_of("A2"), "A1": wire_of("A1")}
 
 @cache
 def groups_of(calibration: Calibration) -> tuple[ValidationGroup, ...]:
-    return tuple(compare(calibration, WIRES, loadings("A2")))
+    return tuple(compare_tests(calibration, WIRES, loadings("A2")))
 
 
 def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> None:
     spec = spec_of("A2", "A2")
-    calibrated = calibrated_spec(spec, calibration)
+    calibrated = apply_calibration(spec, calibration)
     friction = calibrated.radial_force * (
         calibrated.friction_strand + calibrated.friction_insulation
     )
@@ -173,11 +173,11 @@ def test_held_against_tests_and_model(calibration: Calibration) -> None:
     assert compared.prediction is not None
     assert compared.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as tests
     assert not compared.notes
-    content = json.loads(json.dumps(comparison_json(compared), allow_nan=False))
+    content = json.loads(json.dumps(build_comparison_json(compared), allow_nan=False))
     assert (content["name"], content["load"], content["source"]) == ("fe", "as tested", "synthetic")
     assert len(content["deflection"]) == len(content["tests"]["force"]) == 16
     assert (content["model"]["n"], content["model"]["left_out"]) == (16, 0)
-    assert comparison_json(replace(compared, tests=None))["tests"] is None
+    assert build_comparison_json(replace(compared, tests=None))["tests"] is None
 
 
 def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calibration) -> None:
@@ -195,7 +195,7 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
 
 
 def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None:
-    """Units mistaken leave nothing to compare."""
+    """Units mistaken leave nothing to compare_tests."""
     far = held(calibration, third(deepest=0.08))
     assert far.tests is not None
     assert (far.tests.left_out, far.model.left_out) == (6, 5)
@@ -261,13 +261,13 @@ def loadings(*names: str) -> list[FirstLoading]:
     return [FirstLoading(curve, 0.0, ()) for name in names for curve in measured(name)]
 
 
-KNOWN = {spec.name: spec for spec in read_wire_sheet(SHEET)}
+KNOWN = {spec.name: spec for spec in read_wire_sheet(SHEET).specs}
 WEAK = {name: replace(spec, insulation_strain=0.01) for name, spec in KNOWN.items()}
 
 
 @pytest.fixture(scope="module")
 def groups(calibration: Calibration) -> tuple[ValidationGroup, ...]:
-    return tuple(compare(calibration, WIRES, loadings("A1", "A2")))
+    return tuple(compare_tests(calibration, WIRES, loadings("A1", "A2")))
 
 
 def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGroup, ...]) -> None:
@@ -290,17 +290,17 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
 @pytest.mark.slow
 def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
     """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
-    (right,) = compare(calibration, WIRES, loadings("A2"))
-    assert not misfit_notes([right])
+    (right,) = compare_tests(calibration, WIRES, loadings("A2"))
+    assert not note_misfits([right])
     waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
     outcome = calibrate(wire_of("A2"), waves, Settings())
     assert isinstance(outcome, Calibration)
     tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
-    (wrong,) = compare(outcome, WIRES, tests)
-    [note] = misfit_notes([wrong])
+    (wrong,) = compare_tests(outcome, WIRES, tests)
+    [note] = note_misfits([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
     assert note.message.startswith("70 % of the points of the calibrating tests lie in their 95 %")
-    assert not misfit_notes([replace(wrong, is_calibrated=False)])
+    assert not note_misfits([replace(wrong, is_calibrated=False)])
 
 
 def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:
@@ -310,7 +310,7 @@ def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:
         force=np.linspace(0.0, 0.2, 50),
         noise=1e-3,
     )
-    (group,) = compare(calibration, WIRES, [FirstLoading(deep, 0.0, ())])
+    (group,) = compare_tests(calibration, WIRES, [FirstLoading(deep, 0.0, ())])
     assert group.prediction is None
     assert group.errors is None
     assert group.reason is not None
@@ -325,7 +325,7 @@ def test_from_where_on_a_prediction_is_doubtful(
     assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
     ranges = {name: find_linear_range(WEAK[name]) for name in WIRES}
     weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
-    for group in compare(calibration, weak, both):
+    for group in compare_tests(calibration, weak, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
         curve = next(side.curve for side in both if side.curve.wire == group.wire)
@@ -345,9 +345,9 @@ def wire_plan(wire: str | None = None) -> CalibrationPlan:
 def test_the_sheet_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=r"expected a wire sheet, or wires.xlsx or wires.csv in"):
-        default_sheet()
+        find_wire_sheet()
     (tmp_path / "wires.csv").touch()
-    assert default_sheet() == Path("wires.csv")
+    assert find_wire_sheet() == Path("wires.csv")
 
 
 def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
@@ -355,16 +355,16 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     spec, curve = spec_of("A2", "A2"), CURVES[0]
     a2 = [FirstLoading(curve, 0.0, ())]
     both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
-    assert wire_to_calibrate(a2, wire_plan(), None) == "A2"
-    assert wire_to_calibrate(both, wire_plan("A1"), None) == "A1"
+    assert choose_wire(a2, wire_plan(), None) == "A2"
+    assert choose_wire(both, wire_plan("A1"), None) == "A1"
     require_wires(a2, {"A2": spec}, SHEET_PATH)
-    assert len(built_wire(spec, SHEET_PATH).section.layers) == 2
+    assert len(build_sheet_wire(spec, SHEET_PATH).section.layers) == 2
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     calls: list[Callable[[], object]] = [
-        lambda: wire_to_calibrate(both, wire_plan(), None),
-        lambda: wire_to_calibrate(a2, wire_plan("A3"), None),
+        lambda: choose_wire(both, wire_plan(), None),
+        lambda: choose_wire(a2, wire_plan("A3"), None),
         lambda: require_wires(both, {"A2": spec}, SHEET_PATH),
-        lambda: built_wire(thin, SHEET_PATH),
+        lambda: build_sheet_wire(thin, SHEET_PATH),
     ]
     messages = []
     for call in calls:

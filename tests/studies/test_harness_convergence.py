@@ -10,14 +10,14 @@ from labpipe.mechanics.rod.path import Reason, RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_convergence import (
     MAX_CHANGE,
-    coarse_doubt,
-    coarse_steps,
+    check_element_count,
+    check_steps,
     depends_on_history,
-    few_elements_doubt,
-    walk_with_other_steps,
+    select_coarse_steps,
+    solve_in_other_steps,
 )
 from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_numbers import Doubt, numbers_of
+from labpipe.mechanics.studies.harness_numbers import Doubt, compute_numbers
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
@@ -52,12 +52,12 @@ def arched(elements: int) -> PreparedLine:
 
 def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
     path = follow(prepared.line, prepared.boundaries, steps=steps)
-    return path, {number.name: number.value for number in numbers_of(path, prepared)}
+    return path, {number.name: number.value for number in compute_numbers(path, prepared)}
 
 
 def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
     path, _ = walk(prepared, steps)
-    return coarse_doubt(path, prepared, walk_with_other_steps(prepared, steps), intervals)
+    return check_steps(path, prepared, solve_in_other_steps(prepared, steps), intervals)
 
 
 def number_names(doubt: Doubt | None) -> set[str]:
@@ -87,9 +87,9 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
-    other = walk_with_other_steps(prepared, 10)
+    other = solve_in_other_steps(prepared, 10)
     torn = replace(other.path, status="failed", reasons=(Reason("mechanics.rod.torn", 2),))
-    doubt = coarse_doubt(path, prepared, replace(other, path=torn), {})
+    doubt = check_steps(path, prepared, replace(other, path=torn), {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
     assert "the line cannot be solved (torn)" in doubt.reason.message
@@ -103,10 +103,10 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
     for elements in (6, 10, 40):
         prepared = arched(elements)
         path, _ = walk(prepared, 8)
-        doubt = few_elements_doubt(path, prepared, arched(elements // 2), {})
+        doubt = check_element_count(path, prepared, arched(elements // 2), {})
         off = {
             number.name
-            for number in numbers_of(path, prepared)
+            for number in compute_numbers(path, prepared)
             if not number.is_signed
             and abs(number.value - truth[number.name]) > MAX_CHANGE * truth[number.name]
         }
@@ -116,7 +116,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
             assert doubt.reason.code == "coarse_elements"
             wanted = int(doubt.reason.message.split("too few; take ")[1].split()[0])
             path, _ = walk(arched(wanted), 8)
-            assert few_elements_doubt(path, arched(wanted), arched(wanted // 2), {}) is None
+            assert check_element_count(path, arched(wanted), arched(wanted // 2), {}) is None
 
 
 def way_of(prepared: PreparedLine) -> Held:
@@ -127,7 +127,7 @@ def way_of(prepared: PreparedLine) -> Held:
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
     prepared = led_round(1, elements=3)
-    other = walk_with_other_steps(prepared, 5)
+    other = solve_in_other_steps(prepared, 5)
     assert other.steps_text == "twice as many"
     np.testing.assert_allclose(other.times, np.arange(11) / 2.0)
     path, finer = way_of(prepared).position, way_of(other.prepared).position
@@ -137,13 +137,27 @@ def test_a_walk_of_corners_alone_is_halved() -> None:
 
 def test_corners_and_releases_are_kept() -> None:
     prepared = led_round(4)
-    assert coarse_steps(prepared.boundaries, 20).tolist() == list(range(0, 21, 2))
+    assert select_coarse_steps(prepared.boundaries, 20).tolist() == list(range(0, 21, 2))
     uneven = led_round(3)
-    assert coarse_steps(uneven.boundaries, 15).tolist() == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15]
+    assert select_coarse_steps(uneven.boundaries, 15).tolist() == [
+        0,
+        2,
+        3,
+        5,
+        6,
+        8,
+        9,
+        11,
+        12,
+        14,
+        15,
+    ]
     grip = Held(-1, np.zeros(3), release=8)
-    assert coarse_steps([grip], 12).tolist() == [0, 2, 4, 6, 7, 8, 10, 12]
+    assert select_coarse_steps([grip], 12).tolist() == [0, 2, 4, 6, 7, 8, 10, 12]
     frames = np.tile(prepared.line.frames[:1], (13, 1))
-    assert coarse_steps([Held(-1, np.zeros(3), frames)], 12).tolist() == list(range(0, 13, 2))
+    assert select_coarse_steps([Held(-1, np.zeros(3), frames)], 12).tolist() == list(
+        range(0, 13, 2)
+    )
 
 
 def test_a_release_stays_where_it_was() -> None:
@@ -154,7 +168,7 @@ def test_a_release_stays_where_it_was() -> None:
     ]
     prepared = led(np.concatenate([path, path[-1:]]), elements=3)
     grip = replace(way_of(prepared), release=10)
-    other = walk_with_other_steps(replace(prepared, boundaries=(prepared.boundaries[0], grip)), 10)
+    other = solve_in_other_steps(replace(prepared, boundaries=(prepared.boundaries[0], grip)), 10)
     assert other.times.tolist() == [0, 2, 4, 6, 8, 9, 10]
     assert way_of(other.prepared).release == 6
 

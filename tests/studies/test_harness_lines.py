@@ -20,16 +20,16 @@ from labpipe.mechanics.law.sliders import (
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
-from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
-    curvature_after_release,
-    largest_unbending,
-    max_residual_curvature,
-    residual_curvature,
-    unloading_reason,
+    bound_residual_curvature,
+    check_unloading,
+    compute_released_curvature,
+    compute_residual_curvature,
+    measure_unbending,
 )
-from labpipe.mechanics.studies.harness_section import Material, material_of
+from labpipe.mechanics.studies.harness_section import Material, read_material
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.protocol.harness_file import HarnessFile
@@ -71,7 +71,9 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
     wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
     assert right.position == pytest.approx(wanted, abs=1e-15)
     assert right.frame is not None
-    assert matrices(right.frame)[:, :, 2] == pytest.approx(np.tile([1.0, 0, 0], (5, 1)), abs=1e-12)
+    assert to_matrices(right.frame)[:, :, 2] == pytest.approx(
+        np.tile([1.0, 0, 0], (5, 1)), abs=1e-12
+    )
     assert held(prepared, "left").position == pytest.approx(np.zeros((5, 3)))
 
 
@@ -98,7 +100,7 @@ def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     grip = held(line_of(tmp_path, text.replace(path, turns)), "gripper")
     assert grip.release == 9
     assert grip.frame is not None
-    axes = matrices(grip.frame)
+    axes = to_matrices(grip.frame)
     root = np.sqrt(0.5)
     directions = [[1, 0, 0], [root, 0, root], *[[0, 0, 1]] * 9]
     assert axes[:, :, 2] == pytest.approx(np.array(directions), abs=1e-12)
@@ -171,13 +173,13 @@ def test_rings_strings_and_planes(tmp_path: Path) -> None:
 
 def material(folder: Path, section: str, *, wires: Path | None = None, line: str = "") -> Material:
     file = written(folder, arch(section, line=line))
-    return material_of(load_harness(file), file, wires)
+    return read_material(load_harness(file), file, wires)
 
 
 def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     """The sheet of the file, or another in its place; and a deck of the wire."""
     wire = material(tmp_path, "{wire: A2}")
-    table = wire_table(next(spec for spec in read_wire_sheet(SHEET) if spec.name == "A2"))
+    table = wire_table(next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2"))
     section = wire.sections[0]({})
     moments = compute_slider_moment(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
@@ -279,10 +281,10 @@ def test_one_slider() -> None:
         (ONE, 5.0, 3.0),  # back by 2, then it slides the other way until 2 k = 6
         (replace(ONE, stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
     ):
-        released = curvature_after_release(law, bent(law, [(to, 0.0)]))[0]
+        released = compute_released_curvature(law, bent(law, [(to, 0.0)]))[0]
         assert released == pytest.approx([residual, 0.0], abs=1e-8)
     spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
-    assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
+    assert not compute_released_curvature(spring, np.zeros((4, 0, 2))).any()
 
 
 def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
@@ -297,7 +299,7 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     least = minimize(
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
     )
-    assert curvature_after_release(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
+    assert compute_released_curvature(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
 
 
 def test_a_laid_line_keeps_what_its_own_law_says() -> None:
@@ -307,10 +309,16 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     """
     _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
     law = prepared.line.section.law
-    reason = unloading_reason(path, prepared.line)
-    assert reason is not None
-    assert "85 mm from the start the residual curvature is 1.49 1/m by the rule" in reason.message
-    residual, largest = residual_curvature(path.last, law), max_residual_curvature(path, law)
+    doubt = check_unloading(path, prepared)
+    assert doubt is not None
+    assert (
+        "85 mm from the start the residual curvature is 1.49 1/m by the rule"
+        in doubt.reason.message
+    )
+    residual, largest = (
+        compute_residual_curvature(path.last, law),
+        bound_residual_curvature(path, law),
+    )
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(largest))
     assert residual[node] == pytest.approx(1.49, abs=0.01)
@@ -321,8 +329,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
     back = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert largest[node] == pytest.approx(float(back), rel=1e-9)
-    assert largest_unbending(path) == pytest.approx(
+    assert measure_unbending(path) == pytest.approx(
         (bends.max(axis=0) - bends[-1]).max() / bends.max()
     )
-    assert 0.7 < largest_unbending(path) < 0.8
-    assert largest_unbending(replace(path, states=41 * path.states[-1:])) == 0.0
+    assert 0.7 < measure_unbending(path) < 0.8
+    assert measure_unbending(replace(path, states=41 * path.states[-1:])) == 0.0

@@ -15,18 +15,18 @@ from scipy.stats import rice
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, prepare_line
-from labpipe.mechanics.studies.harness_section import material_of
+from labpipe.mechanics.studies.harness_section import read_material
 from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     HarnessBands,
-    harness_bands,
+    predict_bands,
     solve_harness,
     solve_sweep_length,
 )
 from labpipe.mechanics.studies.harness_study import (
     as_json,
-    drawn_harness,
-    drawn_sweep,
+    build_drawn_harness,
+    build_drawn_sweep,
     follow_harness,
 )
 from labpipe.protocol.load import load_harness
@@ -159,15 +159,15 @@ def test_results_go_beside_other_results_unless_told(
     done = follow_harness(written(tmp_path, arch(steps=4)), figures=False)
     assert done.folder == Path("processed/harness/line")
     assert names(tmp_path / done.folder) == FILES
-    assert drawn_sweep(done) is None
-    (shape,) = drawn_harness(done).shapes
+    assert build_drawn_sweep(done) is None
+    (shape,) = build_drawn_harness(done).shapes
     assert (shape.band, shape.radius_band) == (None, None)
 
 
 def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
     file = written(folder, text)
     harness = load_harness(file)
-    material = material_of(harness, file)
+    material = read_material(harness, file)
     material = material if limit is None else replace(material, limit=limit)
     return solve_harness(harness, file, material, folder / "out")
 
@@ -245,7 +245,7 @@ def bands(
 ) -> tuple[HarnessBands | None, int]:
     file = written(folder, text or arch(section, more=more))
     harness = load_harness(file)
-    material = material_of(harness, file)
+    material = read_material(harness, file)
     count = 0
 
     def follow_line(number: int, inputs: Inputs):  # type: ignore[no-untyped-def]
@@ -254,7 +254,7 @@ def bands(
         prepared = prepare_line(harness, material.sections[number](inputs), inputs)
         return follow(prepared.line, prepared.boundaries, steps=harness.steps), prepared
 
-    return harness_bands(follow_line, material, (4, 8)), count
+    return predict_bands(follow_line, material, (4, 8)), count
 
 
 @pytest.mark.slow

@@ -9,14 +9,14 @@ import pytest
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     NotUsableError,
-    first_loading,
-    force_zero_error,
-    place_error,
+    estimate_force_zero_error,
+    estimate_place_error,
+    estimate_scale_errors,
+    estimate_zero_error,
+    extract_first_loading,
+    note_sheet_weight,
     read_first_loadings,
-    scale_errors,
-    weight_note,
-    with_self_weight,
-    zero_error,
+    set_self_weight,
 )
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
@@ -81,7 +81,7 @@ def protocol(repository: Path) -> Protocol:
 def taken(
     protocol: Protocol, result: TestResult | None = None, up_to: float | None = None
 ) -> FirstLoading:
-    return first_loading(result or result_of(), protocol, points=200, up_to=up_to)
+    return extract_first_loading(result or result_of(), protocol, points=200, up_to=up_to)
 
 
 def test_points_are_means_of_the_first_loading_alone(protocol: Protocol) -> None:
@@ -206,16 +206,16 @@ def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
 ) -> None:
     """The length of the test is used; a third off, or none, is reported."""
     light, sheet = taken(protocol), 6.85e-3 * GRAVITY
-    contradicted = with_self_weight(weighing(9.5, light), sheet)
+    contradicted = set_self_weight(weighing(9.5, light), sheet)
     assert contradicted.curve.self_weight == pytest.approx(9.5e-3 * GRAVITY)
     alike = weighing(9.0, light)
-    assert with_self_weight(alike, sheet) is alike
-    assert with_self_weight(light, sheet).curve.self_weight == sheet
-    assert weight_note([alike], sheet) is None
+    assert set_self_weight(alike, sheet) is alike
+    assert set_self_weight(light, sheet).curve.self_weight == sheet
+    assert note_sheet_weight([alike], sheet) is None
     notes = [
         contradicted.notes[-1],
-        weight_note([light], sheet),
-        weight_note([light, alike], sheet),
+        note_sheet_weight([light], sheet),
+        note_sheet_weight([light, alike], sheet),
     ]
     approved(f"{note.code}, {note.where}: {note.message}" for note in notes if note)
 
@@ -277,29 +277,35 @@ def test_zeros_are_as_good_as_the_mean_over_their_part(protocol: Protocol) -> No
     """White noise: the protocol says over which part; missing values count as absent."""
     values = NOISE_ERRORS * np.random.default_rng(2).standard_normal(6_000)
     time = np.arange(6_000) / 100.0
-    assert zero_error(time, values, None) == pytest.approx(NOISE_ERRORS / np.sqrt(6_000), rel=0.25)
-    assert zero_error(time, values, 2.0) == pytest.approx(NOISE_ERRORS / np.sqrt(200), rel=0.25)
-    assert zero_error(time, values, 1e3) == zero_error(time, values, None)
+    assert estimate_zero_error(time, values, None) == pytest.approx(
+        NOISE_ERRORS / np.sqrt(6_000), rel=0.25
+    )
+    assert estimate_zero_error(time, values, 2.0) == pytest.approx(
+        NOISE_ERRORS / np.sqrt(200), rel=0.25
+    )
+    assert estimate_zero_error(time, values, 1e3) == estimate_zero_error(time, values, None)
     values[::2] = np.nan
     expected = np.sqrt(np.nanvar(values[:400]) / 200)
-    assert zero_error(time[:400], values[:400], None) == pytest.approx(expected, rel=0.4)
-    assert zero_error(np.arange(3.0), np.full(3, np.nan), 2.0) == 0.0
-    assert force_zero_error(protocol, curve(), replace(FIRST, start=0)) == 0.0
-    error = force_zero_error(protocol, curve(), FIRST)
+    assert estimate_zero_error(time[:400], values[:400], None) == pytest.approx(expected, rel=0.4)
+    assert estimate_zero_error(np.arange(3.0), np.full(3, np.nan), 2.0) == 0.0
+    assert estimate_force_zero_error(protocol, curve(), replace(FIRST, start=0)) == 0.0
+    error = estimate_force_zero_error(protocol, curve(), FIRST)
     assert error == pytest.approx(NOISE_ERRORS / np.sqrt(2.0 * RATE), rel=0.3)
     without = protocol.model_copy(update={"steps": (), "curve": None})
-    over_all = force_zero_error(without, curve(), FIRST)
+    over_all = estimate_force_zero_error(without, curve(), FIRST)
     assert over_all == pytest.approx(error * np.sqrt(2.0 / (REST / RATE)), rel=0.01)
 
 
 def test_a_clock_that_is_off_moves_the_deflection(protocol: Protocol) -> None:
-    alone = place_error(result(), protocol, curve(), FIRST)
+    alone = estimate_place_error(result(), protocol, curve(), FIRST)
     assert alone == pytest.approx(BLUR / np.sqrt(2.0 * RATE), rel=0.3)
-    both = place_error(result(joined(0.02)), protocol, curve(), FIRST)
+    both = estimate_place_error(result(joined(0.02)), protocol, curve(), FIRST)
     assert both == pytest.approx(np.hypot(alone, 0.02 * SPEED), rel=1e-3)
-    assert place_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
+    assert estimate_place_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
     short = replace(FIRST, stop=FIRST.start + 1)
-    assert place_error(result(joined(0.02)), protocol, curve(), short) == alone, "has no speed"
+    assert estimate_place_error(result(joined(0.02)), protocol, curve(), short) == alone, (
+        "has no speed"
+    )
 
 
 def test_the_scale_is_what_the_budget_of_the_peak_says_of_it() -> None:
@@ -313,9 +319,61 @@ def test_the_scale_is_what_the_budget_of_the_peak_says_of_it() -> None:
         "centre offset": -8e-6,
     }
     peak = replace(PEAK_ERRORS, budget=tuple(Contribution(*row) for row in rows.items()))
-    assert scale_errors(result(results=(peak,))) == pytest.approx((1e-4, 2e-4))
-    assert scale_errors(result()) == pytest.approx((2e-4, 0.0))  # all of the interval
+    assert estimate_scale_errors(result(results=(peak,))) == pytest.approx((1e-4, 2e-4))
+    assert estimate_scale_errors(result()) == pytest.approx((2e-4, 0.0))  # all of the interval
     why = (Reason("no_cycle", "none"),)
     failed = Result(PEAK_ERRORS.name, None, "m", status=Status.FAILED, reasons=why)
     for results in ((), (failed,), (replace(PEAK_ERRORS, interval=None),)):
-        assert scale_errors(result(results=results)) == (0.0, 0.0)
+        assert estimate_scale_errors(result(results=results)) == (0.0, 0.0)
+
+
+def number(
+    name: str, value: float, error: float = 0.0, status: Status = Status.OK, **more: object
+) -> Result:
+    reasons = () if status is Status.OK else (Reason("drift", "it drifts"),)
+    interval = Interval.normal_95(value, error)
+    return Result(name, value, "1", interval, status, reasons, **more)  # type: ignore[arg-type]
+
+
+SCALE = Contribution("scale of the force", 0.01, is_common=True)
+CYCLES = (
+    number("peak_displacement.1", PEAK),
+    number("peak_displacement.2", PEAK),
+    number("residual_displacement.1", 0.0115, 1e-4),
+    number("energy.1", 1.04e-3, 1e-5),
+    number("peak_force.1", 0.20, budget=(SCALE, Contribution("noise", 0.002))),
+    number("peak_force.2", 0.21, budget=(SCALE, Contribution("noise", 0.002))),
+)
+
+
+def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) -> None:
+    cycles = taken(protocol, result_of(results=CYCLES)).cycles
+    assert cycles is not None
+    assert (cycles.length, cycles.peak) == (LENGTH, PEAK)
+    assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
+    assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
+    own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)
+    assert cycles.numbers["ratio"] == pytest.approx((1.05, own))
+
+
+@pytest.mark.parametrize(
+    ("changed", "left", "code"),
+    [
+        ({1: number("peak_displacement.2", 1.02 * PEAK)}, {"residual", "energy"}, "cycles_grow"),
+        (
+            {2: number("residual_displacement.1", 0.01, status=Status.DOUBTFUL)},
+            {"energy", "ratio"},
+            "",
+        ),
+        ({1: number("other", 1.0), 5: number("another", 1.0)}, {"residual", "energy"}, ""),
+        ({0: number("other", 1.0)}, None, ""),
+    ],
+    ids=["growing", "doubtful", "one-cycle", "no-peak"],
+)
+def test_cycles_that_cannot_be_used(
+    protocol: Protocol, changed: dict[int, Result], left: set[str] | None, code: str
+) -> None:
+    results = [changed.get(place, result) for place, result in enumerate(CYCLES)]
+    loading = taken(protocol, result_of(results=tuple(results)))
+    assert (loading.cycles and set(loading.cycles.numbers)) == left
+    assert ("cycles_grow" in {note.code for note in loading.notes}) == (code == "cycles_grow")

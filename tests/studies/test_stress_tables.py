@@ -15,9 +15,8 @@ from labpipe.errors import ReadError
 from labpipe.mechanics.studies.wire_sheets import (
     Conditions,
     ProofStress,
-    ramberg_osgood_curve,
+    compute_ramberg_osgood,
     read_wire_sheet,
-    read_wires,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from tests.approved import Approve
@@ -55,7 +54,7 @@ def stress_of(numbers: ProofStress, strain: float) -> float:
 )
 def test_straight_lines_are_on_the_formula(row: str) -> None:
     numbers = ProofStress.model_validate(dict(zip(NUMBERS.split(","), row.split(","), strict=True)))
-    strains, stresses = ramberg_osgood_curve(numbers)
+    strains, stresses = compute_ramberg_osgood(numbers)
     assert len(strains) <= 60
     assert strains[-1] == numbers.largest_strain
     assert stresses[-1] == pytest.approx(1e6 * stress_of(numbers, strains[-1]), rel=1e-9)
@@ -68,7 +67,7 @@ def test_straight_lines_are_on_the_formula(row: str) -> None:
 
 
 def test_the_law_of_a_wire_is_that_of_the_formula() -> None:
-    table = wire_table(replace(spec_of("A2", "A2"), insulation_table=ramberg_osgood_curve(PVC)))
+    table = wire_table(replace(spec_of("A2", "A2"), insulation_table=compute_ramberg_osgood(PVC)))
     assert table.curvature[-1] == pytest.approx(100.0)
     for curvature in (5.0, 25.0, 90.0):
         by_hand = _bar(PVC, 0.8e-3, curvature) - _bar(PVC, 0.5e-3, curvature)
@@ -154,30 +153,30 @@ def test_a_table_takes_the_place_of_the_numbers(tmp_path: Path) -> None:
     points = "strain,stress_mpa", "0.001,110", "0.1,150"
     sheet = write_sheet(tmp_path, *points, column="stress_table")
     sheet.write_text(sheet.read_text() + WIRE.replace("A2", "A4") + ",pvc.csv")
-    first, second = read_wire_sheet(sheet)
+    first, second = read_wire_sheet(sheet).specs
     assert first.stress_table == ((0.001, 0.1), (110e6, 150e6))
     assert second.stress_table is first.stress_table
     assert not {"conductor_modulus", "copper_k", "copper_n"} & set(first.defaults)
-    [spec] = read_wire_sheet(write_sheet(tmp_path, "strain,stress_mpa", "0.01,10", "0.1,24"))
+    [spec] = read_wire_sheet(write_sheet(tmp_path, "strain,stress_mpa", "0.01,10", "0.1,24")).specs
     assert spec.insulation_table == ((0.01, 0.1), (10e6, 24e6))
     assert not {"insulation_modulus", "insulation_strain"} & set(spec.defaults)
     strands = write_sheet(tmp_path, NUMBERS, "110000,54,2.3,0.2", column="stress_table")
-    [spec] = read_wire_sheet(strands)
+    [spec] = read_wire_sheet(strands).specs
     assert spec.stress_table is not None
     assert spec.stress_table[0][-1] == 0.2
     rows: list[list[object]] = [["Strain", "stress_MPa", "from"], [0, 0, "us"], [0.001, 110, "us"]]
-    [spec] = read_wire_sheet(write_book(tmp_path / "w.xlsx", "SOFT", *rows))
+    [spec] = read_wire_sheet(write_book(tmp_path / "w.xlsx", "SOFT", *rows)).specs
     assert spec.stress_table == ((0.001,), (110e6,))
 
 
 def test_rate_and_temperature_of_points_stand_in_any_row(tmp_path: Path) -> None:
     heading = "strain,stress_mpa,from,temperature_c,strain_rate_per_s"
-    sheet = read_wires(write_sheet(tmp_path, heading, "0.01,10,us,23,", "0.1,20,us,,1e-3"))
+    sheet = read_wire_sheet(write_sheet(tmp_path, heading, "0.01,10,us,23,", "0.1,20,us,,1e-3"))
     curve = sheet.curves["A2"]["insulation_table"]
     assert curve.description == (
         "'pvc.csv': 2 points, to a strain of 0.1, at 0.001 1/s and 23 \u00b0C"
     )
-    silent = read_wires(write_sheet(tmp_path, "strain,stress_mpa", "0.01,10"))
+    silent = read_wire_sheet(write_sheet(tmp_path, "strain,stress_mpa", "0.01,10"))
     [stated] = silent.curves["A2"].values()
     assert stated.description.endswith(
         "1 point, to a strain of 0.01, rate and temperature not stated"

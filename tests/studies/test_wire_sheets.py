@@ -160,12 +160,14 @@ EVERYTHING: Row = {
 def test_rows_as_they_are_read(sheet: Path, approved: Approve) -> None:
     """A short row; what differs in one that says everything, and in others."""
     from_area: Row = {"strand_diameter_mm": None, "conductor_area_mm2": 0.56}
-    [first] = read_wire_sheet(write_book(sheet, A2))
+    [first] = read_wire_sheet(write_book(sheet, A2)).specs
     others = [
-        *read_wire_sheet(write_book(sheet, A2 | EVERYTHING)),
-        *read_wire_sheet(write_book(sheet, A2 | from_area)),
-        *read_wire_sheet(write_book(sheet, A2 | {"strands": 3, "layer_counts": "3"})),
-        *read_wire_sheet(write_book(sheet, A2 | {"length_mm": 90, "layout": "packed"}, ANOTHER)),
+        *read_wire_sheet(write_book(sheet, A2 | EVERYTHING)).specs,
+        *read_wire_sheet(write_book(sheet, A2 | from_area)).specs,
+        *read_wire_sheet(write_book(sheet, A2 | {"strands": 3, "layer_counts": "3"})).specs,
+        *read_wire_sheet(
+            write_book(sheet, A2 | {"length_mm": 90, "layout": "packed"}, ANOTHER)
+        ).specs,
     ]
     usual = asdict(first)
     lines = [f"{name}: {value}" for name, value in usual.items()]
@@ -174,10 +176,10 @@ def test_rows_as_they_are_read(sheet: Path, approved: Approve) -> None:
         lines.append(f"{spec.name}: {differing}")
     approved(lines)
     assert others[1].strand_diameters[0] == pytest.approx(np.sqrt(4 * 0.56e-6 / np.pi / 7))
-    [both] = read_wire_sheet(write_book(sheet, A2 | {"conductor_area_mm2": 0.56}))
+    [both] = read_wire_sheet(write_book(sheet, A2 | {"conductor_area_mm2": 0.56})).specs
     assert both.strand_diameters == (0.00032, 0.00032)  # 0.563 mm^2: within 2 %
     solid: Row = {"strands": 1, "lay_angles_deg": None, "strand_diameter_mm": 0.8}
-    [one] = read_wire_sheet(write_book(sheet, A2 | solid))
+    [one] = read_wire_sheet(write_book(sheet, A2 | solid)).specs
     assert (one.layer_counts, one.lay_angles) == ((1,), ())
 
 
@@ -191,7 +193,7 @@ def test_the_example_sheet_holds_the_wires_of_the_source(
         wall = f"wall {1e3 * spec.insulation_thickness:.10g} mm"
         return f"{spec.name}: {sizes}, {angles}, {wall}, {spec.layout}, {', '.join(spec.defaults)}"
 
-    approved(line(spec) for spec in read_wire_sheet(repository / "examples" / "wires.xlsx"))
+    approved(line(spec) for spec in read_wire_sheet(repository / "examples" / "wires.xlsx").specs)
 
 
 def test_the_sheet_that_is_read(sheet: Path) -> None:
@@ -207,15 +209,15 @@ def test_the_sheet_that_is_read(sheet: Path) -> None:
             book = load_workbook(sheet)
             book[hidden].sheet_state = "hidden"
             book.save(sheet)
-        assert read_wire_sheet(sheet)[0].place == place
+        assert read_wire_sheet(sheet).specs[0].place == place
 
 
 def test_a_csv_of_other_programs(tmp_path: Path) -> None:
     tabbed = HEADING.replace(",", "\t"), "A3\t1.8\t19\t0.24\t12;-15\t0.3"
-    [spec] = read_wire_sheet(write_csv(tmp_path, *tabbed))
+    [spec] = read_wire_sheet(write_csv(tmp_path, *tabbed)).specs
     assert (spec.layer_counts, spec.place) == ((1, 6, 12), "line 2")
     lines = "sep=,", HEADING, ",".join(map(str, A2.values()))
-    assert read_wire_sheet(write_csv(tmp_path, *lines))[0].place == "line 3"
+    assert read_wire_sheet(write_csv(tmp_path, *lines)).specs[0].place == "line 3"
 
 
 REFUSED_CELLS: list[Row] = [
@@ -284,7 +286,7 @@ def test_any_text_is_read_or_refused_in_words(tmp_path: Path, cells: dict[str, s
     quoted = ('"' + cell.replace('"', '""') + '"' for cell in row.values())
     path = write_csv(tmp_path, ",".join(row), ",".join(quoted), "")
     try:
-        specs = read_wire_sheet(path)
+        specs = read_wire_sheet(path).specs
     except ReadError as error:
         message = str(error)
     else:

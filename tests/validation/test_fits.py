@@ -115,7 +115,7 @@ def ours(seed: int) -> tuple[Segments, float]:
     """The lines, and the sum of squares that they leave."""
     x, y = curve(seed)
     hinges = Hinges.of(x, y)
-    found = hinges.fitted(y)
+    found = hinges.fit(y)
     ahead = x - found.break_point
     left = y - found.level - np.where(ahead < 0.0, found.first, found.second) * ahead
     return found, float(left @ left)

@@ -15,13 +15,13 @@ import pytest
 
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.rotations import (
+    find_shortest_turns,
     from_rotation_vectors,
-    matrices,
     multiply,
-    shortest_turns,
+    to_matrices,
 )
 from labpipe.mechanics.rod.statics import follow
 from labpipe.records.arrays import Floats
@@ -55,14 +55,14 @@ def hung(points: Floats, wire: str, *, elements: int = 200) -> Floats:
     seen = np.linspace(0.0, 1.0, len(points))
     nodes = np.column_stack([np.interp(shares, seen, point) for point in points.T])
     normal = np.sign(np.sum(np.cross(points[:-1], points[1:]), axis=0)[1])
-    along = line_along(nodes, section_of(wire), up=(0.0, float(normal), 0.0))
+    along = build_line(nodes, section_of(wire), up=(0.0, float(normal), 0.0))
     free = np.zeros((elements - 1, 3))
     free[:, 0] = SLOPES[wire] * (2.0 * shares[1:-1] - 1.0)
-    free[:, 0] *= normal * matrices(along.frames[:1])[0, 1, 0]
+    free[:, 0] *= normal * to_matrices(along.frames[:1])[0, 1, 0]
     lengths = np.full(elements, 1.5 / elements)
     line = Line(lengths, section_of(wire), along.positions, along.frames, free)
     ends = along.frames[[0, -1]]
-    frames = multiply(shortest_turns(matrices(ends)[:, :, 2], LEVEL), ends)
+    frames = multiply(find_shortest_turns(to_matrices(ends)[:, :, 2], LEVEL), ends)
     held = [Held(0, nodes[0], frames[0]), Held(-1, nodes[-1], frames[1])]
     path = follow(line, [*held, Gravity()], steps=0)
     assert path.status != "failed", path.reasons
@@ -90,7 +90,7 @@ def posed(wire: str, turned: tuple[float, float, float], twist: float, hand: Flo
     at = np.arange(67)[:, None]
     way, turn = np.clip(at / 30, 0.0, 1.0), np.clip((at - 30) / 36, 0.0, 1.0)
     moved = multiply(from_rotation_vectors(way * np.radians(turned)), line.frames[-1])
-    along = matrices(moved[-1:])[0, :, 2]
+    along = to_matrices(moved[-1:])[0, :, 2]
     frames = multiply(from_rotation_vectors(turn * np.radians(twist) * along), moved)
     places = (1 - way) * line.positions[-1] + way * hand
     lifted = np.clip(at / 5, 0.0, 1.0)

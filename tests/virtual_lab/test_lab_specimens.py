@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.mechanics.law.plays import find_corners, make_unbent_plays, respond
 from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
-from labpipe.virtual_lab.cantilever_scenarios import solve_path, taped_scenario
+from labpipe.virtual_lab.cantilever_scenarios import build_taped_scenario, solve_path
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, BundleModel, StrandedWire, lay_wires
 from labpipe.virtual_lab.truth import evaluate_taped, find_kink
 from tests.judges.reference_wires import bend_along
@@ -106,7 +106,7 @@ def test_two_lines_are_found_where_they_join() -> None:
 
 def test_a_bundle_in_the_rig() -> None:
     bundle = TAPED_TYPES["TWB-B1-19-PVC"]
-    test = taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
+    test = build_taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
     truth = evaluate_taped(solve_path(test))
     # A straight elastic beam: 3 EI / L^3; the counterweight's string adds next to nothing.
     linear = 3.0 * bundle.law().stiffness / test.length**3

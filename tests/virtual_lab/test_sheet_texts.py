@@ -19,7 +19,7 @@ from labpipe.virtual_lab.observations import (
 )
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.virtual_lab.three_point import (
-    conduit_scenario,
+    build_conduit_scenario,
 )
 
 
@@ -57,7 +57,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
         "markers.pull_offset": "5 mm",
     }
     files = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
-    sheet = yaml.safe_load(write_sheet(conduit_scenario("CWB-2b"), files))
+    sheet = yaml.safe_load(write_sheet(build_conduit_scenario("CWB-2b"), files))
     assert sheet["protocol"] == "conduit-bundle"
     assert sheet["specimen"]["span"] == "152.4 mm"
     assert sheet["specimen"]["bundle"]["taping"] == "coarse"
@@ -70,7 +70,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
 
 def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:
     sheet = write_wire_sheet(tmp_path / "wires")
-    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     assert list(specs) == list(WIRES)
     for name, wire in WIRES.items():
         section, virtual = build_wire(specs[name]).section, wire.section()

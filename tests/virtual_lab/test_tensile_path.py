@@ -9,21 +9,21 @@ import numpy as np
 import openpyxl
 import pytest
 
-from labpipe.virtual_lab.instruments import sample_times, slow_noise
+from labpipe.virtual_lab.instruments import draw_slow_noise, plan_samples
 from labpipe.virtual_lab.observations import observe, simulate_test
 from labpipe.virtual_lab.tensile import (
     FrameInstruments,
     GripSlip,
     TensilePath,
     TensileScenario,
-    corrugated_tube,
-    pet_tape,
-    twist_tube,
+    build_corrugated_tube,
+    build_pet_tape,
+    build_twist_tube,
 )
 
 
 def test_slip_goes_on_parallel_and_lower() -> None:
-    usual = corrugated_tube("CT-10-slit-1")
+    usual = build_corrugated_tube("CT-10-slit-1")
     slips = (GripSlip(18.75e-3, 0.47, 0.05), GripSlip(30.85e-3, 0.81, 0.1))
     whole, slipped = TensilePath(usual), TensilePath(replace(usual, slips=slips))
     time = np.linspace(0.0, whole.last_time, 100_001)
@@ -36,7 +36,7 @@ def test_slip_goes_on_parallel_and_lower() -> None:
 
 
 def test_failure_takes_its_time_and_leaves_fibres() -> None:
-    path = TensilePath(pet_tape("1", fails_at=60e-3))
+    path = TensilePath(build_pet_tape("1", fails_at=60e-3))
     before, after, late = path.force(path.last_time + np.array([-1e-9, 0.15, 2.3]))
     at_failure = path.force(np.array([path.last_time]))[0]
     assert before == pytest.approx(at_failure, rel=1e-6)
@@ -47,7 +47,7 @@ def test_failure_takes_its_time_and_leaves_fibres() -> None:
 
 
 def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() -> None:
-    usual = corrugated_tube("CT-10-3")
+    usual = build_corrugated_tube("CT-10-3")
     path = TensilePath(replace(usual, frame=replace(usual.frame, unloads=True)))
     turn = path.last_time + usual.frame.overrun
     time = np.linspace(turn, path.end, 20_001)
@@ -64,9 +64,9 @@ def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() 
 @pytest.mark.parametrize(
     ("scenario", "first", "second"),
     [
-        (twist_tube("1a"), (2e-3, 8e-3), (10e-3, 20e-3)),
-        (pet_tape("1"), (2e-3, 5.5e-3), (12e-3, 50e-3)),
-        (corrugated_tube("CT-10-1"), (1e-3, 10e-3), (30e-3, 49e-3)),
+        (build_twist_tube("1a"), (2e-3, 8e-3), (10e-3, 20e-3)),
+        (build_pet_tape("1"), (2e-3, 5.5e-3), (12e-3, 50e-3)),
+        (build_corrugated_tube("CT-10-1"), (1e-3, 10e-3), (30e-3, 49e-3)),
     ],
     ids=lambda case: getattr(case, "name", ""),
 )
@@ -92,7 +92,7 @@ def test_stiffness_and_break_point(
     assert 1.0 / truth.stiffness_first == pytest.approx(given_way)
 
 
-TUBE = replace(corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
+TUBE = replace(build_corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
 
 
 def test_export_is_the_truth_with_small_errors(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)
 def test_slow_noise_has_its_size_and_memory(correlation_time: float) -> None:
     instruments = replace(QUIET, slow_noise=0.3, correlation_time=correlation_time)
     time = np.linspace(0.0, 4000.0, 400_001)
-    noise = slow_noise(instruments, time, np.random.default_rng(3))
+    noise = draw_slow_noise(instruments, time, np.random.default_rng(3))
     effective = 4000.0 / (2.0 * correlation_time)  # samples as good as independent
     tolerance = 4.0 / np.sqrt(effective)
     assert np.std(noise) == pytest.approx(0.3, rel=tolerance)
@@ -128,4 +128,4 @@ def test_slow_noise_has_its_size_and_memory(correlation_time: float) -> None:
 
 def test_a_test_without_samples_is_refused() -> None:
     with pytest.raises(ValueError, match=r"rate=100\.0: expected .*, found 2 in 0\.03 s"):
-        sample_times(QUIET, 0.03)
+        plan_samples(QUIET, 0.03)

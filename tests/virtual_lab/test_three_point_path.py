@@ -16,7 +16,7 @@ from labpipe.virtual_lab.three_point import (
     CONDUIT_TYPES,
     ThreePointPath,
     ThreePointTest,
-    conduit_scenario,
+    build_conduit_scenario,
     solve_three_point,
 )
 from labpipe.virtual_lab.truth import evaluate_conduit
@@ -112,7 +112,7 @@ def test_large_deflections_agree_with_shooting(friction: float, displacement: fl
 
 
 def test_truth_and_volts_of_a_bundle() -> None:
-    usual = conduit_scenario("CWB-1")
+    usual = build_conduit_scenario("CWB-1")
     cell = replace(usual.load_cell, noise=0.0, gain_error=0.0)
     markers = replace(usual.markers, noise=0.0, twist=0.1)
     scenario = replace(usual, load_cell=cell, markers=markers, factor=1.1)

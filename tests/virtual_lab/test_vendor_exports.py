@@ -24,9 +24,9 @@ from labpipe.virtual_lab.tensile import ExportLayout
 from labpipe.virtual_lab.vendor_exports import (
     Run,
     write_control_desk,
-    write_frame,
     write_motive,
     write_r_controller,
+    write_test_suite,
 )
 
 RUN = Run("A2-085-1", datetime(2026, 3, 4, 10, 5, 7), seed=11)
@@ -58,8 +58,8 @@ def test_motive_has_six_decimals_and_blanks(observation: Observation, tmp_path: 
     assert [row[0] for row in data] == [str(number) for number in range(len(take.time))]
     assert data[3][1] == "0.060000"
     cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in data])
-    np.testing.assert_allclose(cells[:, 2:6], take.body.rotation, atol=5.1e-7)
-    np.testing.assert_allclose(cells[:, 6:9], take.body.position, atol=5.1e-7)
+    np.testing.assert_allclose(cells[:, 2:6], take.bodies[0].rotation, atol=5.1e-7)
+    np.testing.assert_allclose(cells[:, 6:9], take.bodies[0].position, atol=5.1e-7)
     measured = cells[:, 26:].reshape(len(data), -1, 3)
     np.testing.assert_allclose(measured, take.positions, atol=5.1e-7)
     assert np.isnan(measured).any()
@@ -71,8 +71,8 @@ RECORD = FrameRecord(TIME, displacement=5e-3 * TIME, force=2.7 + 100.0 * TIME)
 
 
 def test_r_controller_in_pounds_and_inches(tmp_path: Path) -> None:
-    write_r_controller(tmp_path / "A.xlsx", RECORD, RUN)
-    book = openpyxl.load_workbook(tmp_path / "A.xlsx")
+    (file,) = write_r_controller(tmp_path, RECORD, RUN)
+    book = openpyxl.load_workbook(tmp_path / file)
     assert book.sheetnames == ["Test Data"]
     rows = [list(row) for row in book["Test Data"].iter_rows(values_only=True)]
     note = "SYNTHETIC: made by labpipe's virtual lab, seed 11, not a measurement"
@@ -96,7 +96,7 @@ def numbers(path: Path) -> Floats:
 
 
 def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
-    (name,) = write_frame(tmp_path, RECORD, ExportLayout(), RUN)
+    (name,) = write_test_suite(tmp_path, RECORD, ExportLayout(), RUN)
     assert name == "DAQ- Crosshead, … - (Timed).txt"
     content = (tmp_path / name).read_bytes()
     assert content.startswith(b"\xef\xbb\xbfFile Path: C:\\")
@@ -117,7 +117,7 @@ def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
 
 
 def test_parts_are_not_numbered_in_order_of_time(tmp_path: Path) -> None:
-    files = write_frame(tmp_path, RECORD, ExportLayout(part_at=0.2), RUN)
+    files = write_test_suite(tmp_path, RECORD, ExportLayout(part_at=0.2), RUN)
     stem = "DAQ- Crosshead, … - (Timed)"
     assert files == (f"{stem}.txt", f"{stem}1.txt", f"{stem}2.txt")
     later, earlier = numbers(tmp_path / files[0]), numbers(tmp_path / files[1])

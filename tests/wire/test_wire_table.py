@@ -63,7 +63,7 @@ HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
 @pytest.fixture(scope="module")
 def examples() -> dict[str, WireTable]:
     sheet = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
-    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet)}
+    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet).specs}
 
 
 def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, WireTable]) -> None:

@@ -26,7 +26,7 @@ from labpipe.mechanics.decks.mujoco_sliders import (
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
@@ -227,6 +227,6 @@ def _frames_at(line: Line, chain: Chain) -> Floats:
     """Return the frames of the bodies at the start, (nodes + 1, 4): those of the elements there."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)
-    steps = rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
+    steps = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
     is_straight = not np.any(np.abs(steps) > 1e-12)
     return np.asarray(line.frames[np.zeros_like(element) if is_straight else element])

@@ -1,4 +1,4 @@
-"""Residual forces of a line, and their tangent, for Newton's method.
+"""Residual and tangent of the equilibrium of a line, for Newton's method.
 
 With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
 (the half elements on both sides of a node) of length h with the energy W of bending and twist, and
@@ -6,9 +6,9 @@ forces F at the nodes, equilibrium is where
 
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
-is stationary: the first term is the stretch row, whose multiplier f is the force in the element.
-EA infinite keeps eps = 0. Frames turn in the body frame, by q exp(phi / 2), so that nothing
-depends on the frame of space.
+is stationary. The first term is the stretch condition, whose multiplier f is the force in the
+element. If EA is infinite, eps is 0. Frames are rotated in the body frame, by q exp(phi / 2), so
+that the result does not depend on the frame of space.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 from labpipe.mechanics.rod.banded import (
     Band,
     Places,
-    entries,
     join_unknowns,
-    places_of,
+    list_block_entries,
+    number_unknowns,
     split_unknowns,
 )
 from labpipe.mechanics.rod.boundaries import Plane
@@ -30,9 +30,9 @@ from labpipe.mechanics.rod.cells import BentCells, bend_cells
 from labpipe.mechanics.rod.contacts import (
     ContactForces,
     RingContact,
-    added_at,
+    hold_in_ring,
     pull_strings,
-    thread,
+    sum_at_nodes,
     touch_plane,
 )
 from labpipe.mechanics.rod.line import Line
@@ -40,19 +40,24 @@ from labpipe.mechanics.rod.rotations import (
     conjugate,
     cross,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
     skew,
+    to_matrices,
+    to_rotation_vectors,
     unit,
 )
-from labpipe.mechanics.rod.supports import Directions, Supports, clamp_directions, directions_of
+from labpipe.mechanics.rod.supports import (
+    Directions,
+    Supports,
+    compute_clamp_directions,
+    compute_directions,
+)
 from labpipe.records.arrays import Flags, Floats, Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """Unknowns of Newton's method.
+    """Shape of a line: the unknowns of Newton's method.
 
     Parameters
     ----------
@@ -86,7 +91,7 @@ class LineMemory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demands:
-    """Demands of the boundaries at a time.
+    """Positions, forces and moments that the boundaries impose at a time.
 
     Parameters
     ----------
@@ -108,16 +113,16 @@ class Demands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArtificialDrag:
-    """Artificial drag towards an earlier shape.
+    """Artificial drag that resists changes from an earlier shape.
 
-    The cells resist bending and twist in proportion to their stiffness, as internal damping does:
-    each relaxes by its own moment, and none is bent by the motion of others. Motion without bending
-    is resisted by a drag that bends the line a hundred times less.
+    The cells resist bending and twist in proportion to their stiffness, as with internal damping.
+    Each relaxes by its own moment, and none is bent by the motion of others. Motion without bending
+    is resisted by a drag that is a hundred times smaller.
 
     Parameters
     ----------
-    size : share of the line's own stiffness
-    shape : the earlier one
+    size : share of the stiffness of the line
+    shape : the earlier shape
     turns : shape (cells, 3), rad, of its cells
     """
 
@@ -132,28 +137,28 @@ class Balance:
 
     Parameters
     ----------
-    residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
-    values : of the tangent, entry by entry
-    given : history before the step, and drag
-    even : without the part without energy (friction that grows with pressure)
+    residual : shape (unknowns,), N for positions, N m for stretches and turns, m for forces
+    values : entries of the tangent
+    inputs : history before the step, and drag
+    symmetric_values : entries of the tangent without friction that increases with pressure
     cells : of the line
     directions : of the elements
     memory : history after the step
-    touches : of the planes
+    plane_contacts : of the planes
     tensions : shape (strings, 3), N
-    threads : of the rings
+    ring_contacts : of the rings
     """
 
     residual: Floats
     values: Floats
-    given: tuple[LineMemory, ArtificialDrag | None]
-    even: Floats
+    inputs: tuple[LineMemory, ArtificialDrag | None]
+    symmetric_values: Floats
     cells: BentCells
     directions: Directions
     memory: LineMemory
-    touches: tuple[ContactForces, ...]
+    plane_contacts: tuple[ContactForces, ...]
     tensions: Floats
-    threads: tuple[RingContact, ...]
+    ring_contacts: tuple[RingContact, ...]
 
 
 class Assembly:
@@ -166,7 +171,7 @@ class Assembly:
     planes : that it may touch
     strings : nodes and lengths, m, of strings
     n_rings : number of rings
-    force : N, size of the forces on the whole line
+    force : N, magnitude of the forces on the whole line
 
     Attributes
     ----------
@@ -187,13 +192,13 @@ class Assembly:
         # of an element, under the whole force; stiffer contacts would amplify rounding
         contact_yield = 1e-6
         position_rounding = 2e-15  # of the line's length
-        # of an element, in the tangent only: keeps it regular for a straight line between two
-        # supports
+        # of an element; added to the tangent only, which it keeps regular for a straight line
+        # between two supports
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
-        self.places: Places = places_of(self.n)
+        self.places: Places = number_unknowns(self.n)
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
@@ -226,21 +231,23 @@ class Assembly:
         memory : before the step
         drag : artificial drag
         """
-        min_drag = 1e-10  # tangent only: keeps it regular where a line is free to move
-        translation_drag = 1e-2  # share of the drag, beside that of bending
+        min_drag = (
+            1e-10  # added to the tangent only, which it keeps regular if the line is free to move
+        )
+        translation_drag = 1e-2  # share of the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, demands, memory, drag)
-        rotations = matrices(shape.frames)
+        rotations = to_matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        lent = clamp_directions(self.supports, demands.clamps)
-        directions = directions_of(self.supports, rotations, lent, pulls)
+        clamp_pairs = compute_clamp_directions(self.supports, demands.clamps)
+        directions = compute_directions(self.supports, rotations, clamp_pairs, pulls)
         turns, by_turn = self._turns(cells, directions, rotations, demands)
-        nodes, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
-        threads = tuple(
-            thread(shape.positions, ring, float(place), self._stiff)
+        nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, demands, memory)
+        ring_contacts = tuple(
+            hold_in_ring(shape.positions, ring, float(place), self._stiff)
             for ring, place in zip(demands.rings, memory.places, strict=True)
         )
-        beside = self._threading(threads, nodes, by_position)
+        ring_tangents = self._threading(ring_contacts, nodes, by_position)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.along
         stretch, by_stretch, by_force = self._stretching(shape, directions, cells)
@@ -250,41 +257,43 @@ class Assembly:
         by_position[:, _AXES, _AXES] += drags * self._node_drag
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
-        mirrored = [
+        mirrored_blocks = [
             self._joined,
             by_force.ravel(),
             (-lengths[:, None, None] * directions.by_turn).ravel(),
             (directions.pull / (1.0 + shape.stretches)[:, None]).ravel(),
             cells.across[self._inner].ravel(),
             *self._coupled_values(cells),
-            *beside,
+            *ring_tangents,
         ]
         own = [self._give, by_stretch, by_turn.ravel(), by_position.ravel()]
-        values = even = np.concatenate([*mirrored, *mirrored, *own])
+        values = symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
         if any(plane.friction > 0.0 for plane in self.planes):
-            own[-1] = (by_position - sum(touch.pressing for touch in touches)).ravel()
-            even = np.concatenate([*mirrored, *mirrored, *own])
+            own[-1] = (
+                by_position - sum(touch.friction_coupling for touch in plane_contacts)
+            ).ravel()
+            symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
         after = LineMemory(
             cells.rests,
-            np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
-            np.array([t.place for t in threads]),
+            np.array([t.contacts for t in plane_contacts]).reshape(-1, self.n + 1, 3),
+            np.array([t.place for t in ring_contacts]),
         )
         return Balance(
             residual,
             values,
             (memory, drag),
-            even,
+            symmetric_values,
             cells,
             directions,
             after,
-            touches,
+            plane_contacts,
             tensions,
-            threads,
+            ring_contacts,
         )
 
     def moved(self, before: Shape, behind: Shape) -> Floats:
         """Return the changes of the unknowns between two shapes, without forces."""
-        turned = rotation_vectors(multiply(conjugate(before.frames), behind.frames))
+        turned = to_rotation_vectors(multiply(conjugate(before.frames), behind.frames))
         none = np.zeros(self.n)
         return join_unknowns(behind.positions - before.positions, none, turned, 0.0 * turned)
 
@@ -301,11 +310,11 @@ class Assembly:
     def right_side(
         self, balance: Balance, shape: Shape, demands: Demands, held: Floats, clamps: Floats
     ) -> Floats:
-        """Return the right side of a Newton step in which held nodes and clamps move, too.
+        """Return the right side of a Newton step in which held nodes and clamps move as well.
 
         Parameters
         ----------
-        balance, shape, demands : before they move
+        balance, shape, demands : before the step
         held : shape (grips, 3), m, moves of the held nodes
         clamps : shape (clamps, 3), rad, turns of the clamps, in the body frame
         """
@@ -318,10 +327,10 @@ class Assembly:
             across = balance.cells.across
             self._push(right, s.behind, s.before, across, clamps)
             self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
-            row, clamp = s.lent.T
-            turns = np.matvec(matrices(demands.clamps), clamps)
+            row, clamp = s.clamp_pairs.T
+            turns = np.matvec(to_matrices(demands.clamps), clamps)
             tilted = np.zeros((len(s.ends), 3))
-            np.add.at(tilted, row, cross(turns[clamp], clamp_directions(s, demands.clamps)))
+            np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, demands.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
             right[p.forces[s.ends][:, None] + _AXES] += lengths[:, None] * change
@@ -330,7 +339,7 @@ class Assembly:
     def _push(
         self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
     ) -> None:
-        """Subtract the effect of turning clamps on the elements joined to them."""
+        """Subtract the effect of the turns of clamps on adjacent elements."""
         clamped = np.flatnonzero(others < 0)
         push = np.matvec(across[clamped], clamps[-1 - others[clamped]])
         np.subtract.at(right, self.places.turns[elements[clamped]][:, None] + _AXES, push)
@@ -338,12 +347,12 @@ class Assembly:
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
-        moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
-        turned = matrices(demands.clamps)
-        for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
+        moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
+        turned = to_matrices(demands.clamps)
+        for elements, moments_on_frame in ((s.before, cells.before), (s.behind, cells.behind)):
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
-            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[clamped]))
+            np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
         return balance.residual[self.places.positions[s.held][:, None] + _AXES], moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
@@ -354,7 +363,7 @@ class Assembly:
     def turns(self, shape: Shape, demands: Demands) -> Floats:
         """Return rotation vectors from frames before to behind the cells, rad, (cells, 3)."""
         before, behind = self._frames(shape, demands)
-        return rotation_vectors(multiply(conjugate(before), behind))
+        return to_rotation_vectors(multiply(conjugate(before), behind))
 
     def _frames(self, shape: Shape, demands: Demands) -> tuple[Floats, Floats]:
         frames = np.concatenate([shape.frames, demands.clamps[::-1]])
@@ -378,13 +387,13 @@ class Assembly:
         )
 
     def _turns(
-        self, cells: BentCells, way: Directions, turned: Floats, demands: Demands
+        self, cells: BentCells, directions: Directions, turned: Floats, demands: Demands
     ) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and their diagonal tangents."""
         s, (free_a, free_b) = self.supports, self._free
         pushed = np.vecmat(demands.moments, turned)
-        residual = way.pull - pushed
-        tangent = way.stiff - 0.5 * skew(pushed)
+        residual = directions.pull - pushed
+        tangent = directions.stiff - 0.5 * skew(pushed)
         # no element is twice on the same side of a cell, so that plain indexing suffices
         residual[s.before[free_a]] += cells.before[free_a]
         tangent[s.before[free_a]] += cells.by_before[free_a]
@@ -401,13 +410,13 @@ class Assembly:
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
-        touches = tuple(
+        plane_contacts = tuple(
             touch_plane(
                 plane, self._stiff, shape.positions, contacts, close=touch_share * self._shortest
             )
             for plane, contacts in zip(self.planes, memory.contacts, strict=True)
         )
-        for touch in touches:
+        for touch in plane_contacts:
             residual -= touch.forces
             tangent += touch.stiffness
         nodes, lengths = self.strings
@@ -418,26 +427,28 @@ class Assembly:
             )
             np.subtract.at(residual, nodes, tensions)
             np.add.at(tangent, nodes, stiffness)
-        return residual, tangent, touches, tensions
+        return residual, tangent, plane_contacts, tensions
 
     def _threading(
-        self, threads: tuple[RingContact, ...], residual: Floats, tangent: Floats
+        self, ring_contacts: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
         """Add the forces of rings to the nodes; return the tangents between different nodes."""
         if not self._has_rings:
             return []
-        beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
-        for threaded in threads:
+        ring_tangents = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
+        for threaded in ring_contacts:
             places = slice(threaded.first, threaded.first + 3)
             residual[places] -= threaded.weights[:, None] * threaded.force
             for i in range(3):
                 tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
-                    beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
-        return [blocks.ravel() for blocks in beside]
+                    ring_tangents[step - 1][threaded.first + i] += threaded.stiffness[
+                        i, :, i + step, :
+                    ]
+        return [blocks.ravel() for blocks in ring_tangents]
 
     def _stretching(
-        self, shape: Shape, way: Directions, cells: BentCells
+        self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
         """Return the residuals of the stretches, and their tangents by stretch and force."""
         lengths = self.line.lengths
@@ -445,12 +456,12 @@ class Assembly:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
-        residual -= lengths * np.vecdot(shape.forces, way.along)
+        residual -= lengths * np.vecdot(shape.forces, directions.along)
         if self._is_coupled:
             for side, free in enumerate(self._free):
                 places = self._sides[free, side]
                 residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
-        return residual, stiffness, -lengths[:, None] * way.along
+        return residual, stiffness, -lengths[:, None] * directions.along
 
     def _coupled_values(self, cells: BentCells) -> list[Floats]:
         shares = self._shares / self.supports.lengths[:, None]
@@ -466,26 +477,30 @@ class Assembly:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.places, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
-        mirrored = [
+        mirrored_blocks = [
             _identity_entries(p.positions[:-1], p.forces),
             _identity_entries(p.positions[1:], p.forces),
-            entries(p.stretches, 1, p.forces, 3),
-            entries(p.forces, 3, p.turns, 3),
-            entries(p.stretches, 1, p.turns, 3),
-            entries(b, 3, a, 3),
+            list_block_entries(p.stretches, 1, p.forces, 3),
+            list_block_entries(p.forces, 3, p.turns, 3),
+            list_block_entries(p.stretches, 1, p.turns, 3),
+            list_block_entries(b, 3, a, 3),
         ]
         for stretch, turn, coupled in self._coupled:
             first = p.stretches[self._sides[coupled, stretch]]
-            mirrored.append(entries(first, 1, p.turns[self._sides[coupled, turn]], 3))
+            mirrored_blocks.append(
+                list_block_entries(first, 1, p.turns[self._sides[coupled, turn]], 3)
+            )
         for step in (1, 2) if self._has_rings else ():
-            mirrored.append(entries(p.positions[:-step], 3, p.positions[step:], 3))
+            mirrored_blocks.append(
+                list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
+            )
         own = [
             _identity_entries(p.forces, p.forces),
-            entries(p.stretches, 1, p.stretches, 1),
-            entries(p.turns, 3, p.turns, 3),
-            entries(p.positions, 3, p.positions, 3),
+            list_block_entries(p.stretches, 1, p.stretches, 1),
+            list_block_entries(p.turns, 3, p.turns, 3),
+            list_block_entries(p.positions, 3, p.positions, 3),
         ]
-        blocks = [*mirrored, *((columns, rows) for rows, columns in mirrored), *own]
+        blocks = [*mirrored_blocks, *((columns, rows) for rows, columns in mirrored_blocks), *own]
         rows, columns = (np.concatenate(part) for part in zip(*blocks, strict=True))
         return rows, columns
 
@@ -514,8 +529,8 @@ class Assembly:
             for turn in (0, 1):
                 coupled = np.flatnonzero(self._free[stretch] & self._free[turn])
                 self._coupled.append((stretch, turn, coupled))
-        count = added_at(s.before[free_a], np.ones(int(free_a.sum())), self.n)
-        count += added_at(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
+        count = sum_at_nodes(s.before[free_a], np.ones(int(free_a.sum())), self.n)
+        count += sum_at_nodes(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
         coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
         return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
 

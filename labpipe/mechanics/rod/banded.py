@@ -1,8 +1,8 @@
-"""Numbering of a line's unknowns in one banded matrix, and its solution.
+"""Banded matrix of the unknowns of a line: numbering, assembly and solution.
 
-Every element has ten unknowns, in this order: the position of its first node (3), its stretch, the
-turn of its frame (3), its force (3); the last node follows. A matrix is a list of small blocks in
-a fixed order, whose entries are added to the band at once.
+Every element has ten unknowns: the position of its first node (3), its stretch, the turn of its
+frame (3), and its force (3). The position of the last node follows. A matrix is assembled from
+small blocks in a fixed order, whose entries are added to the band all at once.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ class Places:
         return int(self.positions[-1]) + 3
 
 
-def places_of(n: int) -> Places:
+def number_unknowns(n: int) -> Places:
     """Number the unknowns of a line of n elements."""
     first = PER_ELEMENT * np.arange(n + 1)
     return Places(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
 
 
 def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: Floats) -> Floats:
-    """Return numbers of nodes and elements in the order of the unknowns.
+    """Join values of nodes and elements in the order of the unknowns.
 
     Parameters
     ----------
@@ -63,18 +63,18 @@ def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: F
 
 
 def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the numbers of positions, stretches, turns and forces; see `join_unknowns`."""
+    """Split unknowns into positions, stretches, turns and forces; see `join_unknowns`."""
     rows = values[:-3].reshape(-1, PER_ELEMENT)
     positions = np.concatenate([rows[:, :STRETCH], values[None, -3:]])
     return positions, rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:]
 
 
-def entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
-    """Return rows and columns of all entries of equal blocks, one block after the other."""
+def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
+    """Return rows and columns of all entries of equal blocks, block by block."""
     shape = (len(rows), height, width)
-    down = rows[:, None, None] + np.arange(height)[:, None]
+    row_numbers = rows[:, None, None] + np.arange(height)[:, None]
     right = columns[:, None, None] + np.arange(width)
-    return np.broadcast_to(down, shape).ravel(), np.broadcast_to(right, shape).ravel()
+    return np.broadcast_to(row_numbers, shape).ravel(), np.broadcast_to(right, shape).ravel()
 
 
 class Band:
@@ -83,7 +83,7 @@ class Band:
     Parameters
     ----------
     rows, columns : shape (entries,), of every entry of every block; entries may coincide
-    scale : shape (unknowns,), size of each unknown: rows and columns are multiplied by it
+    scale : shape (unknowns,), magnitude of each unknown, by which rows and columns are multiplied
     fixed : shape (unknowns,), whether its row is replaced by that of a given change
     """
 
@@ -99,7 +99,7 @@ class Band:
         self._ones = self._deep * np.flatnonzero(fixed) + (self.lower + self.upper)
 
     def solve(self, values: Floats, right: Floats) -> Floats | None:
-        """Solve for the unknowns, shape (unknowns,); None where the matrix is singular.
+        """Solve for the unknowns, shape (unknowns,); None if the matrix is singular.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class Band:
         return None if factors is None else self.solve_factored(factors, right)
 
     def factorise(self, values: Floats) -> tuple[Floats, Ints] | None:
-        """Return LU factors with their pivots; None where the matrix is singular."""
+        """Return LU factors with their pivots; None if the matrix is singular."""
         flat = np.bincount(self._at, values * self._weights, minlength=self._deep * self.size)
         flat[self._ones] = 1.0
         band = flat.reshape(self.size, self._deep).T
@@ -118,7 +118,7 @@ class Band:
         return None if failed else (factors, pivots)
 
     def solve_factored(self, factors: tuple[Floats, Ints], right: Floats) -> Floats | None:
-        """Solve with given factors; None where the result is not finite."""
+        """Solve with given factors; None if the result is not finite."""
         scaled = np.where(self.fixed, right / self.scale, right * self.scale)
         solution, failed = lapack.dgbtrs(
             factors[0], self.lower, self.upper, scaled, factors[1], overwrite_b=True

@@ -1,8 +1,8 @@
 """Predicted 95 % bands of a line: shape, curvature, smallest bend radius, forces.
 
-Bands are pointwise: each component of each node lies inside in 95 of 100 lines; a whole shape does
-less often. The smallest bend radius is the least along the line in each draw of the response, at
-any node, and its band is that of these values.
+Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines, a whole
+shape in fewer. The band of the smallest bend radius is that of the minimum along the line, which
+may be at another node in each draw.
 """
 
 from __future__ import annotations
@@ -14,17 +14,24 @@ import numpy as np
 
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, field_band, respond
-from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.mechanics.rod.response import (
+    Band,
+    Fields,
+    Response,
+    compute_band,
+    compute_field_band,
+    respond,
+)
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
 Solve = Callable[[Mapping[str, float]], RodPath]
-"""Build a line and its boundaries from named inputs, and follow it along its whole path."""
+"""Function that builds a line and its boundaries from named inputs, and solves its path."""
 
-_PLAIN_FIELDS = ("positions", "forces", "moments", "reaction_forces", "reaction_moments")
-_CURVATURE_FIELD = "bent"
+_PLAIN_FIELDS = ("positions", "reaction_forces", "reaction_moments")
+_CURVATURE_FIELD = "curvature"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +44,7 @@ class StateBands:
     positions : shape (n + 1, 3), m
     curvature : shape (n + 1,), 1/m, including the curvature at rest; the larger one where a
         clamp separates both sides of a node
-    smallest_bend_radius : one number, m: the least along the line; infinite for a straight one
-    forces : shape (n, 3), N, in space
-    moments : shape (n + 1, 2, 3), N m, in space, before and behind every node
+    smallest_bend_radius : m, a single number, the minimum along the line; infinite if straight
     reaction_forces, reaction_moments : shape (boundaries, 3), N, N m
     shares : by ``positions``, ``smallest_bend_radius`` and ``reaction_forces``: the share of each
         cause in the variance, over all their numbers together, for the best distribution
@@ -49,8 +54,6 @@ class StateBands:
     positions: Band
     curvature: Band
     smallest_bend_radius: Band
-    forces: Band
-    moments: Band
     reaction_forces: Band
     reaction_moments: Band
     shares: Mapping[str, Mapping[str, float]]
@@ -72,7 +75,7 @@ class LineBands:
     notes: tuple[QualityNote, ...] = ()
 
 
-def bands_of(
+def predict_line_bands(
     solve: Solve | Sequence[Solve],
     distributions: Sequence[InputDistribution],
     *,
@@ -83,20 +86,18 @@ def bands_of(
 
     Parameters
     ----------
-    solve : follows the line for some inputs; called 1 + 2 x causes times for each distribution. One
-    for
-        all distributions, or one for each: a law keeps slip curvatures that were chosen for its
-        solution
-    distributions : of its inputs: one for each solution of a calibration, the best first
-    steps : steps of the bands; negative ones count from the last
-    tested_curvature : 1/m, largest that the tests of the calibration reached
+    solve : solves the line for some inputs; called 1 + 2 x causes times for each distribution. One
+        function for all distributions, or one for each, because the slip curvatures of a law are
+        chosen for its solution of the calibration
+    distributions : of the inputs, one for each solution of a calibration, the best first
+    steps : with bands; negative numbers count from the last step
+    tested_curvature : 1/m, largest curvature in the tests of the calibration
 
     Returns
     -------
-    The bands, from the lowest to the highest of all distributions; None if the line fails at the
-    best inputs of one. Notes: ``beyond_tested`` (curvature, step, node), ``one_sided`` and
-    ``silent`` (causes of which one side or none has an equilibrium), ``jumps`` (a jump at other
-    steps than at the best inputs, where no smooth response holds).
+    The bands, from the lowest to the highest end for all distributions; None if the line cannot be
+    solved at the best inputs of one of them. Notes: ``beyond_tested``, ``one_sided``, ``silent``,
+    and ``jumps`` if the line jumps at other steps than at the best inputs.
 
     Raises
     ------
@@ -108,21 +109,21 @@ def bands_of(
     solves = [solve] * len(distributions) if callable(solve) else solve
     solvers = [_Solver(solve, steps) for solve, _ in zip(solves, distributions, strict=True)]
     responses = [
-        respond(look, distribution)
-        for look, distribution in zip(solvers, distributions, strict=True)
+        respond(solver, distribution)
+        for solver, distribution in zip(solvers, distributions, strict=True)
     ]
     solved = [response for response in responses if response is not None]
     if len(solved) < len(distributions):
         return None
     best = solvers[0].paths[0]
-    notes = [*_range_notes(best, tested_curvature), *_side_notes(solved), *_jump_notes(solvers)]
+    notes = [*_note_range(best, tested_curvature), *_note_sides(solved), *_note_jumps(solvers)]
     step_numbers = [range(len(best.states))[step] for step in steps]
-    states = tuple(_bands(solved, number, step) for number, step in enumerate(step_numbers))
+    states = tuple(_compute_bands(solved, number, step) for number, step in enumerate(step_numbers))
     return LineBands(best, states, tuple(notes))
 
 
 class _Solver:
-    """Solver that keeps the fields of each path, and the first path."""
+    """Solver that returns the fields of a path, and stores the first path and all jumps."""
 
     def __init__(self, solve: Solve, steps: Sequence[int]) -> None:
         self.solve, self.steps = solve, tuple(steps)
@@ -135,18 +136,18 @@ class _Solver:
             return None
         self.paths = self.paths or [path]
         self.snapped.append(tuple(step for step in path.snapped if step > 0))
-        return dict(_fields(path, self.steps))
+        return dict(_collect_fields(path, self.steps))
 
 
-def _fields(path: RodPath, steps: Sequence[int]) -> Iterator[tuple[str, Floats]]:
+def _collect_fields(path: RodPath, steps: Sequence[int]) -> Iterator[tuple[str, Floats]]:
     for number, step in enumerate(steps):
         state = path.states[step]
         for name in _PLAIN_FIELDS:
             yield f"{name} {number}", np.asarray(getattr(state, name))
-        yield f"{_CURVATURE_FIELD} {number}", line_curvatures(state)
+        yield f"{_CURVATURE_FIELD} {number}", compute_line_curvatures(state)
 
 
-def line_curvatures(state: RodState) -> Floats:
+def compute_line_curvatures(state: RodState) -> Floats:
     """Return the bending curvature vectors of the line, shape (n + 1, 2, 2), 1/m.
 
     Parameters
@@ -155,38 +156,42 @@ def line_curvatures(state: RodState) -> Floats:
 
     Notes
     -----
-    The state has curvatures less those at rest. The curvature at rest of an inner node is the turn
-    between its two elements over half their lengths, less the mean of the state; ends have that of
-    their neighbours.
+    The curvatures of a state do not include those at rest. The curvature at rest of an inner node
+    is computed as the turn between its elements over half their lengths, minus the mean curvature
+    of the state. The ends have that of their neighbours.
     """
-    turned = rotation_vectors(multiply(conjugate(state.frames[:-1]), state.frames[1:]))
+    turned = to_rotation_vectors(multiply(conjugate(state.frames[:-1]), state.frames[1:]))
     chords = np.linalg.norm(np.diff(state.positions, axis=0), axis=1) / (1.0 + state.stretches)
-    both = np.stack([chords[:-1], chords[1:]], axis=1)
-    weights = both / both.sum(axis=1, keepdims=True)
+    sides = np.stack([chords[:-1], chords[1:]], axis=1)
+    weights = sides / sides.sum(axis=1, keepdims=True)
     inner = state.curvatures[1:-1]
     mean = np.einsum("ns,nsx->nx", weights, inner)
-    at_rest = turned / (0.5 * both.sum(axis=1, keepdims=True)) - mean
+    at_rest = turned / (0.5 * sides.sum(axis=1, keepdims=True)) - mean
     if len(at_rest):
         at_rest = np.concatenate([at_rest[:1], at_rest, at_rest[-1:]])
         return np.asarray((state.node_curvatures + at_rest[:, None, :])[:, :, :2])
     return np.asarray(state.node_curvatures[:, :, :2])
 
 
-def _node_curvatures(vectors: Floats) -> Floats:
-    """Return the curvature at nodes, shape (..., n + 1), the larger one of both sides."""
+def _find_node_curvatures(vectors: Floats) -> Floats:
+    """Return the curvature at the nodes, shape (..., n + 1), the larger one of both sides."""
     return np.asarray(np.linalg.norm(vectors, axis=-1).max(axis=-1))
 
 
-def _smallest_radius(vectors: Floats) -> Floats:
-    peak = _node_curvatures(vectors).max(axis=-1)
+def _find_smallest_radius(vectors: Floats) -> Floats:
+    peak = _find_node_curvatures(vectors).max(axis=-1)
     return np.asarray(np.divide(1.0, peak, out=np.full_like(peak, np.inf), where=peak > 0.0))
 
 
-def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
-    bands = {name: field_band(responses, f"{name} {number}") for name in _PLAIN_FIELDS}
+def _compute_bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
+    bands = {name: compute_field_band(responses, f"{name} {number}") for name in _PLAIN_FIELDS}
     name = f"{_CURVATURE_FIELD} {number}"
-    curvature = band_of(responses, lambda response: _with_draws(response, name, _node_curvatures))
-    radius = band_of(responses, lambda response: _with_draws(response, name, _smallest_radius))
+    curvature = compute_band(
+        responses, lambda response: _evaluate_draws(response, name, _find_node_curvatures)
+    )
+    radius = compute_band(
+        responses, lambda response: _evaluate_draws(response, name, _find_smallest_radius)
+    )
     best = responses[0]
     shares = {
         field: best.shares(f"{field} {number}") for field in ("positions", "reaction_forces")
@@ -196,13 +201,13 @@ def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
     )
 
 
-def _with_draws(
+def _evaluate_draws(
     response: Response, name: str, measure: Callable[[Floats], Floats]
 ) -> tuple[Floats, Floats]:
     return measure(response.value[name]), measure(response.drawn(name))
 
 
-def _range_notes(path: RodPath, tested: float) -> Iterator[QualityNote]:
+def _note_range(path: RodPath, tested: float) -> Iterator[QualityNote]:
     largest = np.array([state.bendings.max() for state in path.states])
     if largest.max() <= tested:
         return
@@ -218,7 +223,7 @@ def _range_notes(path: RodPath, tested: float) -> Iterator[QualityNote]:
     )
 
 
-def _side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
+def _note_sides(responses: Sequence[Response]) -> Iterator[QualityNote]:
     for code in ("one_sided", "silent"):
         causes = dict.fromkeys(cause for response in responses for cause in getattr(response, code))
         if causes:
@@ -230,10 +235,12 @@ def _side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
             )
 
 
-def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
-    """Note jumps at different steps; step 0, where the line is laid, does not count."""
-    differing = [jumps for look in solvers for jumps in look.snapped if jumps != look.snapped[0]]
+def _note_jumps(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
+    """Note jumps that differ between inputs; step 0 does not count."""
+    differing = [
+        steps for solver in solvers for steps in solver.snapped if steps != solver.snapped[0]
+    ]
     if differing:
         steps = solvers[0].snapped[0], differing[0]
-        here, other = (", ".join(map(str, step)) or "none" for step in steps)
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=here, other=other)
+        best_steps, other = (", ".join(map(str, step)) or "none" for step in steps)
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best_steps, other=other)

@@ -1,9 +1,8 @@
-"""Boundaries of a line: what holds, loads and supports it, step by step.
+"""Boundaries of a line: grips, rings, strings, loads, planes and weight, with their paths.
 
-A path has one row per step and one before, shape (steps + 1, ...): row 0 is the start.
-A single row, or a vector, is constant. Between two steps positions and forces are interpolated
-linearly, and frames turn at a constant rate. Forces keep their
-direction in space.
+A path has a row for the start and one for each step, shape (steps + 1, ...). A single row, or a
+vector, is constant. Between two steps positions and forces are interpolated linearly, and frames
+turn at a constant rate. Forces keep their direction in space.
 """
 
 from __future__ import annotations
@@ -18,11 +17,17 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 EARTH = (0.0, 0.0, -9.81)
-"""m/s^2."""
+"""Gravitational acceleration, m/s^2."""
 
 
-def _rows(name: str, values: object, width: int) -> Floats:
-    """Return a path as rows, read-only."""
+def _check_path(name: str, values: object, width: int) -> Floats:
+    """Return a path as read-only rows.
+
+    Raises
+    ------
+    ValueError
+        If it has another width or is not finite.
+    """
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
@@ -38,8 +43,8 @@ def _rows(name: str, values: object, width: int) -> Floats:
     return path
 
 
-def _direction(name: str, values: object) -> Floats:
-    vector = _rows(name, values, 3)
+def _check_direction(name: str, values: object) -> Floats:
+    vector = _check_path(name, values, 3)
     size = float(np.linalg.norm(vector[0]))
     is_one = len(vector) == 1 and size > 0.0
     require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_one)
@@ -48,29 +53,29 @@ def _direction(name: str, values: object) -> Floats:
     return unit
 
 
-def _set(record: object, **values: object) -> None:
+def _set_fields(record: object, **values: object) -> None:
     for name, value in values.items():
         object.__setattr__(record, name, value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """A clamp, a clip or a grip at a node.
+    """A clamp or a pin at a node, which may move and may release the line.
 
     Parameters
     ----------
     node : from 0; negative numbers count from the end of the line, as in Python
     position : path, m, shape (steps + 1, 3)
-    frame : path, unit quaternions, shape (steps + 1, 4): the frame of the line at the node (d3
-        along it), both elements there are clamped to it; None: the node is pinned and may turn
-    release : the first step without it; None never releases. Its reaction is removed at once: each
-        cell goes directly to its new curvature, or the line falls from where it was held
+    frame : path, unit quaternions, shape (steps + 1, 4), of the frame to which the elements at the
+        node are clamped, with d3 along the line; None for a pin, which lets the line turn
+    release : the first step without it; None if it never releases. Its reaction is removed at once
     name : for messages
 
     Raises
     ------
     ValueError
-        If a path has another shape, is not finite, or a frame is not of length one.
+        If a path has another shape or is not finite, a frame is not of length one, or `release` is
+        below 1.
     """
 
     node: int
@@ -80,12 +85,12 @@ class Held:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, position=_rows("position", self.position, 3))
+        _set_fields(self, position=_check_path("position", self.position, 3))
         if self.frame is not None:
-            frame = _rows("frame", self.frame, 4)
+            frame = _check_path("frame", self.frame, 4)
             if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
                 raise ValueError(format_sentence("mechanics.rod.not_unit", name="frame"))
-            _set(self, frame=frame)
+            _set_fields(self, frame=frame)
         require("release", self.release, ">= 1", holds=self.release is None or self.release >= 1)
 
 
@@ -97,7 +102,7 @@ class Ring:
     ----------
     position : path, m, shape (steps + 1, 3)
     direction : shape (3,), of its opening, for figures only
-    near : node at which the line passes through it at the start; None: the nearest one
+    near : node near which the line passes through it at the start; None for the nearest node
     name : for messages
 
     Raises
@@ -112,13 +117,15 @@ class Ring:
     name: str = ""
 
     def __post_init__(self) -> None:
-        position = _rows("position", self.position, 3)
-        _set(self, position=position, direction=_direction("direction", self.direction))
+        position = _check_path("position", self.position, 3)
+        _set_fields(
+            self, position=position, direction=_check_direction("direction", self.direction)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class String:
-    """A string without weight from a node to an anchor; it pulls or is slack.
+    """A weightless string from a node to an anchor; it pulls or is slack.
 
     Parameters
     ----------
@@ -139,27 +146,27 @@ class String:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, anchor=_rows("anchor", self.anchor, 3))
+        _set_fields(self, anchor=_check_path("anchor", self.anchor, 3))
         require_positive("length", self.length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """A force on a node, N, of constant direction: a path of shape (steps + 1, 3)."""
+    """A force on a node, N, with its direction in space; a path of shape (steps + 1, 3)."""
 
     node: int
     force: Floats
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, force=_rows("force", self.force, 3))
+        _set_fields(self, force=_check_path("force", self.force, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """A moment on a node, N m, about a constant direction: a path of shape (steps + 1, 3).
+    """A moment on a node, N m, with its direction in space; a path of shape (steps + 1, 3).
 
-    It turns the element at an end of the line, and both elements, each by half, at an inner node.
+    It acts on the element at an end of the line; at an inner node half of it acts on each element.
     """
 
     node: int
@@ -167,19 +174,19 @@ class Moment:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, moment=_rows("moment", self.moment, 3))
+        _set_fields(self, moment=_check_path("moment", self.moment, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A table: the line stays on the side of its normal, with Coulomb friction.
+    """A plane with Coulomb friction, on one side of which the line stays.
 
-    The nodes, on the axis of the line, stay half its diameter above; friction acts on the axis.
+    The axis of the line stays half a diameter above it; friction acts on the axis.
 
     Parameters
     ----------
-    point : shape (3,), m, on it
-    normal : shape (3,), away from it
+    point : shape (3,), m, on the plane
+    normal : shape (3,), towards the side of the line
     friction : coefficient, >= 0
     name : for messages
 
@@ -195,24 +202,24 @@ class Plane:
     name: str = ""
 
     def __post_init__(self) -> None:
-        point = _rows("point", self.point, 3)[0]
-        _set(self, point=point, normal=_direction("normal", self.normal))
+        point = _check_path("point", self.point, 3)[0]
+        _set_fields(self, point=point, normal=_check_direction("normal", self.normal))
         require_not_negative("friction", self.friction)
 
     def raised(self, height: float) -> Plane:
-        """Return the plane raised by a height, m, for the axis of a line of that radius."""
+        """Return the plane raised by a height, m."""
         return replace(self, point=self.point + height * self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gravity:
-    """Weight: acceleration, m/s^2, a path of shape (steps + 1, 3); the earth's by default."""
+    """Gravity: acceleration, m/s^2, a path of shape (steps + 1, 3); by default the earth's."""
 
     vector: Floats = field(default_factory=lambda: np.array(EARTH))
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set(self, vector=_rows("vector", self.vector, 3))
+        _set_fields(self, vector=_check_path("vector", self.vector, 3))
 
 
 Boundary: TypeAlias = Held | Ring | String | Load | Moment | Plane | Gravity

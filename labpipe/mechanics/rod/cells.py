@@ -1,15 +1,15 @@
-"""Bending and twist of the cells of a line: the half elements on both sides of a node.
+"""Bending and twist of the *cells* of a line: the half elements on both sides of a node.
 
-Where a node is free, its cell turns from one element's frame to the next; a clamp splits it in two,
-each between the clamp's frame and one element. With psi the rotation vector (rad) from the frame
-before to the frame behind, the curvature of a cell of length h is psi / h less its value at rest,
-in the mean of both frames. PHYSICS 7 has (2 / h) Im of the quaternion, which is the same to second
-order; the full angle gives exact circles, and has no largest value.
+The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
+each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
+from the frame before to the frame behind. The curvature of a cell of length h is psi / h minus its
+value at rest, in the mean of both frames. PHYSICS 7 states (2 / h) Im of the quaternion, which is
+equal to second order; psi gives exact circles and has no upper limit.
 
-A cell's moment m, in the mean frame, is that of the sliders across and of the torsion along. Turns
-d_a and d_b of the frames before and behind (in the body frame) change psi by A d_b - A^T d_a, with
-A = 1 + psi x / 2 + c psi x psi x, so that -A m and A^T m act on the frames. The tangent is the
-second derivative of the energy along such turns, which is symmetric.
+The moment m of a cell, in the mean frame, has the components of the sliders in bending and that of
+torsion. Rotations d_a and d_b of the frames before and behind (in the body frame) change psi by A
+d_b - A^T d_a with A = 1 + psi x / 2 + c psi x psi x, so that -A m and A^T m act on the frames. The
+tangent is the second derivative of the energy along such rotations, which is symmetric.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy as np
 from labpipe.mechanics.law.sliders import slide_vector
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.rotations import (
+    compute_tangent_factors,
     conjugate,
     cross,
     multiply,
-    rotation_vectors,
     skew,
-    tangent_factors,
+    to_rotation_vectors,
 )
 from labpipe.records.arrays import Floats
 
@@ -82,9 +82,10 @@ def bend_cells(
     rest_curvature : shape (cells, 3), 1/m, curvatures at rest
     rests : shape (cells, sliders, 2), 1/m, history before the step
     torques : shape (cells,), N m, from stretch
-    drag : share of the first stiffness with which cells resist turning from a psi, and that psi
+    drag : artificial stiffness of the cells as a share of the first stiffness, and the psi at which
+        it has no moment
     """
-    psi = rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
+    psi = to_rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
     curvatures = psi / lengths[:, None] - rest_curvature
     response = slide_vector(section.law, curvatures[:, :2], rests)
     moments = np.empty_like(psi)
@@ -97,38 +98,40 @@ def bend_cells(
     if drag is not None:
         bending = section.law.first_stiffness
         three = np.array([bending, bending, section.torsional_stiffness])
-        resists = drag[0] * three / lengths[:, None]
-        moments += resists * (psi - drag[1])
-        stiffness += resists[:, :, None] * _EYE
-    first, second = tangent_factors(np.sqrt(np.vecdot(psi, psi)))
-    tangents, bent = _tangents(psi, moments, first, second)
+        drags = drag[0] * three / lengths[:, None]
+        moments += drags * (psi - drag[1])
+        stiffness += drags[:, :, None] * _EYE
+    first, second = compute_tangent_factors(np.sqrt(np.vecdot(psi, psi)))
+    tangents, geometric = _compute_tangents(psi, moments, first, second)
     turned = np.swapaxes(tangents, 1, 2)
     half = 0.5 * skew(moments)
-    up = turned @ stiffness + bent + half
-    down = tangents @ stiffness + bent - half
+    up = turned @ stiffness + geometric + half
+    down = tangents @ stiffness + geometric - half
     return BentCells(
         psi,
         curvatures,
         moments,
         response.rests,
-        -_times(tangents, moments),
-        _times(turned, moments),
-        _even(down @ turned),
-        _even(up @ tangents),
+        -_multiply_vectors(tangents, moments),
+        _multiply_vectors(turned, moments),
+        _symmetrise(down @ turned),
+        _symmetrise(up @ tangents),
         -up @ turned,
         tangents,
     )
 
 
-def _times(matrices: Floats, vectors: Floats) -> Floats:
+def _multiply_vectors(matrices: Floats, vectors: Floats) -> Floats:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _even(matrices: Floats) -> Floats:
+def _symmetrise(matrices: Floats) -> Floats:
     return np.asarray(0.5 * (matrices + np.swapaxes(matrices, 1, 2)))
 
 
-def _tangents(psi: Floats, moments: Floats, first: Floats, second: Floats) -> tuple[Floats, Floats]:
+def _compute_tangents(
+    psi: Floats, moments: Floats, first: Floats, second: Floats
+) -> tuple[Floats, Floats]:
     """Return A, and the derivative by psi of c psi x (psi x m)."""
     c = first[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
@@ -137,6 +140,6 @@ def _tangents(psi: Floats, moments: Floats, first: Floats, second: Floats) -> tu
     along = np.vecdot(psi, moments)[:, None, None]
     mixed = psi[:, :, None] * moments[:, None, :]
     twice = cross(psi, cross(psi, moments))
-    bent = c * (along * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
-    bent += (second[:, None] * twice)[:, :, None] * psi[:, None, :]
-    return tangents, bent
+    geometric = c * (along * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
+    geometric += (second[:, None] * twice)[:, :, None] * psi[:, None, :]
+    return tangents, geometric

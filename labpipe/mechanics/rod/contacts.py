@@ -1,13 +1,13 @@
 """Contact of a line with planes, strings and rings.
 
-Both are stiff springs: planes and strings yield by a tiny length, so that Newton's method has a
-solution. Friction has a history as sliders do: a node sticks to a point of the plane by a stiff
-spring until its force reaches the friction, then drags the point along.
+Planes and strings are stiff springs, which yield by a tiny length so that Newton's method has a
+solution. Friction has a history, as sliders have: a stiff spring connects a node to a point of the
+plane, at which it sticks; when its force exceeds the friction, the point moves with the node.
 
-A ring holds the line and lets it slide. It acts on a smooth curve in place of the elements: the
-quadratic spline that touches every element in its middle, so that the line slides smoothly over
-nodes. Along the curve u counts nodes: u = 3.5 is the middle of the element behind node 3. A ring
-is a stiff spring to the nearest point of the curve, which pulls across it: no friction.
+A ring acts on a smooth curve in place of the elements, so that the line slides smoothly past nodes.
+The curve is the quadratic spline that is tangent to every element at its middle. Its parameter u is
+measured in nodes: u = 3.5 is the middle of the element behind node 3. A ring is a stiff spring to
+the nearest point of the curve; its force is normal to the curve, without friction.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ class ContactForces:
     ----------
     forces : shape (nodes, 3), N
     stiffness : shape (nodes, 3, 3), N/m, of minus the force by the position
-    pressing : shape (nodes, 3, 3), N/m, its part by the growth of friction with pressure, which has
-        no energy, so that stability is judged without it
-    contacts : shape (nodes, 3), m, where the nodes stick
-    rubbed : J, lost to friction in this step
+    friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
+        with pressure. It has no potential, and stability is checked without it
+    contacts : shape (nodes, 3), m, points at which the nodes stick
+    friction_loss : J, lost by friction in this step
     """
 
     forces: Floats
     stiffness: Floats
-    pressing: Floats
+    friction_coupling: Floats
     contacts: Floats
-    rubbed: float
+    friction_loss: float
 
 
 def touch_plane(
     plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, close: float
 ) -> ContactForces:
-    """Support nodes by a plane.
+    """Compute the forces of a plane on nodes.
 
     Parameters
     ----------
     plane : with its friction
     stiffness : N/m of a node
     positions : shape (nodes, 3), m
-    contacts : shape (nodes, 3), m, where the nodes stuck before the step
-    close : m, a nearer node counts as touching, without force
+    contacts : shape (nodes, 3), m, points at which the nodes stuck before the step
+    close : m, distance below which a node counts as touching, without force
     """
     normal = plane.normal
     depth = -(positions - plane.point) @ normal
@@ -70,18 +70,18 @@ def touch_plane(
     held_share = np.where(is_sliding, largest / np.where(size > 0.0, size, 1.0), 1.0)
     held_share = np.where(is_in, held_share, 0.0)
     held_offset = held_share[:, None] * offset
-    pressing = np.zeros_like(tangent)
+    friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
         forces = forces - stiffness * held_offset
         turning = is_sliding & is_in
         heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * offset
         across = flat - heading[:, :, None] * heading[:, None, :]
         tangent = tangent + stiffness * held_share[:, None, None] * across
-        pressing = -stiffness * plane.friction * heading[:, :, None] * normal
-        tangent = tangent + pressing
+        friction_coupling = -stiffness * plane.friction * heading[:, :, None] * normal
+        tangent = tangent + friction_coupling
     moved = (offset - held_offset) * is_in[:, None]
-    rubbed = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
-    return ContactForces(forces, tangent, pressing, positions - held_offset, rubbed)
+    friction_loss = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
+    return ContactForces(forces, tangent, friction_coupling, positions - held_offset, friction_loss)
 
 
 def pull_strings(
@@ -98,7 +98,8 @@ def pull_strings(
 
     Returns
     -------
-    Forces, shape (strings, 3), N, and N/m of minus the forces by the position, (strings, 3, 3).
+    Forces, shape (strings, 3), N, and the derivatives of minus the forces by the positions, shape
+    (strings, 3, 3), N/m.
     """
     reach = anchors - positions
     distance = np.linalg.norm(reach, axis=1)
@@ -111,7 +112,7 @@ def pull_strings(
     return tension[:, None] * heading, out
 
 
-def added_at(nodes: Ints, values: Floats, total: int) -> Floats:
+def sum_at_nodes(nodes: Ints, values: Floats, total: int) -> Floats:
     """Sum values at their nodes, shape (total, ...)."""
     out = np.zeros((total, *values.shape[1:]))
     np.add.at(out, nodes, values)
@@ -120,13 +121,13 @@ def added_at(nodes: Ints, values: Floats, total: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingContact:
-    """A line in a ring.
+    """Contact of a line with a ring.
 
     Parameters
     ----------
     place : u
     first : first of the three loaded nodes
-    weights : shape (3,), share of each in the point of the curve
+    weights : shape (3,), of these nodes in the point of the curve
     force : shape (3,), N, of the ring on the line
     stiffness : shape (3, 3, 3, 3), N/m, of minus the force on one node (axis 0, 1) by the position
         of another (2, 3)
@@ -139,18 +140,18 @@ class RingContact:
     stiffness: Floats
 
 
-def thread(positions: Floats, ring: Floats, near: float, stiffness: float) -> RingContact:
-    """Find where a line passes through a ring, and the force of the ring.
+def hold_in_ring(positions: Floats, ring: Floats, near: float, stiffness: float) -> RingContact:
+    """Find the place at which a line passes through a ring, and the force of the ring.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m, of the nodes; n >= 2
     ring : shape (3,), m
-    near : u, where the line was in the ring
+    near : u, previous place in the ring
     stiffness : N/m
     """
-    place = nearest_place(positions, ring, near)
-    first, b, slopes, bends = _weights(place, len(positions))
+    place = find_nearest_place(positions, ring, near)
+    first, b, slopes, bends = _compute_weights(place, len(positions))
     points = positions[first : first + 3]
     offset = b @ points - ring
     along, bend = slopes @ points, bends @ points
@@ -162,14 +163,14 @@ def thread(positions: Floats, ring: Floats, near: float, stiffness: float) -> Ri
     return RingContact(place, first, b, -stiffness * offset, stiffness * out)
 
 
-def point_at(positions: Floats, place: float) -> Floats:
-    """Return the point of the curve at u, m."""
-    first, weights, _, _ = _weights(place, len(positions))
+def evaluate_curve(positions: Floats, place: float) -> Floats:
+    """Return the point of the curve at u, m, shape (3,)."""
+    first, weights, _, _ = _compute_weights(place, len(positions))
     return np.asarray(weights @ positions[first : first + 3])
 
 
-def _weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
-    """Return the first node, and shares of three nodes with their two derivatives by u."""
+def _compute_weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
+    """Return the first node, and the weights of three nodes with both derivatives by u."""
     node = int(np.clip(np.floor(place + 0.5), 1, n_nodes - 2))
     t = place - node + 0.5
     none = np.zeros(3)
@@ -183,17 +184,17 @@ def _weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
     return node - 1, b, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
 
 
-def nearest_place(positions: Floats, ring: Floats, near: float) -> float:
-    """Find u of the point nearest to a ring, near where the line was in it."""
+def find_nearest_place(positions: Floats, ring: Floats, near: float) -> float:
+    """Find u of the point nearest to a ring, in the vicinity of the previous place."""
     max_iterations = 30
     search_reach = 1.5  # nodes on both sides of the last place
     last = float(len(positions) - 1)
     low, high = max(near - search_reach, 0.0), min(near + search_reach, last)
     candidates = np.linspace(low, high, 25)
-    distances = [float(np.sum((point_at(positions, u) - ring) ** 2)) for u in candidates]
+    distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     place = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
-        first, b, slopes, bends = _weights(place, len(positions))
+        first, b, slopes, bends = _compute_weights(place, len(positions))
         points = positions[first : first + 3]
         offset = b @ points - ring
         along = slopes @ points

@@ -1,4 +1,4 @@
-"""Equilibrium of a line under new demands, by Newton's method."""
+"""Newton's method for the equilibrium of a line whose boundaries have moved."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
     multiply,
-    rotation_vectors,
+    to_rotation_vectors,
     unit,
 )
 
@@ -42,40 +42,43 @@ def find_equilibrium(
     *,
     force: float,
     guess: LineMemory,
-    known: Balance | None = None,
+    known_balance: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
-    """Find the next equilibrium from one.
+    """Find the equilibrium after the boundaries have moved, starting from the previous one.
 
     Parameters
     ----------
     assembly : the line with its supports
     shape, memory : present shape and history
     demands : present and new ones
-    force : N, size of the forces on the whole line
-    guess : history for the first step: the present one, or that before the last step: equal forces,
-        but sliders that slid slide on, which is the better guess where the motion continues
-    known : balance of the present shape, in place of its computation where it applies
-    drag : artificial drag
+    force : N, magnitude of the forces on the whole line
+    guess : history for the first iteration, either the present one or that before the last step.
+        Both give equal forces; with the latter, sliders that slid continue to slide, which is the
+        better guess if the motion continues
+    known_balance : balance of the present shape, if it is known
+    drag : artificial drag, if any
 
     Returns
     -------
-    The equilibrium; None where Newton's method does not find a near one.
+    The equilibrium; None if Newton's method does not converge to one near by.
     """
     max_iterations = 20
-    max_idle_iterations = 4  # between corners of the law Newton's method may circle for ever
-    min_step_share = 0.1  # of a step; a direction that is cut further says nothing
+    max_idle_iterations = 4  # Newton's method may cycle between corners of the law
+    min_step_share = 0.1  # of a step; a direction that must be shortened further is useless
     now, goal = demands
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
     present_demands = replace(goal, held=now.held, clamps=now.clamps)
-    balance = _known_balance(known, now, goal, guess) if known and drag is None else None
+    balance = (
+        _update_balance(known_balance, now, goal, guess) if known_balance and drag is None else None
+    )
     if balance is None:
         balance = assembly.balance(shape, present_demands, guess, drag)
     least_turn, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         held = goal.held - shape.positions[nodes]
-        clamps = rotation_vectors(multiply(conjugate(present_demands.clamps), goal.clamps))
+        clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), goal.clamps))
         right = assembly.right_side(balance, shape, present_demands, held, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:
@@ -83,7 +86,7 @@ def find_equilibrium(
         moves, _, turns, _ = split_unknowns(change)
         turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
         least_turn, idle = (turn, 0) if turn < least_turn else (least_turn, idle + 1)
-        share = _step_share(turn, move / assembly.line.length)
+        share = _limit_step(turn, move / assembly.line.length)
         if share < min_step_share or idle == max_idle_iterations:
             return None
         shape = assembly.changed(shape, share * change)
@@ -93,36 +96,36 @@ def find_equilibrium(
             turned = multiply(present_demands.clamps, from_rotation_vectors(share * clamps))
             present_demands = replace(present_demands, clamps=unit(turned))
         balance = assembly.balance(shape, present_demands, memory, drag)
-        moved = max(turn, move / assembly.line.length)
-        if share == 1.0 and _is_close(assembly, balance, shape, moved, force):
+        relative_change = max(turn, move / assembly.line.length)
+        if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
             return Equilibrium(shape, balance, iteration)
     return None
 
 
-def _known_balance(
-    known: Balance, now: Demands, goal: Demands, guess: LineMemory
+def _update_balance(
+    known_balance: Balance, now: Demands, goal: Demands, guess: LineMemory
 ) -> Balance | None:
-    """Return a balance with the forces of new demands; None where it is of another history."""
-    memory, drag = known.given
+    """Return a balance with the forces of new demands; None if it does not apply to them."""
+    memory, drag = known_balance.inputs
     others = ((now.moments, goal.moments), (now.anchors, goal.anchors), (now.rings, goal.rings))
     if memory is not guess or drag is not None or not all(np.array_equal(*pair) for pair in others):
         return None
     none = np.zeros((len(now.forces) - 1, 3))
     added = join_unknowns(now.forces - goal.forces, none[:, 0], none, none)
-    return replace(known, residual=known.residual + added)
+    return replace(known_balance, residual=known_balance.residual + added)
 
 
-def _step_share(turn: float, move: float) -> float:
-    """Return the share of a step that turns and moves no part of the line too far."""
+def _limit_step(turn: float, move: float) -> float:
+    """Return the share of a step by which no part of the line turns or moves too far."""
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of the line's length, of a node in one iteration
     return 1.0 / max(1.0, turn / max_turn, move / max_move)
 
 
-def _is_close(
-    assembly: Assembly, balance: Balance, shape: Shape, moved: float, force: float
+def _is_balanced(
+    assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
 ) -> bool:
-    """Return whether a shape is in balance; the last step moved it by a share of its length."""
+    """Return whether a shape is in balance; `moved` is the size of the last step, relative."""
     balance_tolerance = 1e-10  # of force, moment and length of the whole line
     # of the length, or rad: ends the search where rounding limits the balance
     step_tolerance = 1e-11
@@ -139,4 +142,6 @@ def _is_close(
     nodes, stretches, turns, gaps = (float(np.max(part)) for part in split_unknowns(residual))
     moments = max(turns, stretches) / (force * length)
     error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
-    return error < balance_tolerance or (moved < step_tolerance and error < rounded_balance)
+    return error < balance_tolerance or (
+        relative_change < step_tolerance and error < rounded_balance
+    )

@@ -1,11 +1,11 @@
-"""Distributions of the inputs of a line's prediction.
+"""Probability distributions of the inputs of a predicted line.
 
-A distribution is a set of named inputs and independent causes that move them linearly. A
-calibration gives a distribution for each of its solutions: the logarithms of its parameters lie
-about the solution as its mixture of Student's t says, a specimen of the spool differs from the mean
-of the tested ones by a factor on all moments, and both are drawn together, since the uncertain
-scatter of samples widens both. Everything else (free curvature, mass, places of clips, difference
-of spools) is stated as a standard deviation, with its degrees of freedom where they are few.
+A distribution is a set of named inputs and of independent causes that change them linearly. A
+calibration gives a distribution for each of its solutions. The logarithms of its parameters are
+distributed about the solution as its mixture of Student's t. A specimen of the spool differs from
+the mean of the tested samples by a factor on all moments. Both are drawn together, because the
+uncertain scatter of samples widens both. All other inputs, such as free curvature and mass, are
+stated as a standard deviation, with degrees of freedom if these are few.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.wire_calibration import PARAMETERS, Solution
 
 DRAWS = 4096
-"""Of a distribution, a power of two. The width of a band has an error of 1.5 % where the scatter of
-specimens, estimated from three samples, dominates; random draws have 3 %."""
+"""Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from
+three samples, dominates, the error of the width of a band is 1.5 %; with random draws it is 3 %."""
 CALIBRATION = "calibration"
 SPECIMEN = "specimen"
 
@@ -33,15 +33,15 @@ _MAX_LOG_STEP = 0.3  # of a logarithm; lines are solved two steps away, a factor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputDistribution(ArrayRecord):
-    """Inputs of a line, and the causes that move them: inputs = centre + steps x amounts.
+    """Inputs of a line, and the causes that change them: inputs = centre + steps x amounts.
 
     Parameters
     ----------
     names : of the inputs, each once
-    causes : of each step; several steps may have one cause
+    causes : names, one for each column of `steps`; a cause may have several columns
     centre : best values
-    steps : shape (names, causes): change of each input per unit of each cause
-    amounts : shape (draws, causes): draws of all causes together, in their steps
+    steps : shape (names, causes), change of each input per unit of each cause
+    amounts : shape (draws, causes), joint draws of all causes, in units of `steps`
     """
 
     names: tuple[str, ...]
@@ -52,11 +52,11 @@ class InputDistribution(ArrayRecord):
 
     def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
         """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
-        moved = self.centre if amounts is None else self.centre + self.steps @ amounts
-        return dict(zip(self.names, moved.tolist(), strict=True))
+        changes = self.centre if amounts is None else self.centre + self.steps @ amounts
+        return dict(zip(self.names, changes.tolist(), strict=True))
 
 
-def stated_distribution(
+def build_stated_distribution(
     name: str,
     deviation: float,
     *,
@@ -66,18 +66,23 @@ def stated_distribution(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> InputDistribution:
-    """Return the distribution of one input from its standard deviation.
+    """Build the distribution of an input from its standard deviation.
 
     Parameters
     ----------
     name : of the input
     deviation : its standard deviation, in its own unit; positive
     centre : its best value
-    freedom : degrees of freedom of the deviation: the input is drawn from Student's t
-    cause : its name in a budget; by default the name of the input
-    draws, seed : number and order of the draws, whose quantiles are exact. Distributions of one
-    line
-        need different seeds; the name is part of the seed, so that different names suffice
+    freedom : degrees of freedom of the deviation; the input is drawn from Student's t
+    cause : name of the cause; by default that of the input
+    draws, seed : number of the draws, and seed of their order; their quantiles are exact. The
+        orders must differ between the distributions of a line; as name and cause are part of the
+        seed, different names suffice
+
+    Raises
+    ------
+    ValueError
+        If deviation or degrees of freedom are not positive.
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
         raise ValueError(
@@ -85,8 +90,8 @@ def stated_distribution(
                 "mechanics.rod.bad_deviation", name=name, deviation=deviation, freedom=freedom
             )
         )
-    chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    uniform = (chance.permutation(draws) + 0.5) / draws
+    random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
+    uniform = (random.permutation(draws) + 0.5) / draws
     amounts = np.asarray(
         ndtri(uniform) if np.isinf(freedom) else stdtrit(freedom, uniform), np.float64
     )
@@ -94,25 +99,25 @@ def stated_distribution(
     return InputDistribution((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
 
 
-def uniform_distribution(
+def build_uniform_distribution(
     name: str, low: float, high: float, *, cause: str, draws: int = DRAWS, seed: int = 0
 ) -> InputDistribution:
-    """Return the distribution of one input that lies anywhere in a range.
+    """Build the distribution of an input that is equally likely anywhere in a range.
 
     Parameters
     ----------
     name : of the input
     low, high : ends of the range, in the unit of the input
-    cause : its name in a budget
-    draws, seed : as for `stated_distribution`
+    cause : name of the cause
+    draws, seed : as for `build_stated_distribution`
     """
-    chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    amounts = 2.0 * (chance.permutation(draws) + 0.5) / draws - 1.0
+    random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
+    amounts = 2.0 * (random.permutation(draws) + 0.5) / draws - 1.0
     centre, steps = np.array([0.5 * (low + high)]), np.array([[0.5 * (high - low)]])
     return InputDistribution((name,), (cause,), centre, steps, amounts[:, None])
 
 
-def calibrated_distributions(
+def build_calibrated_distributions(
     solutions: Sequence[Solution],
     widening: float = 1.0,
     *,
@@ -120,57 +125,55 @@ def calibrated_distributions(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> tuple[InputDistribution, ...]:
-    """Return a distribution for each solution of a calibration in its 95 % set.
+    """Build a distribution for each solution in the 95 % set of a calibration.
 
     Parameters
     ----------
     solutions : of the calibration, the best first
     widening : of its quantiles
-    specimen : input that is the logarithm of a factor on all moments, for a line that is another
-        specimen of the spool: it is drawn from the scatter of samples. None for a line with the
-        law of the mean sample
+    specimen : name of the input that is the logarithm of a factor on all moments, which is drawn
+        from the scatter of samples. None for a line with the law of the mean sample
     draws, seed : number of draws, a power of two, and their seed
 
     Returns
     -------
-    Distributions in the logarithms of the acting `PARAMETERS`; fixed ones do not move. As in the
-    bands of the calibration, the spread of a less likely solution is narrower: by
-    sqrt(1 - rise / limit).
+    Distributions of the logarithms of those `PARAMETERS` that the wire has. As in the bands of the
+    calibration, the spread of a less likely solution is narrower by sqrt(1 - rise / limit).
     """
     return tuple(
-        _solution_distribution(
+        _build_solution_distribution(
             *(solution, widening * np.sqrt(1.0 - solution.rise / solution.limit)),
             specimen=specimen,
             draws=draws,
-            chance=np.random.default_rng([seed, number]),
+            random=np.random.default_rng([seed, number]),
         )
         for number, solution in enumerate(solution for solution in solutions if solution.is_allowed)
     )
 
 
-def _solution_distribution(
+def _build_solution_distribution(
     solution: Solution,
-    wide: float,
+    widening: float,
     *,
     specimen: str | None,
     draws: int,
-    chance: np.random.Generator,
+    random: np.random.Generator,
 ) -> InputDistribution:
     acts = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
-    uniform = _sobol_points(chance, draws, 3 + len(acts))
+    uniform = _draw_sobol_points(random, draws, 3 + len(acts))
     last = len(mixture.chance) - 1
     place = np.minimum(np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last)
-    student = _student_divisor(uniform[:, 1], mixture.freedom)
+    student = _compute_student_divisors(uniform[:, 1], mixture.freedom)
     normal = ndtri(uniform[:, 2:])
     inner = mixture.covariance[:, acts[:, None], acts]
-    roots = np.stack([_square_root(covariance) for covariance in inner])
+    roots = np.stack([_factor_covariance(covariance) for covariance in inner])
     normal_part = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
-    moved = wide * (mixture.shift[place][:, acts] + normal_part / student[:, None])
+    changes = widening * (mixture.shift[place][:, acts] + normal_part / student[:, None])
     spread = np.einsum("s,sij->ij", mixture.chance, inner)
     spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, acts]]))
-    steps = _steps(spread)
-    names, amounts = [PARAMETERS[number] for number in acts], moved @ np.linalg.pinv(steps).T
+    steps = _find_steps(spread)
+    names, amounts = [PARAMETERS[number] for number in acts], changes @ np.linalg.pinv(steps).T
     distribution = InputDistribution(
         tuple(names), (CALIBRATION,) * steps.shape[1], np.log(solution.values[acts]), steps, amounts
     )
@@ -191,9 +194,8 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
     Parameters
     ----------
-    distributions : with equal numbers of draws; an input in several is moved by all of them, and
-    its
-        best value is the sum of theirs
+    distributions : with equal numbers of draws. An input that is in several of them is changed by
+        all of them, and its best value is the sum of their best values
     """
     parts = tuple(distributions)
     names = tuple(dict.fromkeys(name for part in parts for name in part.names))
@@ -209,26 +211,26 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
     )
 
 
-def _sobol_points(chance: np.random.Generator, draws: int, numbers: int) -> Floats:
+def _draw_sobol_points(random: np.random.Generator, draws: int, numbers: int) -> Floats:
     """Return Sobol points in the unit cube, shape (draws, numbers)."""
     inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
-    return np.asarray(0.5 + inner_share * (Sobol(numbers, seed=chance).random(draws) - 0.5))
+    return np.asarray(0.5 + inner_share * (Sobol(numbers, seed=random).random(draws) - 0.5))
 
 
-def _student_divisor(uniform: Floats, freedom: float) -> Floats:
+def _compute_student_divisors(uniform: Floats, freedom: float) -> Floats:
     """Return the divisors that turn normal draws into Student's t."""
     if np.isinf(freedom):
         return np.ones(len(uniform))
     return np.asarray(np.sqrt(chdtri(freedom, uniform) / freedom))
 
 
-def _square_root(covariance: Floats) -> Floats:
+def _factor_covariance(covariance: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _steps(covariance: Floats) -> Floats:
-    """Return the uncertain principal axes, one standard deviation long, within the largest step."""
+def _find_steps(covariance: Floats) -> Floats:
+    """Return the principal axes with a variance, one standard deviation long, up to a maximum."""
     zero_variance = 1e-12  # of the largest variance
     values, vectors = np.linalg.eigh(covariance)
     moves = values > zero_variance * max(float(values[-1]), 1e-300)

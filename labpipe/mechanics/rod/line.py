@@ -1,8 +1,8 @@
-"""Line before it is laid: section, elements, start shape and shape at rest.
+"""Discrete line: section, elements, shape to start from, and curvature at rest.
 
-n elements join n + 1 nodes. Each element is straight and carries a frame whose third axis d3 points
-along it; the first two are material directions across. The law of bending acts at the nodes, over
-the half elements on both sides.
+n elements connect n + 1 nodes. Each element is straight and has a frame: its third axis d3 points
+along the element, the other two are material directions normal to it. The law of bending acts at
+the nodes, over the half elements on both sides.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.rod.rotations import (
+    build_frame,
     conjugate,
-    frame_from_axes,
+    find_shortest_turns,
     from_rotation_vectors,
     multiply,
-    rotation_vectors,
-    shortest_turns,
+    to_rotation_vectors,
     unit,
 )
 from labpipe.messages import format_sentence
@@ -69,7 +69,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line(ArrayRecord):
-    """A line of n elements before it is laid.
+    """A line of n elements before it is bent by its boundaries.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ class Line(ArrayRecord):
     section : of the line
     positions : shape (n + 1, 3), m, of the nodes to start from
     frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
-    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bendings and the twist, in the
-        mean of the frames on both sides
+    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bending components and the
+        twist, in the mean of the frames on both sides
 
     Raises
     ------
@@ -117,7 +117,10 @@ class Line(ArrayRecord):
 
     @property
     def rest_curvature_at_nodes(self) -> Floats:
-        """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3); ends as neighbours."""
+        """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3).
+
+        The ends have that of their neighbours.
+        """
         if not len(self.rest_curvature):
             return np.zeros((len(self.positions), 3))
         return np.concatenate(
@@ -125,7 +128,7 @@ class Line(ArrayRecord):
         )
 
     def frame_at(self, node: int) -> Floats:
-        """Return the frame, shape (4,), of a clamp at a node that leaves the line undeformed.
+        """Return the frame of a clamp at a node that leaves the line undeformed, shape (4,).
 
         Parameters
         ----------
@@ -141,7 +144,7 @@ class Line(ArrayRecord):
             rotation = half_length * self.rest_curvature_at_nodes[n]
         else:
             centre_distance = half_length + 0.5 * self.lengths[index]
-            frame_rotation = rotation_vectors(
+            frame_rotation = to_rotation_vectors(
                 multiply(conjugate(self.frames[index - 1]), self.frames[index])
             )
             rotation = half_length / centre_distance * frame_rotation
@@ -153,22 +156,22 @@ class Line(ArrayRecord):
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
 
-def line_along(
+def build_line(
     positions: Floats,
     section: Section,
     *,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     is_formed: bool = False,
 ) -> Line:
-    """Return a line through points, its nodes, without twist.
+    """Build a line without twist through points, which are its nodes.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m
     section : of the line
     up : direction to which d1 of the first frame is as close as possible
-    is_formed : True if the points are the shape at rest, as for a line with spool set; False for a
-        line that is straight at rest and is bent to these points
+    is_formed : True if the points are the shape at rest, as of a line that is curled by its spool;
+        False for a line that is straight at rest and is bent to these points
 
     Raises
     ------
@@ -192,8 +195,8 @@ def line_along(
             format_sentence("mechanics.rod.same_points", first=index, second=index + 1)
         )
     directions = steps / lengths[:, None]
-    turns = shortest_turns(directions[:-1], directions[1:])
-    frames = [frame_from_axes(directions[0], np.asarray(up))]
+    turns = find_shortest_turns(directions[:-1], directions[1:])
+    frames = [build_frame(directions[0], np.asarray(up))]
     for turn in turns:
         frames.append(unit(multiply(turn, frames[-1])))
     quaternions = np.array(frames)
@@ -201,5 +204,5 @@ def line_along(
     if is_formed:
         centre_distances = 0.5 * (lengths[1:] + lengths[:-1])
         frame_rotations = multiply(conjugate(quaternions[:-1]), quaternions[1:])
-        rest_curvature = rotation_vectors(frame_rotations) / centre_distances[:, None]
+        rest_curvature = to_rotation_vectors(frame_rotations) / centre_distances[:, None]
     return Line(lengths, section, points, quaternions, rest_curvature)

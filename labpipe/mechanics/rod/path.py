@@ -1,4 +1,4 @@
-"""Result of following a line: its states, step by step, and its status."""
+"""Quasi-static path of a line as a record: its states at all steps, its status and energies."""
 
 from __future__ import annotations
 
@@ -23,22 +23,23 @@ class RodState(ArrayRecord):
     positions : shape (n + 1, 3), m, of the nodes
     frames : shape (n, 4), unit quaternions of the elements
     stretches : shape (n,), strain of the elements along themselves
-    forces : shape (n, 3), N, in space, of the part behind an element on the part before it
-        (tension is along d3)
-    moments : shape (n + 1, 2, 3), N m, in space, of the part behind on the part before, before and
-        behind every node; both are equal except at a clamp; zero before the first and behind the
-        last node
-    curvatures : shape (n + 1, 2, 3), 1/m, less those at rest: two bendings and the twist, in the
-        mean frame; before and behind every node as the moments; beside a clamp the mean of half an
+    forces : shape (n, 3), N, in space, of the part behind an element on the part before it; a
+        tension is along d3
+    moments : shape (n + 1, 2, 3), N m, in space, of the part behind on the part before. The second
+        axis is the side of the node, before and behind it, which differ at a clamp. Zero before the
+        first and behind the last node
+    curvatures : shape (n + 1, 2, 3), 1/m, minus those at rest: two bending components and the twist
+        in the mean frame, on both sides of every node. At a clamp they are the means over half an
         element
-    node_curvatures : shape (n + 1, 2, 3), 1/m, the same, extrapolated to the clamps
-    rests : shape (n + 1, 2, sliders, 2), 1/m, where the sliders rest: the history
+    node_curvatures : shape (n + 1, 2, 3), 1/m, as `curvatures`, but extrapolated to the clamps
+    rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders: the history
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
-        included; weight and moments have none
-    reaction_moments : shape (boundaries, 3), N m, of clamps, about their node
-    contacts : shape (planes, n + 1, 3), m, where the nodes stick to the planes: their history
+        included; zero for weight and moments
+    reaction_moments : shape (boundaries, 3), N m, of clamps, about their node; zero for others
+    contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes: the history
     contact_forces : shape (planes, n + 1, 3), N, of the planes on the nodes
-    slid : shape (boundaries,), m: arc length at rest that lies in a ring; NaN for others
+    ring_stations : shape (boundaries,), m, arc length at rest of the place in a ring; NaN for other
+        boundaries
     """
 
     positions: Annotated[Floats, "nodes", 3]
@@ -53,13 +54,13 @@ class RodState(ArrayRecord):
     reaction_moments: Annotated[Floats, "boundaries", 3]
     contacts: Annotated[Floats, "planes", "nodes", 3]
     contact_forces: Annotated[Floats, "planes", "nodes", 3]
-    slid: Annotated[Floats, "boundaries"]
+    ring_stations: Annotated[Floats, "boundaries"]
 
     @property
     def bendings(self) -> Floats:
-        """Return the bending curvature at the nodes, 1/m, shape (n + 1,), less that at rest.
+        """Return the bending curvature at the nodes minus that at rest, 1/m, shape (n + 1,).
 
-        The larger one where a clamp separates both sides.
+        At a clamp it is the larger one of both sides.
         """
         across = self.node_curvatures[:, :, :2]
         return np.asarray(np.max(np.linalg.norm(across, axis=2), axis=1))
@@ -71,10 +72,10 @@ class Reason:
 
     Parameters
     ----------
-    template : of its sentence
-    step : in which
-    nodes : its places, if any, by the fields of the template
-    facts : other fields
+    template : name of the template of its sentence
+    step : in which it occurred
+    nodes : fields of the template that are places on the line
+    facts : other fields of the template
     """
 
     template: str
@@ -91,20 +92,20 @@ class Reason:
 
     @property
     def code(self) -> str:
-        """Return its code, one word."""
+        """Return the code of the reason."""
         return find_code(self.template)
 
     @property
     def sentence(self) -> str:
-        """Return the sentence for people, with nodes as places."""
+        """Return the sentence, with places given as numbers of nodes."""
         return self.at("node {}".format)
 
     def at(self, place: Callable[[int], str]) -> str:
-        """Return the sentence with other words for the places.
+        """Return the sentence, with places as described by a function.
 
         Parameters
         ----------
-        place : of a node
+        place : returns the description of a node
         """
         places = {key: place(node) for key, node in self.nodes.items()}
         return format_sentence(self.template, step=self.step, **places, **self.facts)
@@ -112,24 +113,22 @@ class Reason:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPath(ArrayRecord):
-    """Path of a line.
+    """Path of a line; energies are totals since the start.
 
     Parameters
     ----------
-    states : of steps 0, 1, ...; fewer than requested where it failed
-    status : `failed` where no equilibrium of a step was reached; `doubtful` where a result is
-        unsupported, as beyond the range of the law
-    reasons : of the status, the most important first; empty if `ok`
-    snapped : steps in which the line jumped: it snapped or was released, so that the equilibrium
-    does
-        not continue the one before, and the energy of the jump was lost
+    states : of the steps 0, 1, ...; fewer than requested if the path failed
+    status : `failed` if a step has no equilibrium; `doubtful` if there is another reason, such as a
+        curvature beyond the range of the law
+    reasons : of the status, the most important one first; empty if `ok`
+    snapped : steps in which the line jumped, because it snapped or was released
     work : shape (states,), J, of clamps, loads and weight on the line, and the energy stored before
         step 0
-    stored : shape (states,), J, elastic, of bending, twist and stretch
-    lost : shape (states,), J, in the sliders
-    rubbed : shape (states,), J, on planes
-    jumped : shape (states,), J, released in jumps and lost
-    lost_in_jumps : shape (states,), J, part of `lost` in jumps
+    stored : shape (states,), J, elastic energy of bending, twist and stretch
+    lost : shape (states,), J, lost in the sliders
+    friction_loss : shape (states,), J, lost by friction on planes
+    jumped : shape (states,), J, lost as motion in jumps
+    lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
     """
 
     states: tuple[RodState, ...]
@@ -139,7 +138,7 @@ class RodPath(ArrayRecord):
     work: Annotated[Floats, "states"]
     stored: Annotated[Floats, "states"]
     lost: Annotated[Floats, "states"]
-    rubbed: Annotated[Floats, "states"]
+    friction_loss: Annotated[Floats, "states"]
     jumped: Annotated[Floats, "states"]
     lost_in_jumps: Annotated[Floats, "states"]
 

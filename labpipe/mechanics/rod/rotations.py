@@ -1,7 +1,7 @@
-"""Frames as unit quaternions (w, x, y, z), and rotation vectors, whole arrays at once.
+"""Algebra of unit quaternions (w, x, y, z) and rotation vectors, on whole arrays.
 
-A frame turns vectors of the material into vectors of space; its third axis d3 is the direction of
-the line. A rotation vector psi (rad) is the turn by |psi| about psi.
+A frame is a unit quaternion that rotates vectors from the material to space; its third axis d3 is
+the direction of the line. A rotation vector psi (rad) is a rotation by |psi| about psi.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def multiply(left: Floats, right: Floats) -> Floats:
-    """Multiply quaternions, shape (..., 4): first turn by `right`, then by `left`."""
+    """Multiply quaternions, shape (..., 4): rotation by `right`, then by `left`."""
     return np.asarray(np.vecdot(left.take(_FACTOR, axis=-1) * _SIGN, right[..., None, :]))
 
 
@@ -34,7 +34,7 @@ def conjugate(frames: Floats) -> Floats:
 
 
 def cross(u: Floats, v: Floats) -> Floats:
-    """Return the vector product, shape (..., 3); several times faster than `numpy.cross`."""
+    """Compute the vector product, shape (..., 3), several times faster than `numpy.cross`."""
     one = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
     return np.asarray(one - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
 
@@ -58,15 +58,15 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
     return out
 
 
-def rotation_vectors(frames: Floats) -> Floats:
-    """Return rotation vectors of quaternions, rad, the shorter way, shape (..., 3)."""
+def to_rotation_vectors(frames: Floats) -> Floats:
+    """Return rotation vectors of quaternions, rad, of magnitude up to pi, shape (..., 3)."""
     real, others = frames[..., 0], frames[..., 1:]
     size = np.maximum(np.sqrt(np.vecdot(others, others)), 1e-150)
     scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
     return np.asarray(scale[..., None] * others)
 
 
-def matrices(frames: Floats) -> Floats:
+def to_matrices(frames: Floats) -> Floats:
     """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
     one, other = (
         frames.take(first, axis=-1) * frames.take(second, axis=-1) * sign
@@ -80,8 +80,8 @@ def unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def frame_from_axes(direction: Floats, up: Floats) -> Floats:
-    """Return the frame with d3 along a direction and d1 as near to `up` as possible, shape (4,).
+def build_frame(direction: Floats, up: Floats) -> Floats:
+    """Build the frame with d3 along a direction and d1 as near to `up` as possible, shape (4,).
 
     Parameters
     ----------
@@ -95,8 +95,10 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
     d3 = np.asarray(direction, dtype=np.float64)
     across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
-        given = [np.asarray(vector).tolist() for vector in (direction, up)]
-        raise ValueError(format_sentence("mechanics.rod.parallel", direction=given[0], up=given[1]))
+        vectors = [np.asarray(vector).tolist() for vector in (direction, up)]
+        raise ValueError(
+            format_sentence("mechanics.rod.parallel", direction=vectors[0], up=vectors[1])
+        )
     d3, d2 = unit(d3), unit(across)
     return _from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
 
@@ -119,10 +121,10 @@ def _from_matrix(matrix: Floats) -> Floats:
     return np.asarray(frame if frame[0] >= 0.0 else -frame)
 
 
-def shortest_turns(before: Floats, behind: Floats) -> Floats:
-    """Return quaternions of the shortest turns between unit vectors, shape (..., 4).
+def find_shortest_turns(before: Floats, behind: Floats) -> Floats:
+    """Find the quaternions of the smallest rotations between unit vectors, shape (..., 4).
 
-    Opposite vectors are turned about any axis across.
+    Opposite vectors are rotated about an arbitrary axis normal to them.
     """
     out = np.empty((*before.shape[:-1], 4))
     out[..., 0] = 1.0 + np.vecdot(before, behind)
@@ -135,8 +137,8 @@ def shortest_turns(before: Floats, behind: Floats) -> Floats:
     return unit(out)
 
 
-def tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
-    """Return c(theta) of the inverse tangent map, and c'(theta) / theta, both even.
+def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
+    """Compute c(theta) of the inverse tangent map, and c'(theta) / theta.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
     With psi = log(q), a small turn d in the body frame changes psi by
     (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
-    series_below = 0.3  # rad: the series are more exact than the closed forms there
+    series_below = 0.3  # rad; below it the series are more accurate than the closed forms
     small = angles < series_below
     size = np.where(small, 1.0, angles)
     half = 0.5 * size

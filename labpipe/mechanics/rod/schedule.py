@@ -1,7 +1,8 @@
-"""Demands of the boundaries of a line at every time.
+"""Positions, forces and moments that the boundaries impose on a line at any time.
 
-Time counts steps: k is step k, k - 1/2 halfway to it. From -1 to 0 the line is laid: held
-nodes move to row 0 of their paths, and weight and loads grow to row 0 of theirs.
+Time is measured in steps: k is step k, and k - 1/2 is halfway to it. From -1 to 0 the line moves
+from its shape at rest into its boundaries: held nodes and rings move to row 0 of their paths, and
+weight and loads grow to row 0 of theirs.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from labpipe.mechanics.rod.boundaries import (
     Ring,
     String,
 )
-from labpipe.mechanics.rod.contacts import nearest_place, point_at
+from labpipe.mechanics.rod.contacts import evaluate_curve, find_nearest_place
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
     multiply,
-    rotation_vectors,
+    to_rotation_vectors,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -37,20 +38,20 @@ T = TypeVar("T")
 
 
 class Schedule:
-    """The boundaries of a line over time.
+    """Boundaries of a line over time.
 
     Parameters
     ----------
     line : the line
     boundaries : in the order of the caller
     steps : number
-    start : shape before
+    start : shape before the first step
 
     Raises
     ------
     ValueError
-        If a node is not on the line, a path has another number of rows, or two boundaries hold one
-        node at the same time.
+        If a node is not on the line, a path has a wrong number of rows, two boundaries hold a node
+        at the same time, or a line with a ring has a single element.
     """
 
     def __init__(
@@ -84,10 +85,10 @@ class Schedule:
         return self._from_zero(boundary, "node")
 
     def _from_zero(self, boundary: Boundary, name: str) -> int:
-        """Return a number of a node of a boundary, counted from the start."""
+        """Return the node in a field of a boundary, counted from the start."""
         node, n = getattr(boundary, name), self.n
         if not -n - 1 <= node <= n:
-            which = boundary_name(self.boundaries, boundary)
+            which = get_boundary_name(self.boundaries, boundary)
             message = format_sentence(
                 "mechanics.rod.not_on_line", boundary=which, name=name, node=node, n=n, nodes=n + 1
             )
@@ -95,13 +96,13 @@ class Schedule:
         return int(node % (n + 1))
 
     def _ring_start(self, ring: Ring) -> float:
-        """Return the place, in nodes, where the line passes through a ring at the start."""
+        """Return the place at which the line passes through a ring at the start, in nodes."""
         if self.n < 2:
-            name = boundary_name(self.boundaries, ring)
+            name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
         near = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
-        return nearest_place(self.start.positions, ring.position[0], float(near))
+        return find_nearest_place(self.start.positions, ring.position[0], float(near))
 
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):
@@ -117,20 +118,20 @@ class Schedule:
         return tuple(k for k, release in releases if release is None or step < release)
 
     def is_clamp(self, k: int) -> bool:
-        """Return whether a boundary that holds a node holds its frame, too."""
+        """Return whether a boundary holds the frame of its node as well."""
         return self._get(Held, k).frame is not None
 
     def force_scale(self) -> float:
-        """Return the size of the forces on the whole line, N."""
+        """Return the magnitude of the forces on the whole line, N."""
         line = self.line
         size = line.section.law.first_stiffness / line.length**2
         for boundary in self.boundaries:
             if isinstance(boundary, Gravity):
-                size += float(np.sum(self._masses)) * _largest(boundary.vector)
+                size += float(np.sum(self._masses)) * _find_largest(boundary.vector)
             elif isinstance(boundary, Load):
-                size += _largest(boundary.force)
+                size += _find_largest(boundary.force)
             elif isinstance(boundary, Moment):
-                size += _largest(boundary.moment) / line.length
+                size += _find_largest(boundary.moment) / line.length
         return size
 
     def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
@@ -139,21 +140,23 @@ class Schedule:
         Parameters
         ----------
         time : in steps, from -1
-        grips : boundaries that hold
+        grips : indices of the boundaries that hold the line
         """
         share = min(1.0, time + 1.0)
         forces, moments = self._loads(time, share)
         held, clamps = self._places(time, share, grips)
-        anchors = np.array([_row_at(self._get(String, k).anchor, time) for k in self.strings])
+        anchors = np.array(
+            [_interpolate_path(self._get(String, k).anchor, time) for k in self.strings]
+        )
         rings = self._ring_places(time, share)
         return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
 
     def _ring_places(self, time: float, share: float) -> Floats:
-        """Return the positions of the rings, which move from the line to their paths at first."""
-        places = [_row_at(self._get(Ring, k).position, time) for k in self.rings]
+        """Return the positions of the rings, which at first move from the line to their paths."""
+        places = [_interpolate_path(self._get(Ring, k).position, time) for k in self.rings]
         goal = np.array(places).reshape(-1, 3)
         if share < 1.0:
-            starts = [point_at(self.start.positions, u) for u in self.start_places]
+            starts = [evaluate_curve(self.start.positions, u) for u in self.start_places]
             goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
         return goal
 
@@ -162,11 +165,13 @@ class Schedule:
         moments = np.zeros((self.n, 3))
         for boundary in self.boundaries:
             if isinstance(boundary, Gravity):
-                forces += share * self._masses[:, None] * _row_at(boundary.vector, time)
+                forces += share * self._masses[:, None] * _interpolate_path(boundary.vector, time)
             elif isinstance(boundary, Load):
-                forces[self.node(boundary)] += share * _row_at(boundary.force, time)
+                forces[self.node(boundary)] += share * _interpolate_path(boundary.force, time)
             elif isinstance(boundary, Moment):
-                self._turn(moments, self.node(boundary), share * _row_at(boundary.moment, time))
+                self._turn(
+                    moments, self.node(boundary), share * _interpolate_path(boundary.moment, time)
+                )
         return forces, moments
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
@@ -174,10 +179,10 @@ class Schedule:
         clamps = []
         for row, k in enumerate(grips):
             grip, node = self._get(Held, k), self.held_nodes[k]
-            goal = _row_at(grip.position, time)
+            goal = _interpolate_path(grip.position, time)
             held[row] = share * goal + (1.0 - share) * self.start.positions[node]
             if grip.frame is not None:
-                frame = _frame_at(grip.frame, time)
+                frame = _interpolate_frame_path(grip.frame, time)
                 if share < 1.0:
                     frame = _interpolate_frames(self._start_frames[k], frame, share)
                 clamps.append(frame)
@@ -194,17 +199,17 @@ class Schedule:
         moments[elements] += moment / len(elements)
 
 
-def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+def get_boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
     """Return the name of a boundary for messages."""
     k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
     return boundary.name or f"boundary {k} ({type(boundary).__name__})"
 
 
-def _largest(path: Floats) -> float:
+def _find_largest(path: Floats) -> float:
     return float(np.max(np.linalg.norm(path, axis=1)))
 
 
-def _row_at(path: Floats, time: float) -> Floats:
+def _interpolate_path(path: Floats, time: float) -> Floats:
     """Interpolate a path at a time."""
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
@@ -212,7 +217,7 @@ def _row_at(path: Floats, time: float) -> Floats:
     return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
 
 
-def _frame_at(path: Floats, time: float) -> Floats:
+def _interpolate_frame_path(path: Floats, time: float) -> Floats:
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)
@@ -220,7 +225,7 @@ def _frame_at(path: Floats, time: float) -> Floats:
 
 
 def _interpolate_frames(first: Floats, second: Floats, share: float) -> Floats:
-    turn = rotation_vectors(multiply(conjugate(first), second))
+    turn = to_rotation_vectors(multiply(conjugate(first), second))
     return multiply(first, from_rotation_vectors(share * turn))
 
 
@@ -231,7 +236,7 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
             path = getattr(boundary, name, None)
             if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
                 continue
-            which, rows = boundary_name(boundaries, boundary), len(path)
+            which, rows = get_boundary_name(boundaries, boundary), len(path)
             message = format_sentence(
                 "mechanics.rod.path_rows", boundary=which, name=name, rows=rows, expected=steps + 1
             )

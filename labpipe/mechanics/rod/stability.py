@@ -1,18 +1,19 @@
 """Stability of an equilibrium, and its softest mode.
 
-An equilibrium under held nodes and dead loads is stable where the second variation of the energy is
-positive for all changes that satisfy the stretch rows. This holds where the tangent without their
-multipliers, with a stiff penalty along the rows, is positive definite, which one banded Cholesky
-factorisation decides. The penalty is 1e6 times the line's own scale, and modes softer than 3e-4 of
-the line's own stiffness count as neutral, so that critical loads are within about 1e-4. Sliders
-count as they slid in the step: as if the line continued in the same sense.
+An equilibrium under held nodes and dead loads is stable if the second variation of the energy is
+positive for all changes that satisfy the stretch conditions. An equivalent condition is that the
+tangent without their multipliers, but with a stiff penalty on these conditions, is positive
+definite, which a banded Cholesky factorisation decides. The penalty is 1e6 times the stiffness of
+the whole line. Modes softer than 3e-4 of that stiffness count as neutral; the error of critical
+loads is then about 1e-4. Sliders that slid in the step count as sliding on in the same direction.
 
-Moments of constant direction have no energy (Ziegler, Principles of structural stability, 1968):
-they make the tangent unsymmetric. Where its symmetric part is positive the line is still stable.
-Else overdamped motion decides: it is stable where no eigenvalue of the tangent against the drag has
-a negative real part. A real one diverges: its zero, where another equilibrium branches off, does
-not depend on the drag. A complex pair whirls, and depends on it. Flutter by inertia is not checked.
-Sliding friction counts by its symmetric part.
+Moments of constant direction have no potential (Ziegler, Principles of structural stability, 1968),
+so that the tangent is unsymmetric. If its symmetric part is positive definite, the line is stable.
+Otherwise overdamped motion decides: the line is stable if no eigenvalue of the tangent with respect
+to the drag has a negative real part. With a real negative eigenvalue the line diverges; the load at
+which it is zero, where another equilibrium branches off, does not depend on the drag. With a
+complex pair the line whirls, and this depends on the drag. Flutter by inertia is not checked. Of
+sliding friction, only the symmetric part counts.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from scipy.linalg import lapack
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
-from labpipe.mechanics.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, entries
+from labpipe.mechanics.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, list_block_entries
 from labpipe.records.arrays import Floats
 
 _SHIFT_DRAG = 10.0
-"""Drag: eigenvalues are searched around minus this, near to the unstable ones."""
+"""Eigenvalues are searched around minus this number, near the unstable ones."""
 
 
 class StabilityCheck:
-    """Stability checks of one line with given supports; constant parts are computed once.
+    """Stability checks of a line with given supports; constant parts are computed once.
 
     Parameters
     ----------
@@ -46,9 +47,13 @@ class StabilityCheck:
         self._kept = np.flatnonzero(~(is_force[rows] | is_force[columns]))
         pairs = [
             *((rows[self._kept], columns[self._kept]),),
-            entries(assembly.places.positions[:-1], FORCE, assembly.places.positions[:-1], FORCE),
-            entries(assembly.places.positions[:-1], FORCE, assembly.places.positions[1:], 3),
-            entries(assembly.places.positions[1:], 3, assembly.places.positions[1:], 3),
+            list_block_entries(
+                assembly.places.positions[:-1], FORCE, assembly.places.positions[:-1], FORCE
+            ),
+            list_block_entries(
+                assembly.places.positions[:-1], FORCE, assembly.places.positions[1:], 3
+            ),
+            list_block_entries(assembly.places.positions[1:], 3, assembly.places.positions[1:], 3),
         ]
         down, right = (_without_forces(np.concatenate(pair)) for pair in zip(*pairs, strict=True))
         row, column = np.maximum(down, right), np.minimum(down, right)
@@ -72,7 +77,7 @@ class StabilityCheck:
         self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
-        """Return whether a line returns from every small perturbation, overdamped."""
+        """Return whether the overdamped line returns from every small perturbation."""
         neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
         if self._factors(balance, shape, neutral_share) is not None:
             return True
@@ -84,7 +89,7 @@ class StabilityCheck:
         return rate.real < 0.0 and abs(rate.imag) > abs(rate.real)
 
     def slowest_return(self, balance: Balance) -> tuple[complex, Floats]:
-        """Find the rate of the slowest decaying perturbation, and the perturbation.
+        """Find the perturbation that decays most slowly or grows, and its rate of decay.
 
         Parameters
         ----------
@@ -92,8 +97,8 @@ class StabilityCheck:
 
         Returns
         -------
-        Rate, 1 for a line of its own stiffness against a drag of 1: of negative real part for a
-        growing perturbation; minus infinity where none was found.
+        Rate and perturbation. The rate has a negative real part for a growing perturbation, and is
+        minus infinity if none was found. It is 1 for a drag of 1 and the stiffness of the line.
 
         Notes
         -----
@@ -132,22 +137,22 @@ class StabilityCheck:
         """Return the entries of the tangent with a drag of `_SHIFT_DRAG`."""
         rows, columns = self._assembly.pattern
         places, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
-        values = balance.even.copy()
+        values = balance.symmetric_values.copy()
         values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[places[1:]]
         return values
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
-        """Return the softest mode; None where none is found.
+        """Find the softest mode; None if none is found.
 
         Parameters
         ----------
         balance, shape : of the line
-        push : shape (unknowns,), N and N m: selects among equal modes
+        push : shape (unknowns,), N and N m, load that selects among equally soft modes
 
         Notes
         -----
-        Inverse iteration with the nodes' share of the drag as the mass, which excludes pure twist.
-        A small asymmetric load is added to the push.
+        Inverse iteration. The mass is the drag of the nodes, which excludes pure twist. A small
+        asymmetric load is added to the push.
         """
         iterations = 6
         random_share = 1e-3
@@ -202,7 +207,7 @@ class StabilityCheck:
         stiffness = np.swapaxes(row, 1, 2) @ row * (stiff / line.lengths)[:, None, None]
         values = np.concatenate(
             [
-                balance.even[self._kept],
+                balance.symmetric_values[self._kept],
                 stiffness[:, :FORCE, :FORCE].ravel(),
                 stiffness[:, :FORCE, FORCE:].ravel(),
                 stiffness[:, FORCE:, FORCE:].ravel(),

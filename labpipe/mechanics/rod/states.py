@@ -1,4 +1,4 @@
-"""State of a followed line by nodes, its stored and lost energy, and the work on it."""
+"""Conversion of a balance to the state by nodes, and energies of a step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Load
 from labpipe.mechanics.rod.path import RodState
-from labpipe.mechanics.rod.rotations import conjugate, matrices, multiply, rotation_vectors
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_matrices, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.supports import END_SHARE, Supports
 from labpipe.records.arrays import Floats
@@ -18,7 +18,15 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkState:
-    """A shape in balance under its demands, with the history before and behind."""
+    """Equilibrium at a time.
+
+    Parameters
+    ----------
+    time : in steps
+    shape, balance, demands : of the line
+    memory : history after the last part of a step
+    earlier : history before it; None at the start
+    """
 
     time: float
     shape: Shape
@@ -29,15 +37,15 @@ class WalkState:
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
-    """Return the rests of cells, shape (cells, sliders, 2), from those before and behind the nodes.
+    """Return the rests of cells, shape (cells, sliders, 2), from those on both sides of the nodes.
 
-    Without a clamp both sides form one cell with the mean of their rests, which is admissible.
+    Without a clamp both sides form one cell with the mean of their rests, which no slider exceeds.
     """
     return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
 
 
 def split_sides(supports: Supports, values: Floats) -> Floats:
-    """Return values before and behind the nodes, shape (n + 1, 2, ...), from those of cells."""
+    """Return the values on both sides of the nodes, shape (n + 1, 2, ...), from those of cells."""
     out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
         is_held = supports.sides[:, side] > 0.0
@@ -45,14 +53,14 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
     return out
 
 
-def state_of(
+def build_state(
     assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: WalkState, step: int
 ) -> RodState:
-    """Return the state of a step, with all forces and moments in space."""
+    """Build the state of a step, with all forces and moments in space."""
     supports, cells = assembly.supports, now.balance.cells
     n_nodes = assembly.n + 1
     forces, clamp_moments = assembly.reactions(now.balance, now.demands)
-    moments = split_sides(supports, _moments_in_space(assembly, now))
+    moments = split_sides(supports, _compute_moments(assembly, now))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
     for k, load in enumerate(schedule.boundaries):
@@ -60,15 +68,17 @@ def state_of(
             reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
     clamped = [grips[int(row)] for row in supports.clamps]
     reaction_moments[clamped] = clamp_moments
-    for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
+    for k, touch in zip(schedule.planes, now.balance.plane_contacts, strict=True):
         reaction_forces[k] = touch.forces.sum(axis=0)
     reaction_forces[list(schedule.strings)] = now.balance.tensions
-    slid = np.full(len(schedule.boundaries), np.nan)
+    ring_stations = np.full(len(schedule.boundaries), np.nan)
     stations = assembly.line.stations
-    for k, thread in zip(schedule.rings, now.balance.threads, strict=True):
+    for k, thread in zip(schedule.rings, now.balance.ring_contacts, strict=True):
         reaction_forces[k] = thread.force
-        slid[k] = np.interp(thread.place, np.arange(n_nodes), stations)
-    touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
+        ring_stations[k] = np.interp(thread.place, np.arange(n_nodes), stations)
+    touched = np.array([touch.forces for touch in now.balance.plane_contacts]).reshape(
+        -1, n_nodes, 3
+    )
     return RodState(
         positions=now.shape.positions,
         frames=now.shape.frames,
@@ -76,21 +86,21 @@ def state_of(
         forces=now.shape.forces,
         moments=moments,
         curvatures=split_sides(supports, cells.curvatures),
-        node_curvatures=split_sides(supports, _to_clamps(supports, cells.curvatures)),
+        node_curvatures=split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures)),
         rests=split_sides(supports, now.balance.memory.rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
         contacts=now.balance.memory.contacts,
         contact_forces=touched,
-        slid=slid,
+        ring_stations=ring_stations,
     )
 
 
-def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
-    """Return the curvatures of the cells, shape (cells, 3), extrapolated to clamps.
+def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
+    """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
 
-    Along the straight line to the next cell: a half cell bends as the line does at a share
-    `END_SHARE` of its element.
+    The half cell at a clamp has the curvature of the line at the share `END_SHARE` of its element.
+    The extrapolation is linear through that point and the next cell.
     """
     clamps, lengths = curvatures.copy(), supports.lengths
     for end, side in ((supports.behind, -1), (supports.before, 1)):
@@ -102,23 +112,25 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     return clamps
 
 
-def _moments_in_space(assembly: Assembly, now: WalkState) -> Floats:
-    """Return the moments of the cells, by the part behind on the part before, N m, (cells, 3).
+def _compute_moments(assembly: Assembly, now: WalkState) -> Floats:
+    """Return the moments of the part behind a cell on the part before it, N m, (cells, 3).
 
-    At a clamp it is the moment at the node, which exceeds that of the half cell.
+    At a clamp it is the moment at the node, not that in the middle of the half cell.
     """
     supports, cells = assembly.supports, now.balance.cells
     frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
-    turned = matrices(frames[supports.behind])
+    turned = to_matrices(frames[supports.behind])
     moments = np.einsum("nxy,ny->nx", turned, cells.behind)
-    for (row, clamp), lent in zip(supports.lent, now.balance.directions.lent_moments, strict=True):
+    for (row, clamp), clamp_pairs in zip(
+        supports.clamp_pairs, now.balance.directions.clamp_moments, strict=True
+    ):
         element, mark = supports.ends[row], -1 - clamp
-        moments[(supports.before == mark) & (supports.behind == element)] -= lent
-        moments[(supports.behind == mark) & (supports.before == element)] += lent
+        moments[(supports.before == mark) & (supports.behind == element)] -= clamp_pairs
+        moments[(supports.behind == mark) & (supports.before == element)] += clamp_pairs
     return np.asarray(moments)
 
 
-def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
+def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
     """Return the elastic energy of bending, twist and stretch, J."""
     section, cells = assembly.line.section, balance.cells
     law = section.law
@@ -134,49 +146,51 @@ def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
     return energy
 
 
-def lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
-    """Return the energy lost in the sliders in a step, J, from the rests of cells around it.
+def compute_lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
+    """Compute the energy lost in the sliders in a step, J, from the rests before and after it.
 
-    A sliding slider carries K_j kappa_j over the path of its rest, a growing one the mean of its
-    limits.
+    A sliding slider carries the moment K_j kappa_j while its rest moves; a growing one carries the
+    mean of its limits.
     """
     law = assembly.line.section.law
     first, last = (present_sliders(law, rests) for rests in (before, behind))
-    ways = np.linalg.norm(last.rests - first.rests, axis=2)
+    distances = np.linalg.norm(last.rests - first.rests, axis=2)
     slips = 0.5 * (first.slip_curvatures + last.slip_curvatures)
-    return float(assembly.supports.lengths @ (ways * slips) @ first.stiffnesses)
+    return float(assembly.supports.lengths @ (distances * slips) @ first.stiffnesses)
 
 
-def work_done(
+def compute_work(
     assembly: Assembly,
     demands: tuple[Demands, Demands],
     shapes: tuple[Shape, Shape],
     balances: tuple[Balance, Balance],
 ) -> float:
-    """Return the work of grips, loads, weight and strings on the line within a step, J.
+    """Compute the work of all boundaries on the line within a step, J.
 
-    By the mean of the forces at both ends of the step: exact for constant forces, else of third
-    order in the step.
+    It uses the mean of the forces at both ends of the step, which is exact for constant forces;
+    otherwise the error is of third order in the step.
     """
     (old, new), (first, last) = demands, shapes
     pulls = [assembly.reactions(b, d) for b, d in zip(balances, demands, strict=True)]
     moved = last.positions - first.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
     work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
-    work += 0.5 * float(np.sum((pulls[0][1] + pulls[1][1]) * _turns(old.clamps, new.clamps)))
+    work += 0.5 * float(
+        np.sum((pulls[0][1] + pulls[1][1]) * _compute_turns(old.clamps, new.clamps))
+    )
     if np.any(old.moments) or np.any(new.moments):
-        turned = _turns(first.frames, last.frames)
+        turned = _compute_turns(first.frames, last.frames)
         work += 0.5 * float(np.sum((old.moments + new.moments) * turned))
     if len(new.anchors):
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
     if len(new.rings):
-        pulls_of = [np.array([thread.force for thread in b.threads]) for b in balances]
-        work += 0.5 * float(np.sum((pulls_of[0] + pulls_of[1]) * (new.rings - old.rings)))
+        ring_forces = [np.array([thread.force for thread in b.ring_contacts]) for b in balances]
+        work += 0.5 * float(np.sum((ring_forces[0] + ring_forces[1]) * (new.rings - old.rings)))
     return work
 
 
-def _turns(before: Floats, behind: Floats) -> Floats:
-    """Return rotation vectors in space, rad, between frames."""
-    rotation = rotation_vectors(multiply(conjugate(before), behind))
-    return np.asarray(np.einsum("nxy,ny->nx", matrices(before), rotation))
+def _compute_turns(before: Floats, behind: Floats) -> Floats:
+    """Return the rotation vectors between frames, rad, in space."""
+    rotation = to_rotation_vectors(multiply(conjugate(before), behind))
+    return np.asarray(np.einsum("nxy,ny->nx", to_matrices(before), rotation))

@@ -1,13 +1,16 @@
-"""Follow a line through the steps of its boundaries, from equilibrium to equilibrium.
+"""Quasi-static path of a line: its equilibria at the steps of its boundaries.
 
-Every step is solved by Newton's method, halved where it does not converge, turns the line too far
-or ends where the line is unstable; the history of sliders and friction advances with every part of
-a step. So a line buckles where it first can, not after a whole step of pressing it straight. There,
-and where no equilibrium follows (a line that snaps or is released), the line is relaxed: through
-ever smaller resistance to bending and twist, always downhill in energy, as a line with internal
-damping moves. So each piece relaxes by its own moment; a resistance to motion would bend the free
-end as it falls, which sliders would keep. Such steps are `snapped`, and so are those with a
-release. An unstable equilibrium is left along its softest mode.
+Every step is solved by Newton's method. A step is divided in two if the method does not converge,
+if the line turns too far, or if the new equilibrium is unstable. The history of sliders and
+friction advances with every part of a step. Therefore a line buckles as soon as its straight
+equilibrium is unstable, and not after a whole step.
+
+If an equilibrium is unstable, or if there is none near by because the line snaps or is released,
+the line is *relaxed*. It is then solved with an artificial resistance to bending and twist, which
+decreases to zero while the energy decreases, as in the motion of a line with internal damping. Each
+piece relaxes by its own moment. A resistance to motion would instead bend the free end of a falling
+line, and the sliders would retain that bend. An unstable equilibrium is left along its softest
+mode. Steps with relaxation, and steps with a release, are listed as `snapped`.
 """
 
 from __future__ import annotations
@@ -23,19 +26,19 @@ from labpipe.mechanics.rod.boundaries import Boundary, Moment, Plane
 from labpipe.mechanics.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import Reason, RodPath, RodState, Status
-from labpipe.mechanics.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.states import (
     WalkState,
-    lost_energy,
+    build_state,
+    compute_lost_energy,
+    compute_stored_energy,
+    compute_work,
     merge_rests,
     split_sides,
-    state_of,
-    stored_energy,
-    work_done,
 )
-from labpipe.mechanics.rod.supports import supports_of
+from labpipe.mechanics.rod.supports import split_supports
 from labpipe.mechanics.rod.walk_errors import (
     NoEquilibriumError,
     check_line,
@@ -53,11 +56,11 @@ class RodSettings:
 
     Parameters
     ----------
-    min_step_fraction : of a step, smallest by halving
-    max_turn : rad, largest relative turn of two neighbouring elements, and half of that of any
-        element in space, in a part of a step
+    min_step_fraction : smallest part of a step
+    max_turn : rad, largest change of the angle between neighbouring elements in a part of a step;
+        an element may turn by twice this angle in space
     max_strain : strain beyond which the line counts as torn
-    checks_stability : whether equilibria are checked, and left where they are not stable
+    checks_stability : whether the stability of equilibria is checked
     """
 
     min_step_fraction: float = 2.0**-14
@@ -75,27 +78,28 @@ def follow(
     start: RodState | None = None,
     on_step: Callable[[], object] = lambda: None,
 ) -> RodPath:
-    """Follow a line through the steps of its boundaries.
+    """Solve the equilibria of a line at the steps of its boundaries.
 
     Parameters
     ----------
-    line : the line, never bent except to its curvature at rest
-    boundaries : what holds, loads and supports it
-    steps : of their paths
-    settings : by default the usual ones
-    start : state of the same line, with its history, in place of the line's own shape
+    line : in its shape at rest, without history
+    boundaries : grips, loads and supports of the line
+    steps : number of steps of their paths
+    settings : `RodSettings` with its defaults if None
+    start : state of the same line with its history, from which to start in place of the shape of
+        the line
     on_step : called after each step
 
     Returns
     -------
-    States 0 to `steps`, or up to the step before the one that failed: `status` is then `failed`,
-    and the reason states step and place.
+    The states 0 to `steps`. If a step fails, `status` is `failed`, the states end before it, and
+    the first reason states step and place.
 
     Raises
     ------
     ValueError
-        If a node is not on the line, a path has another number of rows, or two boundaries hold one
-        node at the same time.
+        If a node is not on the line, a path has a wrong number of rows, two boundaries hold a node
+        at the same time, a line with a ring has a single element, or `start` is of another line.
     """
     walk = _Walk(line, tuple(boundaries), steps, settings or RodSettings(), start)
     for step in range(steps + 1):
@@ -115,7 +119,7 @@ class _Walk:
         start: RodState | None,
     ) -> None:
         self.line, self.boundaries, self.settings = line, boundaries, settings
-        shape, rests, contacts = _start_state(line, boundaries, start)
+        shape, rests, contacts = _build_start(line, boundaries, start)
         self.schedule = Schedule(line, boundaries, steps, shape)
         self.force = self.schedule.force_scale()
         self.states: list[RodState] = []
@@ -126,7 +130,7 @@ class _Walk:
         self.work = self.lost = self.friction_loss = self.jumped = self.slider_loss_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
-        memory = LineMemory(rests, contacts, _start_places(self.schedule, start))
+        memory = LineMemory(rests, contacts, _find_start_places(self.schedule, start))
         self._set_up(self.schedule.grips(0), -1.0, shape, memory)
         self.work = self._stored_energy()
 
@@ -135,7 +139,7 @@ class _Walk:
     def _set_up(
         self, grips: tuple[int, ...], time: float, shape: Shape, memory: LineMemory
     ) -> None:
-        """Set the line up with the grips that hold from a time on; its memory is by nodes."""
+        """Assemble the line with the grips that hold from a time on; `memory.rests` is by nodes."""
         self.grips, schedule = grips, self.schedule
         held = [(schedule.held_nodes[k], schedule.is_clamp(k)) for k in grips]
         planes = tuple(
@@ -146,7 +150,7 @@ class _Walk:
         lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
         self.assembly = Assembly(
             self.line,
-            supports_of(self.line, tuple(held)),
+            split_supports(self.line, tuple(held)),
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
@@ -160,28 +164,28 @@ class _Walk:
         self.now = WalkState(time, shape, balance, demands, memory, None)
 
     def _release_grips(self, step: int) -> None:
-        """Release the grips that end in a step; the line starts from where they held it.
+        """Release the grips that end in a step.
 
-        It moves to a near equilibrium, else it falls.
+        The line moves to an equilibrium near by, or is relaxed if there is none.
         """
         grips, now = self.schedule.grips(step), self.now
         if grips == self.grips:
             return
         self.snapped.append(step)
-        free, lost = self._unaccounted_energy(), self.lost
+        unaccounted, lost = self._unaccounted_energy(), self.lost
         rests = split_sides(self.assembly.supports, now.memory.rests)
         self._set_up(grips, now.time, now.shape, replace(now.memory, rests=rests))
         jumped, slider_loss_in_jumps = self.jumped, self.slider_loss_in_jumps
         equilibrium = self._find_equilibrium(now.time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
         self._move_on(now.time, equilibrium, is_unstable=is_unstable)
-        self.jumped = jumped + self._unaccounted_energy() - free
+        self.jumped = jumped + self._unaccounted_energy() - unaccounted
         self.slider_loss_in_jumps = slider_loss_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
     def go_to(self, step: int) -> bool:
-        """Follow the line to a step; false where that fails."""
+        """Solve a step and record its state; return whether that succeeds."""
         self.step = step
         try:
             grips = self.schedule.grips(step)
@@ -205,7 +209,7 @@ class _Walk:
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
             is_last = part <= smallest
-            equilibrium = self._find_equilibrium(time, both=is_last or not was_refused)
+            equilibrium = self._find_equilibrium(time, tries_sticking=is_last or not was_refused)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
             was_refused, before = equilibrium is None or is_unstable, was_refused
             if was_refused and not is_last and not (is_unstable and self._accepted_unstable):
@@ -216,7 +220,7 @@ class _Walk:
                 part = min(1.0, 2.0 * part)
 
     def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
-        """Commit an equilibrium, and relax from it if unstable, or from here if there is none."""
+        """Accept an equilibrium; relax if it is unstable or if there is none."""
         if equilibrium is None:
             self._relax(time, is_unstable=False)
             return
@@ -229,22 +233,25 @@ class _Walk:
 
     @property
     def _accepted_unstable(self) -> bool:
-        """Return whether an unstable equilibrium was accepted: smaller parts do not help."""
+        """Return whether an unstable equilibrium was accepted; smaller parts do not help then."""
         return self._has_reason("unstable") or self._has_reason("whirls")
 
-    def _find_equilibrium(self, time: float, *, both: bool = True) -> Equilibrium | None:
-        """Find the equilibrium at a time; None where there is none near.
+    def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
+        """Find the equilibrium at a time; None if there is none near by.
 
-        Sliders may slide on, or stick after a reversal: the second guess is made if `both`.
+        Newton's method starts with sliders that continue to slide; if `both`, it is tried again
+        with sliders that stick after a reversal.
         """
         now = self.now
         goal = self.schedule.demands(time, self.grips)
-        for guess in [now.earlier or now.memory, now.memory][: 2 if both and now.earlier else 1]:
+        for guess in [now.earlier or now.memory, now.memory][
+            : 2 if tries_sticking and now.earlier else 1
+        ]:
             equilibrium = find_equilibrium(
                 *(self.assembly, now.shape, now.memory, (now.demands, goal)),
                 force=self.force,
                 guess=guess,
-                known=now.balance,
+                known_balance=now.balance,
             )
             if equilibrium is not None and self._is_near_enough(equilibrium):
                 return equilibrium
@@ -255,35 +262,37 @@ class _Walk:
         turns = equilibrium.balance.cells.turns - now.balance.cells.turns
         if float(np.max(np.linalg.norm(turns, axis=1), initial=0.0)) > largest_turn:
             return False
-        turned = rotation_vectors(multiply(conjugate(now.shape.frames), equilibrium.shape.frames))
+        turned = to_rotation_vectors(
+            multiply(conjugate(now.shape.frames), equilibrium.shape.frames)
+        )
         return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * largest_turn
 
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
-        """Accept an equilibrium, with history and energies."""
+        """Take an equilibrium as the present state, and add to work and losses."""
         now = self.now
         goal = self.schedule.demands(time, self.grips)
         new = equilibrium.balance
-        self.work += work_done(
+        self.work += compute_work(
             self.assembly, (now.demands, goal), (now.shape, equilibrium.shape), (now.balance, new)
         )
-        self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
-        self.friction_loss += sum(touch.rubbed for touch in new.touches)
+        self.lost += compute_lost_energy(self.assembly, now.memory.rests, new.memory.rests)
+        self.friction_loss += sum(touch.friction_loss for touch in new.plane_contacts)
         self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
-        most = self.settings.max_strain
-        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=most)
+        max_strain = self.settings.max_strain
+        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
         check_rings(self.schedule, new, self.step)
 
     def _stored_energy(self) -> float:
-        return stored_energy(self.assembly, self.now.balance, self.now.shape)
+        return compute_stored_energy(self.assembly, self.now.balance, self.now.shape)
 
     def _unaccounted_energy(self) -> float:
-        """Return the work that is not stored, lost in sliders or by friction, J."""
+        """Return the work that is neither stored nor lost in sliders or by friction, J."""
         return self.work - self._stored_energy() - self.lost - self.friction_loss
 
     # ---- relaxing -----------------------------------------------------------------------------
 
     def _leave_unstable(self, time: float) -> None:
-        """Relax from an unstable equilibrium; accept it with a reason if the line whirls there."""
+        """Relax from an unstable equilibrium; accept it with a reason if the line whirls."""
         if self._has_reason("whirls") or self.check.whirls(self.now.balance):
             self._doubt_stability(is_whirling=True)
         else:
@@ -292,14 +301,14 @@ class _Walk:
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
         # of the line's length, or rad: perturbations of a line without a near equilibrium
-        kicks = (0.0, 1e-3, 1e-2)
+        perturbations = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
         saved = self.now, self.work, self.lost, self.friction_loss
-        free = self._unaccounted_energy()
-        for kick in kicks[1:] if is_unstable else kicks:
-            if self._relax_to_rest(time, kick):
-                self.jumped += self._unaccounted_energy() - free
+        unaccounted = self._unaccounted_energy()
+        for perturbation in perturbations[1:] if is_unstable else perturbations:
+            if self._relax_to_rest(time, perturbation):
+                self.jumped += self._unaccounted_energy() - unaccounted
                 self.slider_loss_in_jumps += self.lost - saved[2]
                 return
             self.now, self.work, self.lost, self.friction_loss = saved
@@ -312,8 +321,8 @@ class _Walk:
             raise NoEquilibriumError(reason)
         self._doubt_stability(is_whirling=False)
 
-    def _relax_to_rest(self, time: float, kick: float) -> bool:
-        """Relax the line through decreasing drag; false where it does not come to rest."""
+    def _relax_to_rest(self, time: float, perturbation: float) -> bool:
+        """Relax the line with decreasing drag; return whether it comes to rest."""
         first_drag = 1.0
         # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays
         last_drag = 1e-8
@@ -323,7 +332,7 @@ class _Walk:
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
         goal = self.schedule.demands(time, self.grips)
-        shape = self._perturbed_shape(kick)
+        shape = self._perturbed_shape(perturbation)
         size = first_drag
         rested: Floats | None = None
         for _ in range(max_steps):
@@ -347,7 +356,7 @@ class _Walk:
         return False
 
     def _reach_rest(self, time: float) -> bool:
-        """Accept a stable equilibrium without drag; false where there is none."""
+        """Accept a stable equilibrium without drag; return whether there is one."""
         final = self._find_equilibrium(time)
         if final is None:
             return False
@@ -372,7 +381,7 @@ class _Walk:
         return equilibrium
 
     def _perturbed_shape(self, size: float) -> Shape:
-        """Return the shape perturbed along its softest mode."""
+        """Return the shape, perturbed along its softest mode by a size relative to the line."""
         now = self.now
         if not size:
             return now.shape
@@ -389,7 +398,7 @@ class _Walk:
     # ---- results ------------------------------------------------------------------------------
 
     def _doubt_stability(self, *, is_whirling: bool) -> None:
-        """Record once why an unstable equilibrium was accepted."""
+        """Record, once, the reason why an unstable equilibrium was accepted."""
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
         moves = split_unknowns(push if mode is None else mode)[0]
@@ -406,7 +415,7 @@ class _Walk:
         return any(reason.code == code for reason in self.reasons)
 
     def _record_state(self, step: int) -> None:
-        state = state_of(self.assembly, self.schedule, self.grips, self.now, step)
+        state = build_state(self.assembly, self.schedule, self.grips, self.now, step)
         self.states.append(state)
         stored = self._stored_energy()
         jumps = self.jumped, self.slider_loss_in_jumps
@@ -414,10 +423,14 @@ class _Walk:
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
         if state.bendings[node] > last and not self._has_reason("beyond_law"):
-            bent = state.bendings[node]
+            curvature = state.bendings[node]
             self.reasons.append(
                 Reason.of(
-                    "mechanics.rod.beyond_law", step=step, place=node, curvature=bent, last=last
+                    "mechanics.rod.beyond_law",
+                    step=step,
+                    place=node,
+                    curvature=curvature,
+                    last=last,
                 )
             )
 
@@ -434,17 +447,19 @@ class _Walk:
         )
 
 
-def _start_places(schedule: Schedule, start: RodState | None) -> Floats:
-    """Return where the line passes through the rings, in nodes."""
+def _find_start_places(schedule: Schedule, start: RodState | None) -> Floats:
+    """Return the places at which the line passes through the rings, in nodes."""
     places = schedule.start_places
-    if start is None or len(start.slid) != len(schedule.boundaries):
+    if start is None or len(start.ring_stations) != len(schedule.boundaries):
         return places
     stations = schedule.line.stations
-    known_places = np.interp(start.slid[list(schedule.rings)], stations, np.arange(len(stations)))
+    known_places = np.interp(
+        start.ring_stations[list(schedule.rings)], stations, np.arange(len(stations))
+    )
     return np.where(np.isfinite(known_places), known_places, places)
 
 
-def _start_state(
+def _build_start(
     line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
 ) -> tuple[Shape, Floats, Floats]:
     n, sliders = len(line.lengths), line.section.law.history_size

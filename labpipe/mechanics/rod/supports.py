@@ -1,7 +1,7 @@
-"""Held nodes, the cells and end elements that follow from them, and element directions.
+"""Held nodes, the division of cells at clamps, and the directions of the elements.
 
-An element points along its d3. Beside a clamp its direction is the normalised mean of d3 and the
-clamp's, weighted by `supports.END_SHARE`.
+The direction of an element is its d3. Beside a clamp it is the normalised mean of this d3 and the
+d3 of the clamp, whose weight is `END_SHARE`.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.rotations import cross, from_rotation_vectors, matrices, multiply
+from labpipe.mechanics.rod.rotations import cross, from_rotation_vectors, multiply, to_matrices
 from labpipe.records.arrays import Floats, Ints
 
 Grip: TypeAlias = tuple[int, bool]
-"""Node that is held, and whether its frame is as well."""
+"""Node that is held, and whether its frame is held as well."""
 
 _Cell: TypeAlias = tuple[int, int, int, tuple[float, float], float]
 
 END_SHARE = 1.0 / 6.0
-"""Weight of the clamp in the direction of an adjacent element; the rest is its frame's.
+"""Weight of the clamp in the direction of an adjacent element; the rest is that of its own frame.
 
-The half cell at a clamp has the moment of the node instead of that of its middle, which makes the
-line too soft. With a direction of the element that is in part the clamp's (transported along the
-curvature at rest), the moment is that of a point further along. A sixth removes the second-order
-error at the clamp from angle and deflection for small bending, and reduces it to less than a third
-for large bending.
+The half cell at a clamp has the moment of the node instead of that at its middle, which makes the
+line too soft. If the direction of the element is in part that of the clamp (transported along the
+curvature at rest), the moment is that of a point further along the line. A weight of one sixth
+removes the second-order errors of angle and deflection for small bending, and reduces them to less
+than a third for large bending.
 """
 
 
@@ -42,13 +42,14 @@ class Supports:
     clamps : shape (clamps,), index in `held` of those with a frame
     before, behind : shape (cells,), element on that side; -1 - k for clamp k
     nodes : shape (cells,), node of each cell
-    sides : shape (cells, 2), weight of the node's two sides in it: (1, 0), (0, 1), or both
+    sides : shape (cells, 2), weights of the two sides of the node in the cell; (1, 0) or (0, 1) at
+        a clamp
     lengths : shape (cells,), m
     rest_curvature : shape (cells, 3), 1/m
     ends : shape (clamped elements,), elements beside a clamp
-    own : shape (clamped elements,), weight of their frame in the direction
-    lent : shape (pairs, 2), row in `ends` and clamp of each contribution
-    carried : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
+    own_weights : shape (clamped elements,), weight of their own frame in the direction
+    clamp_pairs : shape (pairs, 2), row in `ends` and clamp of each contribution
+    rest_turns : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
     """
 
     n_nodes: int
@@ -61,33 +62,33 @@ class Supports:
     lengths: Floats
     rest_curvature: Floats
     ends: Ints
-    own: Floats
-    lent: Ints
-    carried: Floats
+    own_weights: Floats
+    clamp_pairs: Ints
+    rest_turns: Floats
 
 
-def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
-    """Split the cells of a line at its clamps.
+def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
+    """Divide the cells of a line at its clamps.
 
     Parameters
     ----------
     line : the line
-    grips : nodes held, each at most once, counted from 0
+    grips : held nodes, counted from 0, each at most once
     """
     held = np.array([node for node, _ in grips], dtype=np.int64)
     clamps = np.array([k for k, (_, is_clamp) in enumerate(grips) if is_clamp], dtype=np.int64)
     clamp_at = {int(held[k]): number for number, k in enumerate(clamps)}
-    rows = [row for node in range(len(line.positions)) for row in _cells_at(line, node, clamp_at)]
+    rows = [row for node in range(len(line.positions)) for row in _list_cells(line, node, clamp_at)]
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     node_numbers = np.array(nodes, dtype=np.int64)
     rest_curvature = line.rest_curvature_at_nodes
-    lent, turns = [], []
+    clamp_pairs, turns = [], []
     for node, number in clamp_at.items():
         for element, sign in ((node - 1, -0.5), (node, 0.5)):
             if 0 <= element < len(line.lengths):
-                lent.append((element, number))
+                clamp_pairs.append((element, number))
                 turns.append(sign * line.lengths[element] * rest_curvature[node])
-    pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(clamp_pairs, dtype=np.int64).reshape(-1, 2)
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
         n_nodes=len(line.positions),
@@ -100,13 +101,15 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
         lengths=np.array(lengths, dtype=np.float64),
         rest_curvature=rest_curvature[node_numbers],
         ends=ends,
-        own=np.asarray(1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64),
-        lent=np.stack([row, pairs[:, 1]], axis=1),
-        carried=from_rotation_vectors(np.array(turns).reshape(-1, 3)),
+        own_weights=np.asarray(
+            1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64
+        ),
+        clamp_pairs=np.stack([row, pairs[:, 1]], axis=1),
+        rest_turns=from_rotation_vectors(np.array(turns).reshape(-1, 3)),
     )
 
 
-def _cells_at(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
+def _list_cells(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
     """Return the cells of a node: elements or clamps on both sides, node, weights, length."""
     n = len(line.lengths)
     half_length = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
@@ -139,7 +142,7 @@ class Directions:
     stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
     by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
         contributed by clamps
-    lent_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
+    clamp_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
         clamps, pair by pair
     """
 
@@ -148,30 +151,32 @@ class Directions:
     pull: Floats
     stiff: Floats
     by_clamp: Floats
-    lent_moments: Floats
+    clamp_moments: Floats
 
 
-def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Floats) -> Directions:
+def compute_directions(
+    supports: Supports, frames: Floats, clamp_pairs: Floats, pulls: Floats
+) -> Directions:
     """Compute the directions of the elements.
 
     Parameters
     ----------
-    supports : which elements are beside a clamp
+    supports : with the elements beside a clamp
     frames : shape (n, 3, 3), matrices of the elements
-    lent : shape (pairs, 3), contributions of clamps, see `clamp_directions`
+    clamp_pairs : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
     pulls : shape (n, 3), N m, g
     """
     along = frames[:, :, 2].copy()
     by_turn = np.zeros_like(frames)
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
-    stiff = _bend(np.vecmat(pulls, frames))
+    stiff = _differentiate_twice(np.vecmat(pulls, frames))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
-    lent_moments = np.zeros_like(lent)
+    clamp_moments = np.zeros_like(clamp_pairs)
     if len(supports.ends):
-        ends, own_share = supports.ends, supports.own[:, None, None]
-        row = supports.lent[:, 0]
+        ends, own_share = supports.ends, supports.own_weights[:, None, None]
+        row = supports.clamp_pairs[:, 0]
         mixed = own_share[:, 0] * along[ends]
-        np.add.at(mixed, row, lent)
+        np.add.at(mixed, row, clamp_pairs)
         size = np.linalg.norm(mixed, axis=1)[:, None]
         along[ends] = mixed / size
         flat = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
@@ -182,16 +187,16 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
         second += np.vecdot(g, along[ends])[:, None, None] * flat
         second /= size[:, :, None]
         turn = own_share * by_turn[ends]
-        stiff[ends] = own_share * _bend(np.vecmat(p, frames[ends]))
+        stiff[ends] = own_share * _differentiate_twice(np.vecmat(p, frames[ends]))
         stiff[ends] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[ends] = flat @ turn
         by_clamp = flat
-        lent_moments = -cross(lent, p[row])
+        clamp_moments = -cross(clamp_pairs, p[row])
     pull = -np.vecmat(pulls, by_turn)
-    return Directions(along, by_turn, pull, stiff, by_clamp, lent_moments)
+    return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
 
 
-def _bend(g: Floats) -> Floats:
+def _differentiate_twice(g: Floats) -> Floats:
     """Return the second derivative of -g . d3 along turns of the frame, g in the frame."""
     out = g[:, 2, None, None] * _EYE
     out[:, :, 2] -= 0.5 * g
@@ -199,13 +204,13 @@ def _bend(g: Floats) -> Floats:
     return np.asarray(out)
 
 
-def clamp_directions(supports: Supports, clamps: Floats) -> Floats:
-    """Return the contributions of clamps to the directions of adjacent elements, shape (pairs, 3).
+def compute_clamp_directions(supports: Supports, clamps: Floats) -> Floats:
+    """Compute the contributions of clamps to the directions of adjacent elements, (pairs, 3).
 
     Parameters
     ----------
     supports : with those elements
     clamps : shape (clamps, 4), frames
     """
-    turned = multiply(clamps[supports.lent[:, 1]], supports.carried)
-    return np.asarray(END_SHARE * matrices(turned)[:, :, 2])
+    turned = multiply(clamps[supports.clamp_pairs[:, 1]], supports.rest_turns)
+    return np.asarray(END_SHARE * to_matrices(turned)[:, :, 2])

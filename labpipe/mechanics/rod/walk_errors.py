@@ -1,4 +1,4 @@
-"""Reasons why a line cannot be followed to a step."""
+"""Checks of a step of a line; a failed check raises the reason why the path ends."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
 from labpipe.mechanics.rod.boundaries import Plane
 from labpipe.mechanics.rod.path import Reason
-from labpipe.mechanics.rod.schedule import Schedule, boundary_name
+from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
 
 _LENGTH_ROUNDING = 1e-9  # relative
 
 
 class NoEquilibriumError(Exception):
-    """No further equilibrium, with the reason."""
+    """The path of a line ends, for a reason."""
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.sentence)
@@ -21,22 +21,23 @@ class NoEquilibriumError(Exception):
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse held nodes too far apart, or so far that an inextensible line is taut.
+    """Refuse held nodes that are too far apart, or that stretch an inextensible line taut.
 
-    A taut line has no equilibrium under transverse loads, and many under axial ones.
+    A taut line has no equilibrium under transverse loads, and its tension is not determined under
+    axial loads.
 
     Parameters
     ----------
     schedule : of the boundaries
-    grips : boundaries that hold it
-    step : its number
+    grips : indices of the boundaries that hold the line
+    step : number
 
     Raises
     ------
     NoEquilibriumError
-        If it cannot be solved.
+        If the distance is too large.
     """
-    # of a length; with less, the tension is over 600 times the weight and mostly rounding
+    # of a length; with less slack the tension exceeds 600 times the weight, and is mostly rounding
     min_slack = 1e-7
     min_force_share = 1e-9  # of the force on the line
     demands = schedule.demands(float(step), grips)
@@ -63,7 +64,7 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 
 
 def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse a grip that holds the axis of the line nearer to a table than its radius.
+    """Refuse a grip that holds the axis of the line nearer to a plane than its radius.
 
     Parameters
     ----------
@@ -77,13 +78,13 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
         heights = (held - plane.point) @ plane.normal
         lowest = int(np.argmin(heights))
         if heights[lowest] < clearance - _LENGTH_ROUNDING * line.length:
-            grip = boundary_name(schedule.boundaries, schedule.boundaries[grips[lowest]])
+            grip = get_boundary_name(schedule.boundaries, schedule.boundaries[grips[lowest]])
             reason = Reason.of(
                 "mechanics.rod.in_plane",
                 step=step,
                 place=schedule.held_nodes[grips[lowest]],
                 grip=grip,
-                table=boundary_name(schedule.boundaries, plane),
+                table=get_boundary_name(schedule.boundaries, plane),
                 height=1e3 * heights[lowest],
                 clearance=1e3 * clearance,
             )
@@ -98,8 +99,8 @@ def check_line(
     Parameters
     ----------
     assembly, shape, balance : of the line
-    step : its number
-    max_strain : strain beyond which it counts as torn
+    step : number
+    max_strain : strain beyond which the line counts as torn
     """
     max_fold = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
@@ -125,12 +126,12 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     ----------
     schedule : of the boundaries
     balance : of the line
-    step : its number
+    step : number
     """
-    for k, thread in zip(schedule.rings, balance.threads, strict=True):
+    for k, thread in zip(schedule.rings, balance.ring_contacts, strict=True):
         if not 0.0 < thread.place < schedule.n:
             end = 0 if thread.place <= 0.0 else schedule.n
-            ring = boundary_name(schedule.boundaries, schedule.boundaries[k])
+            ring = get_boundary_name(schedule.boundaries, schedule.boundaries[k])
             raise NoEquilibriumError(
                 Reason.of("mechanics.rod.left_ring", step=step, place=end, ring=ring)
             )

@@ -1,4 +1,4 @@
-"""Bounds of the bending stiffness of a bundle, and the place of tests between them."""
+"""Study ``labpipe bundle``: bounds of a bundle's bending stiffness, and tests between them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, format_error
-from labpipe.mechanics.studies.study_json import entries
-from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
+from labpipe.errors import ProcessingError, UsageError
+from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.bundle_friction import fit_friction
 from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
 from labpipe.mechanics.wire.bundle_packing import (
@@ -27,6 +26,7 @@ from labpipe.mechanics.wire.bundle_packing import (
     fits_bore,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.protocol.load import load_test_sheet, parse_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, parse_bundle
@@ -48,6 +48,7 @@ from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, draw_bundle, draw
 from labpipe.report.figure_page import FigureToSave, save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 
 STIFFNESS = "bending_stiffness"
@@ -65,51 +66,50 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
 
     Yields
     ------
-    Group by group: its samples, then its mean. The mean has bounds where those of all samples are
-    the same. A place without bounds or without a stiffness has the reason.
+    Group by group: the places of its samples, then that of its mean. The mean has bounds only if
+    all its samples have the same bundle. A place without bounds or stiffness states the reason.
 
     Notes
     -----
-    The share is 0 where every wire slips on its neighbours and its strands slip too, 1 where
-    nothing slips: see `compute_bounds_share`.
+    The share is 0 where all wires and all strands slip, and 1 where nothing slips; see
+    `compute_bounds_share`.
     """
-    with_bundles = [group for group in groups if _bundles(group)]
-    bundles = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
-    bounds = _bounds_by_bundle(list(bundles), {wire.name: wire for wire in wires})
+    with_bundles = [group for group in groups if _list_bundles(group)]
+    bundles = dict.fromkeys(chain.from_iterable(map(_list_bundles, with_bundles)))
+    bounds = _compute_bounds(list(bundles), {wire.name: wire for wire in wires})
     for group in with_bundles:
         for sample in group.samples:
-            yield _sample_place(group, sample, bounds)
-        yield _mean_place(group, bounds)
+            yield _place_sample(group, sample, bounds)
+        yield _place_mean(group, bounds)
 
 
-def _bundles(group: Group) -> list[Bundle]:
-    return [bundle for sample in group.samples if (bundle := _bare_bundle(sample)) is not None]
+def _list_bundles(group: Group) -> list[Bundle]:
+    return [bundle for sample in group.samples if (bundle := _strip_covers(sample)) is not None]
 
 
-def _bare_bundle(sample: Sample) -> Bundle | None:
-    """Return the wires and their layout, on which bounds depend, without conduit and tape."""
+def _strip_covers(sample: Sample) -> Bundle | None:
+    """Return the bundle without conduit and tape, on which bounds do not depend."""
     bundle = sample.specimen.bundle
     return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
-def _bounds_by_bundle(
+def _compute_bounds(
     bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]
 ) -> dict[Bundle, _Bounds]:
     tables: dict[str, WireTable] = {}
     refused: dict[str, Reason] = {}
     for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
         if name not in wires:
-            refused[name] = Reason("not_in_sheet", f"no bounds: the sheet has no {name}")
+            refused[name] = Reason.of("mechanics.studies.not_in_sheet", wire=name)
             continue
         try:
             tables[name] = wire_table(wires[name])
         except ValueError as error:
-            message = f"no bounds: {name} of the sheet cannot be modelled: {error}"
-            refused[name] = Reason("no_law", message)
-    return {bundle: _bounds(bundle, tables, refused) for bundle in bundles}
+            refused[name] = Reason.of("mechanics.studies.no_law", wire=name, error=error)
+    return {bundle: _model_bounds(bundle, tables, refused) for bundle in bundles}
 
 
-def _bounds(
+def _model_bounds(
     bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
 ) -> _Bounds:
     reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
@@ -118,43 +118,37 @@ def _bounds(
     try:
         return compute_bundle_model(bundle, tables)
     except ValueError as error:
-        return (Reason("no_model", f"no bounds: {error}"),)
+        return (Reason.of("mechanics.studies.no_model", error=error),)
 
 
-def _sample_place(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _place_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     result = next((result for result in sample.results if result.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
-    reasons: tuple[Reason, ...] = (Reason("no_result", f"the test has no {STIFFNESS}"),)
+    reasons: tuple[Reason, ...] = (Reason.of("mechanics.studies.no_stiffness"),)
     if result is not None:
         reasons = result.reasons if value is None else ()
     place = BundlePlace(group.name, sample.test, value, interval, reasons=reasons)
-    bundle = _bare_bundle(sample)
+    bundle = _strip_covers(sample)
     if bundle is None:
-        return _with_reason(place, "no_bundle", "no bounds: its test sheet has no bundle")
-    return _with_share(place, bounds[bundle])
+        return replace(place, reasons=(Reason.of("mechanics.studies.no_bundle"),))
+    return _add_share(place, bounds[bundle])
 
 
-def _with_reason(place: BundlePlace, code: str, message: str) -> BundlePlace:
-    return replace(place, reasons=(Reason(code, message),))
-
-
-def _mean_place(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _place_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     number = next((number for number in group.numbers if number.name == STIFFNESS), None)
     mean = None if number is None or number.mean is None else number.mean.chosen
     value = None if mean is None else mean.mean
     place = BundlePlace(group.name, "", value, mean.interval if mean else None)
     if mean is None:
-        place = _with_reason(place, "no_result", f"no sample has a {STIFFNESS}")
-    shared = list(dict.fromkeys(map(_bare_bundle, group.samples)))
+        place = replace(place, reasons=(Reason.of("mechanics.studies.no_mean_stiffness"),))
+    shared = list(dict.fromkeys(map(_strip_covers, group.samples)))
     if len(shared) > 1 or shared[0] is None:
-        return _with_reason(
-            place, "bundles_differ", "no bounds: its samples have different bundles"
-        )
-    return _with_share(place, bounds[shared[0]])
+        return replace(place, reasons=(Reason.of("mechanics.studies.bundles_differ"),))
+    return _add_share(place, bounds[shared[0]])
 
 
-def _with_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
+def _add_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
     if isinstance(model, tuple):
         return replace(place, reasons=model)
     numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
@@ -162,7 +156,7 @@ def _with_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
     if place.value is None:
         return place
     if not model.high > model.low:
-        return _with_reason(place, "one_bound", "no share: the two bounds are the same")
+        return replace(place, reasons=(Reason.of("mechanics.studies.one_bound"),))
     share = partial(compute_bounds_share, low=model.low, high=model.high)
     interval = place.interval
     if interval is not None:
@@ -185,7 +179,7 @@ class Conduit:
     ----------
     bore : inner diameter, m
     packing_fraction : of the wires in it
-    holds : whether they fit in their layout
+    holds : whether the wires in their layout fit in it
     """
 
     bore: float
@@ -202,7 +196,7 @@ class ModelledBundle:
     name : composition of the bundle, or name of its test
     model : bounds of its bending
     conduits : to choose from, in that order
-    wanted_bore : m, of a conduit with a packing fraction of 0.7
+    wanted_bore : m, of a conduit with the packing fraction `WANTED_FRACTION`
     folder : of the results
     files : that were written
     friction : fitted to the cycles of a processed test; None for anything else
@@ -220,7 +214,7 @@ class ModelledBundle:
 
 
 def model_bundle(
-    what: str,
+    target: str,
     *,
     wires: Path,
     arrangement: str | None = None,
@@ -233,8 +227,8 @@ def model_bundle(
 
     Parameters
     ----------
-    what : a processed test (its folder or ``result.h5``), a test sheet, the folder of one, or text
-        such as ``10 B1 + 9 B2``
+    target : a processed test (its folder or ``result.h5``), a test sheet, the folder of a test
+        sheet, or text such as ``10 B1 + 9 B2``
     wires : wire sheet that has the types of the bundle as its wires
     arrangement : overrides that of the test sheet
     bores : m, inner diameters of conduits to choose from; override that of the test sheet
@@ -244,8 +238,8 @@ def model_bundle(
 
     Returns
     -------
-    The model in the best conduit of those to choose from; of a processed test, with the friction
-    fitted to its first cycle and the prediction of the other cycles.
+    The model in the best of the conduits. For a processed test it has the friction fitted to the
+    first cycle, and the prediction of the other cycles.
 
     Raises
     ------
@@ -254,31 +248,24 @@ def model_bundle(
         the bundle fits no conduit; earlier results are then unchanged.
     """
     if arrangement not in (None, *ARRANGEMENTS):
-        message = format_error(
+        raise UsageError.about(
+            "mechanics.studies.no_such_arrangement",
             "--arrangement",
-            "",
-            expected=f"one of {', '.join(ARRANGEMENTS)}",
-            found=repr(arrangement),
-            remedy="Choose one, or leave it out.",
+            choices=", ".join(ARRANGEMENTS),
+            name=arrangement,
         )
-        raise UsageError(message)
-    test = processed_test(what)
-    name, bundle = _read_bundle(what, test, arrangement)
+    test = read_processed_test(target)
+    name, bundle = _read_bundle(target, test, arrangement)
     tables = _read_tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
-        model = _in_best_conduit(
+        model = _choose_conduit(
             compute_bundle_model(replace(bundle, conduit_bore=None), tables), offered
         )
     except ValueError as error:
-        message = format_error(
-            what,
-            "",
-            expected="a bundle of wires that do not overlap and fit in its conduit",
-            found=f"this: {error}",
-            remedy="Check the wires, their positions and the bore.",
-        )
-        raise ProcessingError(message) from error
+        raise ProcessingError.about(
+            "mechanics.studies.wires_do_not_fit", target, error=error
+        ) from error
     folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
     diameters = model.layout.diameter
     conduits = [
@@ -291,15 +278,17 @@ def model_bundle(
     if test is not None:
         laws = [tables[wire.type] for wire in bundle.wires]
         try:
-            modelled = replace(modelled, friction=fit_friction(model, laws, bundle_loop(test)))
+            modelled = replace(modelled, friction=fit_friction(model, laws, extract_loop(test)))
         except ValueError as error:
             modelled = replace(modelled, no_friction=str(error))
     return _write(modelled, figures=figures, png=png)
 
 
-def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) -> tuple[str, Bundle]:
+def _read_bundle(
+    target: str, test: TestResult | None, arrangement: str | None
+) -> tuple[str, Bundle]:
     """Return name and composition, of a processed test, a test sheet or text."""
-    path = Path(what)
+    path = Path(target)
     with suppress(OSError):  # text that is too long for a file name
         path = path / SHEET_NAME if path.is_dir() else path
     if test is not None:
@@ -308,44 +297,38 @@ def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) ->
         sheet = load_test_sheet(path)
         name, bundle = sheet.test, sheet.specimen.record.bundle
     else:
-        bundle = parse_bundle(what, arrangement=arrangement or PACKED)
+        bundle = parse_bundle(target, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")
         return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
     if bundle is None:
-        message = format_error(
-            path if test is None else what,
-            "specimen",
-            expected="a bundle",
-            found="none",
-            remedy="State the wires of the bundle, such as 'bundle: {wires: {B1: 7}}'.",
-        )
-        raise UsageError(message)
+        file = path if test is None else target
+        raise UsageError.about("mechanics.studies.sheet_without_bundle", file, "specimen")
     return name, replace(bundle, arrangement=arrangement or bundle.arrangement)
 
 
 def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
     """Compute the laws of the wires of a bundle."""
-    specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    specs = {spec.name: spec for spec in read_wire_sheet(wires).specs}
     missing = [wire.type for wire in bundle.wires if wire.type not in specs]
     if missing:
-        message = format_error(
+        raise UsageError.about(
+            "mechanics.studies.wire_without_row",
             wires,
-            "",
-            expected=f"a row for each wire of the bundle, {', '.join(missing)} too",
-            found=f"rows for {', '.join(specs)}",
-            remedy="Add the row, or name another wire sheet with --wire.",
+            missing=", ".join(missing),
+            names=", ".join(specs),
         )
-        raise UsageError(message)
     tables = {}
     for name in dict.fromkeys(wire.type for wire in bundle.wires):
         try:
             tables[name] = wire_table(specs[name])
         except ValueError as error:
-            raise wire_error(wires, specs[name], "a wire that can be modelled", error) from error
+            raise build_wire_error(
+                wires, specs[name], "a wire that can be modelled", error
+            ) from error
     return tables
 
 
-def _in_best_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
+def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
     """Return the model inside the best of the conduits to choose from."""
     if not offered:
         return model
@@ -392,67 +375,63 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
-        **entries(modelled, "name", "wanted_bore", "conduits", "no_friction"),
+        **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
         "wanted_packing_fraction": WANTED_FRACTION,
-        **entries(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        **select_json(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
         "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
         "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
-        "friction": friction and friction_as_json(friction),
+        "friction": friction and _build_friction_json(friction),
     }
 
 
-def processed_test(what: str) -> TestResult | None:
+def read_processed_test(target: str) -> TestResult | None:
     """Read a processed test; return None for anything else.
 
     Parameters
     ----------
-    what : a folder with a ``result.h5``, that file, or anything else
+    target : a folder with a ``result.h5``, that file, or anything else
 
     Raises
     ------
     StoreError
         If the file cannot be read.
     """
-    path = Path(what)
+    path = Path(target)
     with suppress(OSError):  # text that is too long for a file name
         path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
     return read_outcome(path) if path.suffix == ".h5" else None
 
 
-def bundle_loop(test: TestResult) -> BundleLoop:
-    """Return the cycles of a processed test as those of a cantilever.
+def extract_loop(test: TestResult) -> BundleLoop:
+    """Extract the cycles of a processed test as those of a cantilever.
 
     Parameters
     ----------
-    test : of a bundle, with the specimen's `length` (a cantilever) or `span` (bent between two
-        supports)
+    test : of a bundle, with the specimen's `length` (cantilever) or `span` (three-point bending)
 
     Returns
     -------
-    The loop; of a cantilever with the weight of its test sheet. A span rests on both supports.
+    The loop. A span counts as two cantilevers of half its length, without weight.
 
     Raises
     ------
     ValueError
         If the test has no curve, neither length nor span, or no kink.
     """
-    # of the length; smaller deflections are within the error of the zero.
+    # of the length; smaller deflections are within the error of the zero
     min_deflection_share = 1e-3
     curve, dimensions = test.curve, test.specimen.dimensions
     values = {result.name: result.value for result in test.results}
     kink = values.get("kink_displacement"), values.get("kink_force")
     if curve is None or not curve.branches:
-        message = "the test has no curve with branches"
-        raise ValueError(message)
+        raise ValueError(format_sentence("mechanics.studies.no_branches"))
     if kink[0] is None or kink[1] is None:
-        message = "the test has no kink (kink_displacement, kink_force), where its wires slip"
-        raise ValueError(message)
+        raise ValueError(format_sentence("mechanics.studies.no_kink"))
     if "length" not in dimensions and "span" not in dimensions:
-        message = "the test sheet has neither length nor span"
-        raise ValueError(message)
+        raise ValueError(format_sentence("mechanics.studies.no_length_or_span"))
     length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
-    share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
+    share = 1.0 if "length" in dimensions else 0.5  # each half of a span carries half the force
     rows, branch = _thin_branches(curve, min_deflection_share * length)
     slide = values.get("plateau_displacement")
     self_weight = 0.0
@@ -485,17 +464,13 @@ def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
     return np.concatenate(rows), np.concatenate(branches)
 
 
-_FRICTION = (
+_FRICTION_NUMBERS = (
     *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
     *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
 )
 
 
-def friction_as_json(fit: FrictionFit) -> dict[str, object]:
-    """Return the friction of a bundle as lists and numbers, SI units.
-
-    Parameters
-    ----------
-    fit : of a processed test; a `slide_curvature` that is infinite becomes None
-    """
-    return entries(fit, *_FRICTION) | entries(fit.loop, "length", "deflection", "force", "branch")
+def _build_friction_json(fit: FrictionFit) -> dict[str, object]:
+    return select_json(fit, *_FRICTION_NUMBERS) | select_json(
+        fit.loop, "length", "deflection", "force", "branch"
+    )

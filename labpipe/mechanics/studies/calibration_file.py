@@ -1,4 +1,4 @@
-"""Calibrations in ``calibration.json``: written with all numbers, read for later predictions."""
+"""Writing of ``calibration.json`` with all its numbers, and reading for later predictions."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, format_error
-from labpipe.mechanics.studies.study_json import entries, plain
+from labpipe.errors import ProcessingError
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import (
@@ -29,12 +28,12 @@ from labpipe.records.wire_calibration import (
     Solution,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.store.summaries import replace_non_finite
+from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2
 
 
-def calibration_json(
+def build_calibration_json(
     calibration: Calibration,
     groups: Sequence[ValidationGroup],
     left_out: Mapping[str, str],
@@ -54,38 +53,38 @@ def calibration_json(
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
-        **entries(calibration, "wire", "method", *numbers, quality="notes"),
-        "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
-        "solutions": [_solution_json(solution) for solution in calibration.solutions],
-        "isotropic_share": calibration.share and _share_json(calibration.share),
+        **select_json(calibration, "wire", "method", *numbers, quality="notes"),
+        "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],
+        "solutions": [_build_solution(solution) for solution in calibration.solutions],
+        "isotropic_share": calibration.share and _build_share(calibration.share),
         "tested_curvature": replace_non_finite(tested),
-        "correlations": {"names": list(PARAMETERS), "values": plain(calibration.correlations)},
-        "separability": _separability_json(calibration.separability),
-        "friction_separability": None if friction is None else _separability_json(friction),
+        "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
+        "separability": _build_separability(calibration.separability),
+        "friction_separability": None if friction is None else _build_separability(friction),
         "curves": [
-            entries(
+            select_json(
                 *(curve, "test", "sample", "length", "sample_factor"),
                 *("sse", "rmse", "rmse_share", "runs_p"),
                 lag_one="lag_one_correlation",
             )
             for curve in calibration.curves
         ],
-        "groups": [_group_json(group) for group in groups],
+        "groups": [_build_group(group) for group in groups],
         "left_out": dict(left_out),
     }
 
 
-def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
+def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
     interval, conflict = parameter.interval, parameter.conflict
-    ends = [[plain(part.lower), plain(part.upper)] for part in parameter.intervals]
+    ends = [[to_json(part.lower), to_json(part.upper)] for part in parameter.intervals]
     if ends and parameter.is_open_below:
         ends[0][0] = None
     if ends and parameter.is_open_above:
         ends[-1][1] = None
     names = ("factor", "source", "size", "contradicts", "message")
-    prior = conflict and entries(conflict, *names, value="centre", without="alone")
+    prior = conflict and select_json(conflict, *names, value="centre", without="alone")
     return {
-        **entries(
+        **select_json(
             parameter, "name", "value", "unit", "verdict", "profiles", "source", words="explanation"
         ),
         "lower": ends[0][0] if ends else None,
@@ -96,10 +95,10 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
     }
 
 
-def _share_json(share: IsotropicShare) -> dict[str, object]:
+def _build_share(share: IsotropicShare) -> dict[str, object]:
     ends = {name: [part.lower, part.upper] for name, part in share.by_number.items()}
     return {
-        **entries(share, "value", "n_tests", "is_creep"),
+        **select_json(share, "value", "n_tests", "is_creep"),
         "lower": share.interval.lower,
         "upper": share.interval.upper,
         "level": share.interval.level,
@@ -107,37 +106,37 @@ def _share_json(share: IsotropicShare) -> dict[str, object]:
     }
 
 
-def _solution_json(solution: Solution) -> dict[str, object]:
+def _build_solution(solution: Solution) -> dict[str, object]:
     names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
-    values = zip(PARAMETERS, plain(solution.values), strict=True)
-    return dict(values) | entries(solution, *names, in_95_percent_set="is_allowed")
+    values = zip(PARAMETERS, to_json(solution.values), strict=True)
+    return dict(values) | select_json(solution, *names, in_95_percent_set="is_allowed")
 
 
-def _separability_json(separability: Separability) -> dict[str, object]:
+def _build_separability(separability: Separability) -> dict[str, object]:
     names = ("names", "singular_values", "combinations")
-    return entries(separability, *names, words="explanation", identified="are_identified")
+    return select_json(separability, *names, words="explanation", identified="are_identified")
 
 
-def _group_json(group: ValidationGroup) -> dict[str, object]:
+def _build_group(group: ValidationGroup) -> dict[str, object]:
     errors, prediction = group.errors, group.prediction
     curves = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
     return {
-        **entries(group, "wire", "length", calibrating="is_calibrated"),
+        **select_json(group, "wire", "length", calibrating="is_calibrated"),
         "tests": list(group.samples),
         "n": errors and errors.n,
         "sse": errors and replace_non_finite(errors.sse),
-        **_errors_json(errors),
-        "reasons": [] if group.reason is None else [plain(group.reason)],
-        "prediction": prediction and entries(prediction, *curves),
+        **_build_errors(errors),
+        "reasons": [] if group.reason is None else [to_json(group.reason)],
+        "prediction": prediction and select_json(prediction, *curves),
     }
 
 
-def _errors_json(errors: CurveErrors | None) -> dict[str, float | None]:
+def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
     names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
-    return dict.fromkeys(names) if errors is None else entries(errors, **names)
+    return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
-def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
+def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
     """Return a comparison as lists and SI numbers; None where there is no number.
 
     Parameters
@@ -146,18 +145,18 @@ def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
     """
     curve = comparison.curve
     return {
-        **entries(curve, "name", "file", "source", "wire", "length", "deflection", "force"),
+        **select_json(curve, "name", "file", "source", "wire", "length", "deflection", "force"),
         "load": "normal" if curve.is_normal else "as tested",
-        "tests": comparison.tests and _match_json(comparison.tests),
-        "model": _match_json(comparison.model),
-        "quality": plain(comparison.notes),
+        "tests": comparison.tests and _build_match(comparison.tests),
+        "model": _build_match(comparison.model),
+        "quality": to_json(comparison.notes),
     }
 
 
-def _match_json(match: CurveMatch) -> dict[str, object]:
+def _build_match(match: CurveMatch) -> dict[str, object]:
     count = 0 if match.errors is None else match.errors.n
-    numbers = entries(match, "left_out", force="reference", reason="explanation")
-    return {"n": count, **numbers, **_errors_json(match.errors)}
+    numbers = select_json(match, "left_out", force="reference", reason="explanation")
+    return {"n": count, **numbers, **_build_errors(match.errors)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,10 +201,9 @@ def read_calibrated(path: Path) -> CalibratedFile:
         fault = error.strerror or "no file"
     except (ValueError, LookupError, TypeError) as error:
         fault = f"something else ({type(error).__name__}: {error})"
-    expected = "a calibration.json with solutions, their mixtures and the tested curvature"
-    remedy = "Calibrate again with this version of labpipe: labpipe calibrate."
-    message = format_error(path, "calibration", expected=expected, found=fault, remedy=remedy)
-    raise ProcessingError(message)
+    raise ProcessingError.about(
+        "mechanics.studies.no_calibration", path, "calibration", fault=fault
+    )
 
 
 def _parse_file(content: dict[str, Any]) -> CalibratedFile:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,35 +13,37 @@ import numpy as np
 from labpipe.errors import ProcessingError
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import MomentLaw
-from labpipe.mechanics.studies.calibration_file import calibration_json, comparison_json
+from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
+    note_sheet_weight,
     read_first_loadings,
-    weight_note,
-    with_self_weight,
+    set_self_weight,
 )
 from labpipe.mechanics.studies.validation import (
-    bent_shapes,
-    built_wire,
-    compare,
-    default_sheet,
+    build_sheet_wire,
+    choose_wire,
+    compare_shapes,
+    compare_tests,
     drop_copies,
-    insulation_notes,
-    misfit_notes,
+    find_wire_sheet,
+    note_insulations,
+    note_misfits,
     require_wires,
-    wire_to_calibrate,
 )
-from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wires
+from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
 from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
+from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -60,9 +62,6 @@ from labpipe.store.replace import locked, replacing_together
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
 FIGURES_FOLDER = "figures"
-_REMEDY = (
-    "Check the values and units of fixed and prior values in the plan, and the row of the wire."
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +126,8 @@ def calibrate_tests(
         ambiguous, or the calibration fails; earlier results are then unchanged.
     """
     settings = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
-    wires = default_sheet() if wires is None else wires
-    sheet = read_wires(wires)
+    wires = find_wire_sheet() if wires is None else wires
+    sheet = read_wire_sheet(wires)
     specs = {spec.name: spec for spec in sheet.specs}
     curves = read_external_curves(settings, plan, specs, wires)
     files = find_results(targets)
@@ -139,27 +138,28 @@ def calibrate_tests(
         raise ProcessingError("\n".join(left_out.values()))
     refuse_duplicates([(loading.curve.test, loading.file) for loading in loadings], "name")
     loadings, copies = drop_copies(loadings)
-    name = wire_to_calibrate(loadings, settings, plan)
+    name = choose_wire(loadings, settings, plan)
     require_wires(loadings, specs, wires)
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
-    built = {wire: built_wire(specs[wire], wires) for wire in wires_needed}
+    built = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
     unweighted = [loading for loading in loadings if loading.curve.wire == name]
-    weight = weight_note(unweighted, built[name].self_weight)
+    weight = note_sheet_weight(unweighted, built[name].self_weight)
     loadings = [
-        with_self_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings
+        set_self_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings
     ]
     calibrating = [loading for loading in loadings if loading.curve.wire == name]
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibration(built[name], calibrating, settings, tables)
+    calibration = _calibrate(built[name], calibrating, settings, tables)
     share = _calibrate_share(specs[name], calibration, calibrating)
-    calibration = replace(calibration, share=share)
+    share_notes = tuple(_list_share_notes(specs[name], share))
+    calibration = replace(calibration, share=share, notes=(*calibration.notes, *share_notes))
     measured = [loading.curve for loading in calibrating]
     reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
-    notes = (weight, *insulation_notes(calibration, built, specs, loadings))
-    groups = compare(calibration, built, loadings)
-    notes = (*notes, *misfit_notes(groups))
+    notes = (weight, *note_insulations(calibration, built, specs, loadings))
+    groups = compare_tests(calibration, built, loadings)
+    notes = (*notes, *note_misfits(groups))
     calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
     done = Calibrated(
         folder=shared_folder(files) / "calibration" if out is None else out,
@@ -174,13 +174,13 @@ def calibrate_tests(
         stress_tables=sheet.curves[name],
     )
     if figures:
-        wire = built_wire(calibrated_spec(specs[name], calibration), wires)
-        done = replace(done, shapes=_shapes(calibrating[0], wire))
-    calibrated = [calibrated_spec(specs[test], calibration) for test in sorted(tested)]
+        wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
+        done = replace(done, shapes=_compare_shapes(calibrating[0], wire))
+    calibrated = [apply_calibration(specs[test], calibration) for test in sorted(tested)]
     return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))
 
 
-def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
+def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
     """Return a wire with the parameters of a calibration instead of those of its sheet.
 
     Parameters
@@ -197,23 +197,25 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     )
 
 
-def _calibration(
+def _calibrate(
     wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, tables: Sequence[str]
 ) -> Calibration:
     settings = Settings(
-        choices=_choices(plan), gain=max(loading.gain for loading in loadings), scatter=plan.scatter
+        choices=_build_choices(plan),
+        gain=max(loading.gain for loading in loadings),
+        scatter=plan.scatter,
     )
     outcome = calibrate(wire, [loading.curve for loading in loadings], settings)
     if isinstance(outcome, CalibrationFailure):
-        message = (
-            f"the calibration of {loadings[0].curve.wire} failed ({outcome.code}): "
-            f"{outcome.message}. {_REMEDY}"
+        message = format_sentence(
+            "mechanics.studies.calibration_failed",
+            wire=loadings[0].curve.wire,
+            code=outcome.code,
+            reason=outcome.message,
         )
         if tables and outcome.code == "model_cannot_follow":
-            message += (
-                f" If a stress table ends too early ({', '.join(tables)}), add the missing points "
-                f"to it, or a smaller up_to to the plan."
-            )
+            named = ", ".join(tables)
+            message += " " + format_sentence("mechanics.studies.short_stress_table", tables=named)
         raise ProcessingError(message)
     notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
     return replace(outcome, notes=notes)
@@ -250,15 +252,28 @@ def _calibrate_share(
     )
 
 
-def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
+def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[QualityNote]:
+    """Yield notes on a share that is not calibrated, and on a stress table that ends early."""
+    if share is None:
+        yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
+    elif share.is_creep:
+        yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
+    if spec.stress_table is not None:
+        last = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
+        reached = find_range(spec)[0]
+        if last < LOOP_RANGE * reached:
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=last)
+
+
+def _compare_shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
     """Return the shapes of the first test of the calibrated wire."""
     curve = loading.curve
     deepest = float(np.max(curve.deflection))
-    shapes = bent_shapes(loading.file, wire, curve.length, curve.rig, deepest)
+    shapes = compare_shapes(loading.file, wire, curve.length, curve.rig, deepest)
     return {curve.test: shapes} if shapes else {}
 
 
-def _choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
+def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
     """Return the choices of the plan; a parameter without one is free if it has an effect."""
     settings = {
         name: getattr(plan.parameters, name)
@@ -308,9 +323,9 @@ def as_json(done: Calibrated) -> dict[str, object]:
     ----------
     done : the calibration
     """
-    content = calibration_json(
+    content = build_calibration_json(
         *(done.calibration, done.groups, done.left_out), done.tested_curvature
     )
     stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
-    compared = [comparison_json(comparison) for comparison in done.comparisons]
+    compared = [build_comparison_json(comparison) for comparison in done.comparisons]
     return content | {"comparisons": compared, "stress_tables": stated}

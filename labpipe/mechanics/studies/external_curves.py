@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, format_error, sort_by_likeness
+from labpipe.errors import ReadError, UsageError, sort_by_likeness
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, compare_curves
 from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.protocol.plans import COPY_REMEDY, CalibrationPlan, Comparison
+from labpipe.messages import format_sentence
+from labpipe.protocol.plans import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     Calibration,
@@ -51,18 +52,19 @@ def read_external_curves(
     for comparison in settings.comparisons:
         if comparison.wire not in specs:
             nearest = ", ".join(sort_by_likeness(comparison.wire, list(specs)))
-            message = format_error(
+            error = UsageError.about(
+                "mechanics.studies.curve_of_unknown_wire",
                 plan or "plan",
                 f"comparison '{comparison.name}', wire",
-                expected=f"a wire of {wires} ({nearest})",
-                found=f"'{comparison.wire}'",
-                remedy="Name the wire that the curve is of, or add it to the sheet.",
+                sheet=wires,
+                near=nearest,
+                wire=comparison.wire,
             )
-            faults.append(message)
+            faults.append(str(error))
         try:
             external_curves.append(_read_external(comparison, folder))
-        except ReadError as error:
-            faults.append(str(error))
+        except ReadError as damaged:
+            faults.append(str(damaged))
     if faults:
         raise UsageError("\n".join(faults))
     return tuple(external_curves)
@@ -71,8 +73,7 @@ def read_external_curves(
 def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
-        expected, actual = "a file inside the folder of the plan", "a link out of it"
-        raise ReadError(format_error(path, "", expected=expected, found=actual, remedy=COPY_REMEDY))
+        raise ReadError.about("mechanics.studies.curve_outside_plan", path)
     across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,
@@ -129,7 +130,7 @@ def _is_same_specimen(curve: ExternalCurve, wire: str, length: float) -> bool:
     return curve.wire == wire and abs(curve.length - length) < max_length_difference
 
 
-def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+def _choose_string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
     """Return the string of the tests of that wire and length, else of the first test."""
     same_specimen = [
         loading.curve
@@ -150,7 +151,7 @@ def _compare(
     loadings: Sequence[FirstLoading],
 ) -> ExternalCurveComparison:
     tests, prediction, reason = None, None, ""
-    string = _string(curve, loadings)
+    string = _choose_string(curve, loadings)
     rig = None if curve.is_normal else string
     if group is not None:
         band = group.band
@@ -163,20 +164,20 @@ def _compare(
         grid = np.linspace(0.0, deepest, 200)
         prediction = predict(calibration, wire, curve.length, grid, rig=rig)
     except ValueError as error:
-        reason = f"the model has no such curve: {error}"
+        reason = format_sentence("mechanics.studies.no_such_curve", error=error)
     if prediction is None:
         no_force = np.full(len(curve.deflection), np.nan)
         model = CurveMatch(no_force, None, len(no_force), reason)
     else:
         ends = (prediction.lower_mean, prediction.upper_mean)
         model = compare_curves(curve, prediction.deflection, prediction.force, ends, "the model")
-    notes = list(_notes(curve, tests, model))
+    notes = list(_note_comparison(curve, tests, model))
     if rig is not string:
-        notes += _load_notes(curve, group, prediction)
+        notes += _note_load_direction(curve, group, prediction)
     return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
 
 
-def _load_notes(
+def _note_load_direction(
     curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
     """Note by how much the force depends on the direction of the load, by the model."""
@@ -187,29 +188,29 @@ def _load_notes(
     end_deflection = min(float(end[-1]) for end in ends)
     as_tested = float(np.interp(end_deflection, pulled.deflection, pulled.force))
     normal = float(np.interp(end_deflection, prediction.deflection, prediction.force))
-    message = (
-        f"its load is normal to the axis, unlike that of the tests: at {1e3 * end_deflection:.4g} "
-        f"mm the force of the model is {1e3 * as_tested:.4g} mN as tested and {1e3 * normal:.4g} "
-        f"mN normal to the axis"
+    yield QualityNote.of(
+        "mechanics.studies.external_curve_load",
+        curve.name,
+        deflection=1e3 * end_deflection,
+        tested=1e3 * as_tested,
+        normal=1e3 * normal,
     )
-    yield QualityNote("external_curve_load", Severity.INFO, curve.name, message)
 
 
-def _notes(
+def _note_comparison(
     curve: ExternalCurve, tests: CurveMatch | None, model: CurveMatch
 ) -> Iterator[QualityNote]:
     if tests is None:
-        message = (
-            f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: compared with the model alone"
+        length = 1e3 * curve.length
+        yield QualityNote.of(
+            "mechanics.studies.external_curve_untested", curve.name, wire=curve.wire, length=length
         )
-        yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
-    for agreement in (tests, model):
-        if agreement is None or not agreement.explanation:
-            continue
-        if agreement.errors is None:
-            message = agreement.explanation
-            yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, message)
-        else:
-            yield QualityNote(
-                "external_curve_cut", Severity.INFO, curve.name, agreement.explanation
+    for match in (tests, model):
+        if match is not None and match.explanation:
+            yield QualityNote.of(
+                "mechanics.studies.external_curve_not_compared"
+                if match.errors is None
+                else "mechanics.studies.external_curve_cut",
+                curve.name,
+                reason=match.explanation,
             )

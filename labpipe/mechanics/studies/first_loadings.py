@@ -1,8 +1,8 @@
-"""First loadings of processed cantilever tests for a calibration, with their systematic errors.
+"""Extraction of the first loading of cantilever tests for a calibration, with its errors.
 
-These errors do not average out over the points as noise does. An error of the force zero shifts the
-curve in force; errors of the deflection zero and of the clock shift it in deflection; an error of
-the fitted shape is proportional to the deflection and the same in all tests of a rig.
+Systematic errors do not average out over the points as noise does. An error of the force zero
+shifts the curve in force; errors of the deflection zero and of the clock shift it in deflection; an
+error of the fitted shape is proportional to the deflection and the same in all tests of a rig.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import find_linear_range
+from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.records.wire import WireSpec
 from labpipe.results.beam import compute_prop_force
@@ -36,8 +37,8 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.units import GRAVITY
 
 
-def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
-    """Return the standard error of the force zero, N.
+def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
+    """Estimate the standard error of the force zero, N, from the force at rest.
 
     Parameters
     ----------
@@ -46,16 +47,18 @@ def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
 
     Returns
     -------
-    From the scatter of the force at rest; 0 where the test has no rest before its loading.
+    0 where the test has fewer than four samples at rest before its loading.
     """
     rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
     zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
     duration = next((step.over for step in zeroed), None)  # duration of the mean, s
-    return zero_error(curve.time[rest], curve.force[rest], duration)
+    return estimate_zero_error(curve.time[rest], curve.force[rest], duration)
 
 
-def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Branch) -> float:
-    """Return the standard error of the shift of all deflections, m.
+def estimate_place_error(
+    result: TestResult, protocol: Protocol, curve: Curve, first: Branch
+) -> float:
+    """Estimate the standard error of the shift of all deflections, m.
 
     Parameters
     ----------
@@ -64,20 +67,22 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
 
     Returns
     -------
-    That of the deflection zero, as `force_zero_error`, combined with that of the clock of the force
-    times the speed of the deflection; the latter is 0 where there is one clock only.
+    Root sum of squares of two errors: that of the deflection zero, and that of the clock of the
+    force times the speed of the deflection. The latter is 0 for a test with a single clock.
     """
     rest = slice(0, first.start)
     frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
     duration = next((step.over for step in frames), None)  # duration of the reference, s
-    zero = zero_error(curve.time[rest], curve.displacement[rest], duration)
+    zero = estimate_zero_error(curve.time[rest], curve.displacement[rest], duration)
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
-    return float(np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _speed(curve, first)))
+    return float(
+        np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _compute_speed(curve, first))
+    )
 
 
-def scale_errors(result: TestResult) -> tuple[float, float]:
-    """Return the standard errors of the scale of the deflection, as ratios.
+def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
+    """Return the standard errors of the scale of the deflection, relative.
 
     Parameters
     ----------
@@ -85,9 +90,8 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
 
     Returns
     -------
-    common : the same in all tests: scale of the cameras, and effect of another fitted shape on the
-        first peak
-    test_error : of this test alone, by the places of its markers
+    common : same error in all tests: scale of the cameras, and choice of the fitted shape
+    test_error : error of this test alone, from the places of its markers
 
     Notes
     -----
@@ -108,8 +112,8 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
     return common, test_error
 
 
-def zero_error(time: Floats, values: Floats, duration: float | None) -> float:
-    """Return the standard error of a zero, the mean over part of a rest, in the unit of values.
+def estimate_zero_error(time: Floats, values: Floats, duration: float | None) -> float:
+    """Estimate the standard error of a zero, which is a mean over part of a rest.
 
     Parameters
     ----------
@@ -119,12 +123,12 @@ def zero_error(time: Floats, values: Floats, duration: float | None) -> float:
 
     Returns
     -------
-    0 for fewer than four values.
+    The error in the unit of the values; 0 for fewer than four values.
 
     Notes
     -----
-    Long-run variance of the whole rest (`estimate_long_run_variance`) over the number of values in
-    the part.
+    The long-run variance of the whole rest (`estimate_long_run_variance`) is divided by the number
+    of values in the part.
     """
     valid = values[~np.isnan(values)]
     variance = estimate_long_run_variance(valid, parameters=1)
@@ -135,7 +139,7 @@ def zero_error(time: Floats, values: Floats, duration: float | None) -> float:
     return float(np.sqrt(variance / (share * len(valid))))
 
 
-def _speed(curve: Curve, first: Branch) -> float:
+def _compute_speed(curve: Curve, first: Branch) -> float:
     """Return the mean speed of the deflection over the branch, m/s."""
     part = slice(first.start, first.stop)
     valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
@@ -153,9 +157,9 @@ class FirstLoading:
     Parameters
     ----------
     curve : for a calibration
-    gain : standard uncertainty of the load cell's gain, as a ratio
-    notes : doubts, and what was cut off
-    file : that it was read from
+    gain : relative standard uncertainty of the load cell's gain
+    notes : on doubtful results, and on points that were left out
+    file : result.h5 of the test
     cycles : what the cycles of the test left; None without a first peak
     """
 
@@ -167,7 +171,7 @@ class FirstLoading:
 
 
 class NotUsableError(LabpipeError):
-    """A test without a first loading for a calibration; the message has the reason."""
+    """A test that a calibration cannot use; the message states the reason."""
 
 
 def read_first_loadings(
@@ -182,13 +186,13 @@ def read_first_loadings(
     Parameters
     ----------
     files : result.h5 files
-    points : of each curve, approximately; each is the mean of consecutive samples
+    points : approximate number per curve; each point is a mean of consecutive samples
     up_to : m, largest deflection to use; None for `DEEPEST` of the length
     say : called with the name of each test as it is read
 
     Returns
     -------
-    The curves, and by file why a test was left out.
+    The first loadings, and the reason for each test that was left out, by file.
     """
     loadings: list[FirstLoading] = []
     left_out: dict[str, str] = {}
@@ -197,7 +201,7 @@ def read_first_loadings(
         try:
             result = read_stages(file)
             protocol = parse_protocol(result.protocol_yaml, str(file))
-            loading = first_loading(result, protocol, points=points, up_to=up_to)
+            loading = extract_first_loading(result, protocol, points=points, up_to=up_to)
             loadings.append(replace(loading, file=file))
         except LabpipeError as error:
             message = str(error)
@@ -205,10 +209,10 @@ def read_first_loadings(
     return loadings, left_out
 
 
-def first_loading(
+def extract_first_loading(
     result: TestResult, protocol: Protocol, *, points: int, up_to: float | None = None
 ) -> FirstLoading:
-    """Return the first loading of a processed test.
+    """Extract the first loading of a processed test.
 
     Parameters
     ----------
@@ -218,31 +222,29 @@ def first_loading(
 
     Returns
     -------
-    The curve up to its largest deflection. The string is assumed to hold the wire straight at rest,
-    so that the load cell, zeroed then, reads the force beyond the counterweight; a test that does
-    not show whether it did has a note.
+    The curve up to its largest deflection. The force is that beyond the counterweight, because the
+    load cell is zeroed while the string holds the wire straight. A note states if the test does not
+    show whether the wire was straight.
 
     Raises
     ------
     NotUsableError
-        If it is no cantilever test, or has no zero of force and deflection, no curve, no first
-        loading, no free length, too few points, or a wire that sagged at rest.
+        If it is no cantilever test; if it has no zero at rest, no curve, no first loading or no
+        free length; if it has too few points; or if its wire sagged at rest.
 
     Notes
     -----
-    The noise of a point is that of the second differences of the block means: of the force, and of
-    the deflection times the slope of the curve. Errors common to all points are separate:
-    `force_zero_error`, `place_error`, `scale_errors`.
+    The noise of a point is estimated from second differences of the block means: those of the
+    force, and those of the deflection times the slope of the curve.
     """
     min_points = 20
     _require_cantilever(protocol)
     _require_zeros(result)
-    curve, branch = _first_branch(result)
-    rest_notes = _rest_notes(result, curve, branch, protocol)
+    curve, branch = _find_first_branch(result)
+    rest_notes = _check_rest(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
-        message = "the free length is unknown: state it in the test sheet (specimen.length)"
-        raise NotUsableError(message)
+        raise NotUsableError(format_sentence("mechanics.studies.no_length"))
     limit = min(up_to or np.inf, DEEPEST * length)
     part = slice(branch.start, branch.stop)
     deflection = average_blocks(curve.displacement[part], points)
@@ -250,10 +252,9 @@ def first_loading(
     usable = np.isfinite(deflection) & np.isfinite(force)
     taken = usable & (deflection > 0.0) & (deflection <= limit)
     if taken.sum() < min_points:
-        message = (
-            f"{int(taken.sum())} points of the first loading lie between 0 and "
-            f"{1e3 * limit:.3g} mm, at least {min_points} are required: increase the number of "
-            "points or up_to"
+        count, end = int(taken.sum()), 1e3 * limit
+        message = format_sentence(
+            "mechanics.studies.few_points", count=count, end=end, least=min_points
         )
         raise NotUsableError(message)
     string, rig = protocol.rig.string, None
@@ -261,7 +262,7 @@ def first_loading(
         weight = GRAVITY * string.counterweight
         rig = StringRig(string.length, weight, length, string.length)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
-    common_scale_error, test_scale_error = scale_errors(result)
+    common_scale_error, test_scale_error = estimate_scale_errors(result)
     measured = MeasuredCurve(
         wire=result.specimen.type,
         test=result.test,
@@ -269,25 +270,28 @@ def first_loading(
         length=length,
         deflection=deflection[taken],
         force=force[taken],
-        noise=_noise(deflection[usable], force[usable])[taken[usable]],
+        noise=_estimate_point_noise(deflection[usable], force[usable])[taken[usable]],
         rig=rig,
-        zero_error=force_zero_error(protocol, curve, branch),
-        place_error=place_error(result, protocol, curve, branch),
+        zero_error=estimate_force_zero_error(protocol, curve, branch),
+        place_error=estimate_place_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
         own_scale_error=test_scale_error,
-        self_weight=_self_weight(protocol),
+        self_weight=_read_self_weight(protocol),
     )
     notes = (
-        *_doubt_notes(result),
+        *_note_doubts(result),
         *rest_notes,
-        *_cut_notes(result.test, deflection[usable], limit),
+        *_note_cut(result.test, deflection[usable], limit),
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
     gain = 0.0 if channel is None else channel.gain_uncertainty
-    return FirstLoading(measured, gain, notes, cycles=read_cycles(result, measured))
+    cycles, cycle_notes = read_cycles(result, measured)
+    return FirstLoading(measured, gain, (*notes, *cycle_notes), cycles=cycles)
 
 
-def read_cycles(result: TestResult, curve: MeasuredCurve) -> CycledTest | None:
+def read_cycles(
+    result: TestResult, curve: MeasuredCurve
+) -> tuple[CycledTest | None, tuple[QualityNote, ...]]:
     """Read what the cycles of a test left, from its results that are `ok`.
 
     Parameters
@@ -298,27 +302,30 @@ def read_cycles(result: TestResult, curve: MeasuredCurve) -> CycledTest | None:
     Returns
     -------
     Residual deflection and energy of the first cycle; the second over the first peak force, if both
-    cycles reach the same deflection. None without a first peak.
+    cycles reach the same deflection, else a note. None without a first peak.
     """
     max_growth = 0.01  # of the deflection from cycle to cycle: beyond, the peaks differ by it
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
-    peak = numbers.get("peak_displacement.1")
+    peak, second = (numbers.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
     if peak is None or not peak.value:
-        return None
-    found: dict[str, tuple[float, float]] = {}
+        return None, ()
+    left: dict[str, tuple[float, float]] = {}
     for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
         number = numbers.get(key)
         if number is not None and number.value is not None and number.interval is not None:
-            found[name] = number.value, number.interval.standard_error
-    pair = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
-    second = numbers.get("peak_displacement.2")
-    is_same = second and abs((second.value or 0.0) / peak.value - 1.0) <= max_growth
-    if is_same and all(number is not None and number.value for number in pair):
-        values = [float(number.value or 0.0) for number in pair if number is not None]
-        errors = [own_error(number) / value for number, value in zip(pair, values, strict=True)]
+            left[name] = number.value, number.interval.standard_error
+    growth = ((second.value or 0.0) / peak.value if second else np.nan) - 1.0
+    notes: tuple[QualityNote, ...] = ()
+    if abs(growth) > max_growth:
+        notes = (QualityNote.of("mechanics.studies.cycles_grow", result.test, growth=growth),)
+    forces = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
+    if abs(growth) <= max_growth and all(force and force.value for force in forces):
+        values = [float(force.value or 0.0) for force in forces if force]
+        errors = [own_error(force) / value for force, value in zip(forces, values, strict=True)]
         ratio = values[1] / values[0]
-        found[RATIO] = ratio, abs(ratio) * hypot(*errors)
-    return CycledTest(result.test, curve.length, peak.value, found, curve.rig, curve.self_weight)
+        left[RATIO] = ratio, abs(ratio) * hypot(*errors)
+    cycles = CycledTest(result.test, curve.length, peak.value, left, curve.rig, curve.self_weight)
+    return cycles, notes
 
 
 def own_error(number: Result | None) -> float:
@@ -330,8 +337,8 @@ def own_error(number: Result | None) -> float:
     return hypot(*(part.change for part in number.budget if not part.is_common))
 
 
-def noise_of(values: Floats) -> float:
-    """Return the standard deviation of the noise of consecutive values on a smooth curve.
+def estimate_noise(values: Floats) -> float:
+    """Estimate the standard deviation of the noise of consecutive values on a smooth curve.
 
     Parameters
     ----------
@@ -341,51 +348,45 @@ def noise_of(values: Floats) -> float:
     return float(np.std(np.diff(values, 2)) / np.sqrt(6.0))
 
 
-def _noise(deflection: Floats, force: Floats) -> Floats:
-    """Return the noise of the force at each point, with that of the deflection, N.
+def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
+    """Estimate the noise of the force at each point, that of the deflection included, N.
 
-    The slope is that of a polynomial in the root of the deflection, as the first points, where
-    strands still stick, are several times as steep as the next.
+    The slope is that of a polynomial in the square root of the deflection, because the curve is
+    several times steeper at its start, where strands still stick.
     """
     polynomial_degree = 7
     first = float(np.ptp(deflection)) / len(deflection)
     root = np.sqrt(np.maximum(deflection, 0.5 * first))
     slope = Polynomial.fit(root, force, polynomial_degree).deriv()(root) / (2.0 * root)
-    return np.hypot(noise_of(force), slope * noise_of(deflection))
+    return np.hypot(estimate_noise(force), slope * estimate_noise(deflection))
 
 
-_STRING_REMEDY = (
-    "For the next test shorten the string until it holds the wire straight; if it did in this "
-    "test, state so in the test sheet (rig.string.at_rest: taut) and process it again"
-)
-
-
-def _rest_notes(
+def _check_rest(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Refuse a wire that sagged at rest; return notes where that is unknown."""
+    """Refuse a wire that sagged at rest; return notes if the test does not show it."""
     string = protocol.rig.string
     if string is None or string.at_rest == "taut":
         return ()
     weight, length = GRAVITY * string.counterweight, protocol.specimen.length
-    sag_weight = compute_prop_force(_self_weight(protocol), length or 0.0)
+    sag_weight = compute_prop_force(_read_self_weight(protocol), length or 0.0)
     if weight + sag_weight == 0.0:
         return ()
     rest = collect_rest_evidence(
         result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
     )
     if rest.why_not_straight:
-        message = f"{rest.why_not_straight}. {_STRING_REMEDY}"
+        message = format_sentence("mechanics.studies.sagged", reason=rest.why_not_straight)
         raise NotUsableError(message)
     return tuple(list_rest_notes(result.test, rest))
 
 
-def _self_weight(protocol: Protocol) -> float:
+def _read_self_weight(protocol: Protocol) -> float:
     """Return the weight per length of protocol or test sheet, N/m; 0 where they have none."""
     return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
 
 
-def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
+def set_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     """Set the weight of a wire where its test sheet does not state one.
 
     Parameters
@@ -395,7 +396,8 @@ def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
 
     Returns
     -------
-    The same, with a note ``mass_contradicts`` if both are stated and differ by more than a third.
+    The loading with a weight. If test sheet and wire sheet both state one and they differ by more
+    than a third, it has a note ``mass_contradicts``.
     """
     max_mass_ratio = 4.0 / 3.0
     stated_weight, curve = loading.curve.self_weight, loading.curve
@@ -403,16 +405,17 @@ def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
         return replace(loading, curve=replace(curve, self_weight=self_weight))
     if 1.0 / max_mass_ratio <= stated_weight / self_weight <= max_mass_ratio:
         return loading
-    message = (
-        f"its test sheet states {1e3 * stated_weight / GRAVITY:.4g} g/m "
-        f"(specimen.mass_per_length), the wire sheet {1e3 * self_weight / GRAVITY:.4g} g/m for "
-        f"{curve.wire}: the former is used"
+    note = QualityNote.of(
+        "mechanics.studies.mass_contradicts",
+        curve.test,
+        test_mass=1e3 * stated_weight / GRAVITY,
+        sheet_mass=1e3 * self_weight / GRAVITY,
+        wire=curve.wire,
     )
-    note = QualityNote("mass_contradicts", Severity.WARNING, curve.test, message)
     return replace(loading, notes=(*loading.notes, note))
 
 
-def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> QualityNote | None:
+def note_sheet_weight(loadings: Sequence[FirstLoading], self_weight: float) -> QualityNote | None:
     """Return a note on the weight of tests whose test sheets do not state one.
 
     Parameters
@@ -423,16 +426,16 @@ def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> Quality
     without = [loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0]
     if not without:
         return None
-    count = f"{len(without)} of {len(loadings)} test sheets do not state"
-    which = "no test sheet states" if len(without) == len(loadings) else count
-    message = (
-        f"{which} a mass per length (specimen.mass_per_length): the weight is that of the wire "
-        f"sheet, {1e3 * self_weight / GRAVITY:.4g} g/m, stated there or from copper and insulation"
+    return QualityNote.of(
+        "mechanics.studies.weight_of_sheet",
+        loadings[0].curve.wire,
+        count=len(without),
+        of=len(loadings),
+        mass=1e3 * self_weight / GRAVITY,
     )
-    return QualityNote("weight_of_sheet", Severity.INFO, loadings[0].curve.wire, message)
 
 
-def insulation_note(spec: WireSpec, tested: float, *, of: str = "") -> QualityNote | None:
+def note_insulation(spec: WireSpec, tested: float, *, of: str = "") -> QualityNote | None:
     """Return a note if tests bent a wire beyond the linear range of its insulation.
 
     Parameters
@@ -444,26 +447,23 @@ def insulation_note(spec: WireSpec, tested: float, *, of: str = "") -> QualityNo
     limit = find_linear_range(spec)
     if tested <= limit:
         return None
-    effect = "the parameters compensate for the softer insulation"
-    remedy = "Add an insulation_table to the sheet, or a smaller up_to to the plan"
-    if of:
-        effect = f"predictions by the calibration of {of} are doubtful beyond"
-        remedy = "Add an insulation_table to the sheet"
-    message = (
-        f"the tests bend {spec.name} to {tested:.3g} 1/m; from {limit:.3g} 1/m on its insulation "
-        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, beyond its linear "
-        f"range: {effect}. {remedy}"
+    return QualityNote.of(
+        "mechanics.studies.soft_insulation_predicted"
+        if of
+        else "mechanics.studies.soft_insulation_calibrated",
+        spec.name,
+        wire=spec.name,
+        tested=tested,
+        limit=limit,
+        strain=100.0 * spec.insulation_strain,
+        calibrated=of or spec.name,
     )
-    return QualityNote("insulation_doubtful", Severity.WARNING, spec.name, message)
 
 
 def _require_cantilever(protocol: Protocol) -> None:
     has_shape = any(isinstance(step, FitShape) for step in protocol.steps)
     if protocol.rig.string is None and not has_shape:
-        message = (
-            f"it is no cantilever test: its protocol, {protocol.name}, has neither a string "
-            "(rig.string) nor a shape (step fit-shape)"
-        )
+        message = format_sentence("mechanics.studies.no_cantilever", protocol=protocol.name)
         raise NotUsableError(message)
 
 
@@ -472,41 +472,40 @@ _NO_ZERO = ("zero_not_at_rest", "begins_under_load")
 
 
 def _require_zeros(result: TestResult) -> None:
-    """Refuse a test without a zero at rest.
+    """Refuse a test whose force or deflection has no zero at rest.
 
     Notes
     -----
-    A calibration cannot detect it: a shifted curve fits nearly as well, with more than twice the
-    friction, which acts in the first part of a millimetre.
+    A calibration cannot detect a lost zero. A shifted curve fits nearly as well, with more than
+    twice the friction, because friction acts within the first fraction of a millimetre.
     """
-    lost = [note for note in result.quality if note.code in _NO_ZERO]
-    if lost:
-        reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in lost)
-        message = f"its zero is lost, and with it the start of the first loading: {reasons}"
-        raise NotUsableError(message)
+    notes = [note for note in result.quality if note.code in _NO_ZERO]
+    if notes:
+        reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in notes)
+        raise NotUsableError(format_sentence("mechanics.studies.no_zero", reasons=reasons))
 
 
-def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
+def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
     curve = result.curve
     if curve is None:
-        message = "it has no curve: see its summary"
-        raise NotUsableError(message)
+        raise NotUsableError(format_sentence("mechanics.studies.no_curve"))
     first = [
         branch
         for branch in curve.branches
         if branch.cycle == 1 and branch.direction is Direction.LOADING
     ]
     if not first:
-        message = "it has no first loading: no branch was found"
-        raise NotUsableError(message)
+        raise NotUsableError(format_sentence("mechanics.studies.no_first_loading"))
     peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
-        message = f"its first loading failed: {peak.reason_text}"
-        raise NotUsableError(message)
+        reasons = peak.reason_text
+        raise NotUsableError(
+            format_sentence("mechanics.studies.failed_first_loading", reasons=reasons)
+        )
     return curve, first[0]
 
 
-def _doubt_notes(result: TestResult) -> list[QualityNote]:
+def _note_doubts(result: TestResult) -> list[QualityNote]:
     """Return notes on doubtful results of the first cycle that depend on the whole curve."""
     reasons = {
         result.reason_text
@@ -515,17 +514,14 @@ def _doubt_notes(result: TestResult) -> list[QualityNote]:
         and result.name in ("peak_force.1", "peak_displacement.1", "energy.1")
     }
     return [
-        QualityNote("test_doubtful", Severity.WARNING, result.test, f"used unchanged: {reason}")
+        QualityNote.of("mechanics.studies.test_doubtful", result.test, reason=reason)
         for reason in sorted(reasons)
     ]
 
 
-def _cut_notes(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
+def _note_cut(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
     beyond = deflection > limit
     if not beyond.any():
         return []
-    message = (
-        f"the first loading goes to {1e3 * deflection.max():.4g} mm; points beyond "
-        f"{1e3 * limit:.4g} mm were left out"
-    )
-    return [QualityNote("loading_cut", Severity.INFO, test, message)]
+    end, limit = 1e3 * float(deflection.max()), 1e3 * limit
+    return [QualityNote.of("mechanics.studies.loading_cut", test, end=end, limit=limit)]

@@ -1,10 +1,10 @@
-"""Rod and boundaries of a harness YAML: nodes, rest shape, and paths of all boundaries.
+"""Translation of a harness file to the rod: nodes, shape at rest, and paths of all boundaries.
 
-Paths have a row per step and one for the start, where all boundaries are at the places of the
-line at rest, bent by its weight alone. Every place that the file names is a node. Boundaries move
-straight from one pose to the next; their direction turns about the axis across both, and their turn
-about the line is added. A ring starts at the nearest place of the line, and the anchor of a string
-that is too short at the start as near to it as the string allows.
+Every place of the line that the file names becomes a node. A path has a row for the start and one
+for each step. At the start all boundaries are at the line in its shape at rest. They move straight
+from one pose to the next, their direction turns about the axis normal to both directions, and their
+turn about the line is added. A ring starts at the nearest point of the line. The anchor of a string
+that is too short starts as near to its goal as the string allows.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.mechanics.rod import boundaries as rod
-from labpipe.mechanics.rod.contacts import nearest_place, point_at
-from labpipe.mechanics.rod.line import Line, Section, line_along
+from labpipe.mechanics.rod.contacts import evaluate_curve, find_nearest_place
+from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
+    find_shortest_turns,
     from_rotation_vectors,
-    matrices,
     multiply,
-    rotation_vectors,
-    shortest_turns,
+    to_matrices,
+    to_rotation_vectors,
     unit,
 )
+from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
     HOLDERS,
     Clip,
@@ -58,9 +59,9 @@ class PreparedLine:
 
     Parameters
     ----------
-    line : at the start
-    boundaries : in the order of the file; the weight, if any, last
-    nodes : by name of a boundary; rings and planes have none
+    line : in its shape at rest
+    boundaries : in the order of the file; the weight, if any, is the last one
+    nodes : by name of the boundary; rings and planes have none
     """
 
     line: Line
@@ -75,43 +76,43 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
     ----------
     harness : as read
     section : of the line
-    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 for a missing one; others are ignored
+    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 where missing; others are ignored
 
     Raises
     ------
     ValueError
-        If length or section is out of its range.
+        If the section is out of its range, or a spool is in the direction of the line.
     """
-    stations = _stations(harness)
+    stations = _place_nodes(harness)
     places = {
         boundary.name: int(np.argmin(np.abs(stations - min(boundary.at, stations[-1]))))
         for boundary in harness.boundaries
         if not isinstance(boundary, Ring | Plane)
     }
     stations = stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0)))
-    line = _line(harness, section, stations)
+    line = _build_line(harness, section, stations)
     free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
     if np.any(free):
         rest_curvature = line.rest_curvature.copy()
-        rest_curvature[:, :2] += free @ _bend_axes(line, harness.line.spool)
+        rest_curvature[:, :2] += free @ _find_bend_axes(line, harness.line.spool)
         line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
-    return PreparedLine(line, tuple(_boundaries(harness, line, places)), places)
+    return PreparedLine(line, tuple(_build_boundaries(harness, line, places)), places)
 
 
-def _bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Return bendings about d1 and d2 of a curl to the side of the spool and across it, (2, 2).
+def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
+    """Return the curvatures about d1 and d2 of unit curls towards the spool and across it, (2, 2).
 
-    A line curls to a side t when it turns about d3 x t. Without a spool the side is that of d1.
+    A line that curls to a side t turns about d3 x t. Without a spool the side is that of d1.
     """
-    axes = matrices(line.frames[0])
+    axes = to_matrices(line.frames[0])
     side = np.array([1.0, 0.0])
     if spool is not None:
-        side = (_towards(spool, axes[:, 2]) @ axes)[:2]
+        side = (_find_side(spool, axes[:, 2]) @ axes)[:2]
     return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
 
 
-def _stations(harness: HarnessFile) -> Floats:
-    """Return the nodes, m: elements of equal length between any two named places."""
+def _place_nodes(harness: HarnessFile) -> Floats:
+    """Return the nodes, m, with elements of equal length between neighbouring named places."""
     length = harness.line.length
     named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
     marks = sorted({0.0, length, *(min(place, length) for place in named)})
@@ -123,120 +124,122 @@ def _stations(harness: HarnessFile) -> Floats:
     return np.concatenate([[0.0], *parts])
 
 
-def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
+def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     begin, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
         is_steep = abs(direction[2]) > 0.9
         up = (1.0, 0.0, 0.0) if is_steep else (0.0, 0.0, 1.0)
-        return line_along(positions, section, up=up)
-    towards = _towards(spool, direction)
+        return build_line(positions, section, up=up)
+    towards = _find_side(spool, direction)
     middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
     positions = begin + np.vstack(
         [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
     )
-    return line_along(positions, section, up=_as_tuple(towards), is_formed=True)
+    return build_line(positions, section, up=_to_tuple(towards), is_formed=True)
 
 
-def _towards(spool: Spool, direction: Floats) -> Floats:
-    """Return the unit vector across a direction to the side of a spool."""
+def _find_side(spool: Spool, direction: Floats) -> Floats:
+    """Return the unit vector normal to a direction, on the side of a spool."""
     towards = np.array(spool.towards)
     across = towards - (towards @ direction) * direction
     if np.linalg.norm(across) < 1e-6:
-        message = f"towards={spool.towards}: must be a side of the line, not its direction"
-        raise ValueError(message)
+        raise ValueError(format_sentence("mechanics.studies.spool_side", towards=spool.towards))
     return np.asarray(unit(across))
 
 
-def _as_tuple(vector: Floats) -> Vector3:
+def _to_tuple(vector: Floats) -> Vector3:
     x, y, z = vector.tolist()
     return x, y, z
 
 
-def _boundaries(
+def _build_boundaries(
     harness: HarnessFile, line: Line, nodes: Mapping[str, int]
 ) -> Iterator[rod.Boundary]:
     steps = harness.steps
     for boundary in harness.boundaries:
         match boundary:
             case Clip() | Pin() | Grip():
-                yield _held_boundary(boundary, line, nodes[boundary.name], steps)
+                yield _build_held(boundary, line, nodes[boundary.name], steps)
             case Ring():
-                path = _straight_path(
-                    _nearest_point(line, boundary), boundary.position, boundary.by or steps, steps
+                path = _build_path(
+                    _find_nearest_point(line, boundary),
+                    boundary.position,
+                    boundary.by or steps,
+                    steps,
                 )
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
                 first = compute_path(boundary, line.positions[node], steps)[0]
-                path = _straight_path(first, boundary.anchor, boundary.by or steps, steps)
+                path = _build_path(first, boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
-                force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
+                force = _build_ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
                 yield rod.Load(nodes[boundary.name], force, name=boundary.name)
             case Plane():
                 table = np.array(boundary.point), np.array(boundary.normal)
                 yield rod.Plane(*table, boundary.friction, name=boundary.name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
-        yield rod.Gravity(_gravity_path(harness), name="weight")
+        yield rod.Gravity(_build_gravity(harness), name="weight")
 
 
-def _nearest_point(line: Line, ring: Ring) -> Floats:
-    """Return the place of the line that is nearest to a ring."""
+def _find_nearest_point(line: Line, ring: Ring) -> Floats:
+    """Return the point of the line that is nearest to a ring."""
     goal = np.array(ring.position)
     near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
-    return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
+    return evaluate_curve(line.positions, find_nearest_place(line.positions, goal, float(near)))
 
 
-def _straight_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
-    """Return the straight path from the start to a goal, (steps + 1, 3); (3,) if it is there.
+def _build_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
+    """Return the straight path from the start to a goal, (steps + 1, 3), or the goal, (3,).
 
-    The latter is exactly constant: rounding errors would look like corners of a path.
+    A path without motion is a single point, because its rounding errors would look like corners.
     """
     min_distance = 1e-9  # m
     displacement = np.array(goal) - begin
     if np.linalg.norm(displacement) < min_distance:
         return np.array(goal)
-    return np.asarray(begin + _ramp(by, steps)[:, None] * displacement)
+    return np.asarray(begin + _build_ramp(by, steps)[:, None] * displacement)
 
 
-def _gravity_path(harness: HarnessFile) -> Floats:
-    """Return the acceleration, step by step where the line starts taut between two places.
+def _build_gravity(harness: HarnessFile) -> Floats:
+    """Return the acceleration; it grows step by step if two places of the line are held.
 
-    Weight cannot give an inextensible taut line its tension at once.
+    An inextensible line that starts taut cannot carry its whole weight at once.
     """
     full = np.array(harness.gravity)
     if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
         return full
-    share = _ramp(max(1, harness.steps // 5), harness.steps)
+    share = _build_ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * full)
 
 
-def _ramp(by: int, steps: int) -> Floats:
-    """Return a ramp from 0 at the start to 1 at a step, then constant: shape (steps + 1,)."""
+def _build_ramp(by: int, steps: int) -> Floats:
+    """Return a ramp from 0 at the start to 1 at a step, constant after it, shape (steps + 1,)."""
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
+def _build_held(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
-        frame = _frames(boundary, line.frame_at(node), steps)
+        frame = _interpolate_frames(boundary, line.frame_at(node), steps)
     return rod.Held(node, position, frame, boundary.release, boundary.name)
 
 
-def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
-    """Return the frames of a path: from direction to direction without twist, then the turns."""
+def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
+    """Interpolate the frames of a path: directions without twist, multiplied by the turns."""
     frames, turns = [start], {0: 0.0}
     points = boundary.path if isinstance(boundary, Grip) else (boundary,)
     for point in points:
         step = point.step if isinstance(point, Waypoint) else point.by or steps
         span = step - len(frames) + 1
-        start_direction = matrices(frames[-1])[:, 2]
+        start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
-        full = rotation_vectors(shortest_turns(start_direction, direction))
+        full = to_rotation_vectors(find_shortest_turns(start_direction, direction))
         shares = np.arange(1, span + 1) / span
         moved = from_rotation_vectors(shares[:, None] * full)
         frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))

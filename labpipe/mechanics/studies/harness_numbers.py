@@ -1,9 +1,9 @@
-"""Results of a solved harness, and reasons to doubt them: bend radii, forces, residual curvature.
+"""Numbers of a solved harness (bend radii, forces, residual curvature), and reasons to doubt them.
 
-They are computed from fields: vectors that respond smoothly to inputs. A norm, a minimum or a
-maximum is not smooth at zero or where its place changes. Therefore the response is linear in the
-fields, and each number is computed from them in every draw as from a solved line. Residual
-curvature of a released line is that of its law.
+Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
+inputs. A norm, a minimum or a maximum is not smooth where it is zero or where its place changes.
+Therefore the fields are extrapolated linearly in the inputs, and every number is then computed from
+the extrapolated fields in the same way as from a solved line.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from labpipe.mechanics.law.sliders import SliderLaw, present_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.response import Fields, sizes
+from labpipe.mechanics.rod.response import Fields, compute_norms
 from labpipe.mechanics.rod.rotations import unit
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_section import Material
@@ -34,14 +34,15 @@ LOWEST_POINT, RADIUS = "lowest_point", "smallest_bend_radius"
 RADIUS_ON_PATH = f"{RADIUS}_on_the_way"
 ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
-POSITIONS, CURVATURES = "places", "bent "
+POSITIONS, CURVATURES = "positions", "curvature "
 HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
 
 
-def curvature_vectors(state: RodState, line: Line) -> Floats:
-    """Return the curvature vectors of the line, 1/m, shape (n + 1, 2, 2).
+def compute_curvature_vectors(state: RodState, line: Line) -> Floats:
+    """Compute the curvature vectors of the line, 1/m, shape (n + 1, 2, 2).
 
-    Natural curvature included; on both sides of every node, which differ at a clip.
+    Natural curvature is included. The second axis is the side of the node, before and behind it;
+    the two differ at a clip.
 
     Parameters
     ----------
@@ -51,30 +52,32 @@ def curvature_vectors(state: RodState, line: Line) -> Floats:
     return np.asarray(state.node_curvatures[:, :, :2] + line.rest_curvature_at_nodes[:, None, :2])
 
 
-def largest_of_sides(bent: Floats) -> Floats:
-    """Return the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
+def compute_node_curvature(vectors: Floats) -> Floats:
+    """Compute the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
 
     Parameters
     ----------
-    bent : curvature vectors, shape (..., n + 1, 2, 2)
+    vectors : curvature vectors, shape (..., n + 1, 2, 2)
     """
-    return np.asarray(sizes(bent).max(axis=-1))
+    return np.asarray(compute_norms(vectors).max(axis=-1))
 
 
-def heights_of(places: Floats, prepared: PreparedLine) -> Floats:
-    """Return heights against gravity, m, shape (..., n + 1); z of a line without weight.
+def compute_heights(positions: Floats, prepared: PreparedLine) -> Floats:
+    """Compute heights against gravity, m, shape (..., n + 1); z for a line without weight.
 
     Parameters
     ----------
-    places : positions, shape (..., n + 1, 3)
+    positions : m, shape (..., n + 1, 3)
     prepared : line and boundaries
     """
-    weights = [each.vector[-1] for each in prepared.boundaries if isinstance(each, rod.Gravity)]
-    return np.asarray(places @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
+    weights = [
+        boundary.vector[-1] for boundary in prepared.boundaries if isinstance(boundary, rod.Gravity)
+    ]
+    return np.asarray(positions @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
 
 
-def fields_of(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
-    """Return the fields of a complete path, by name.
+def collect_fields(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
+    """Collect the fields of a complete path, by name.
 
     Parameters
     ----------
@@ -83,22 +86,24 @@ def fields_of(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
 
     Returns
     -------
-    `POSITIONS` of the nodes at the last step (n + 1, 3); `curvature_vectors` of each step under
-    ``bent 0`` and so on; forces, moments and springback as vectors (3,), by the names of the
-    numbers; `RESIDUAL`, the vectors of `curvature_after_release`; `ENERGY_LOST`.
+    `POSITIONS` : of the nodes at the last step, m, (n + 1, 3)
+    ``curvature 0`` ... : `compute_curvature_vectors` of each step
+    force, moment, springback : vectors (3,), by the names of their numbers
+    `RESIDUAL` : vectors of `compute_released_curvature`
+    `ENERGY_LOST` : J
     """
     last, line = path.last, prepared.line
-    bent = [curvature_vectors(state, line) for state in path.states]
+    curvatures = [compute_curvature_vectors(state, line) for state in path.states]
     return {
-        **{f"{CURVATURES}{step}": vectors for step, vectors in enumerate(bent)},
-        **dict(_boundary_fields(path, prepared)),
+        **{f"{CURVATURES}{step}": vectors for step, vectors in enumerate(curvatures)},
+        **dict(_collect_boundary_fields(path, prepared)),
         POSITIONS: last.positions,
-        RESIDUAL: curvature_after_release(line.section.law, last.rests),
+        RESIDUAL: compute_released_curvature(line.section.law, last.rests),
         ENERGY_LOST: np.asarray(path.lost[-1]),
     }
 
 
-def _boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[str, Floats]]:
+def _collect_boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[str, Floats]]:
     last = path.last
     for number, boundary in enumerate(prepared.boundaries):
         if isinstance(boundary, HOLDS):
@@ -111,55 +116,54 @@ def _boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[st
             yield f"{SPRINGBACK}{boundary.name}", last.positions[node] - before
 
 
-def number_names(fields: Fields) -> tuple[str, ...]:
-    """Return the names of the numbers of fields.
+def list_numbers(fields: Fields) -> tuple[str, ...]:
+    """List the names of the numbers that can be computed from fields.
 
     Parameters
     ----------
     fields : of a line
     """
-    shape = (POSITIONS, CURVATURES)
-    others = [field for field in fields if not field.startswith(shape)]
+    others = [field for field in fields if not field.startswith((POSITIONS, CURVATURES))]
     return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *others)
 
 
 def evaluate_number(
     name: str, field: Callable[[str], Floats], prepared: PreparedLine, steps: int
 ) -> Floats:
-    """Compute a number from fields; instead of a bend radius its curvature, 1/m.
+    """Compute a number from fields; for a bend radius, its curvature, 1/m.
 
     Parameters
     ----------
     name : of the number
-    field : returns a field by its name; leading axes, of draws, are kept
+    field : returns a field by its name; leading axes (draws) are kept
     prepared : line and boundaries
-    steps : number of the last one
+    steps : number of the last step
     """
     match name:
         case "smallest_bend_radius":
-            return _max_curvature(field(f"{CURVATURES}{steps}"))
-        case "smallest_bend_radius_on_the_way":  # step by step, to limit the memory for draws
+            return _find_max_curvature(field(f"{CURVATURES}{steps}"))
+        case "smallest_bend_radius_on_the_way":  # step by step, which limits memory for draws
             names = (f"{CURVATURES}{step}" for step in range(steps + 1))
-            return reduce(np.maximum, (_max_curvature(field(name)) for name in names))
+            return reduce(np.maximum, (_find_max_curvature(field(name)) for name in names))
         case "lowest_point":
-            return np.asarray(heights_of(field(POSITIONS), prepared).min(axis=-1))
+            return np.asarray(compute_heights(field(POSITIONS), prepared).min(axis=-1))
         case "kept_curvature":
-            return _max_curvature(field(RESIDUAL))
+            return _find_max_curvature(field(RESIDUAL))
         case "energy_lost":
             return np.maximum(field(ENERGY_LOST), 0.0)
-    return sizes(field(name))
+    return compute_norms(field(name))
 
 
-def _max_curvature(bent: Floats) -> Floats:
-    return np.asarray(largest_of_sides(bent).max(axis=-1))
+def _find_max_curvature(vectors: Floats) -> Floats:
+    return np.asarray(compute_node_curvature(vectors).max(axis=-1))
 
 
 _MIN_CURVATURE = 1e-3
 """1/m; below it a line is straight."""
 
 
-def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
-    """Return the curvature of each station after release, 1/m, shape (..., 2).
+def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
+    """Compute the curvature of each station after release, 1/m, shape (..., 2).
 
     Parameters
     ----------
@@ -168,11 +172,11 @@ def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
 
     Notes
     -----
-    The curvature at zero moment, where sliders slide in the other direction: EI_0 kappa + sum of
-    w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), solved for kappa with the
-    w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It starts
-    at the curvature reached if no slider slides. Without sliders it is 0. The limit of a growing
-    slider stays: released, it does not slide.
+    This is the curvature at zero moment, on the way to which sliders slide back. It solves EI_0
+    kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
+    Weiszfeld's iteration: each iteration takes the w_j of the one before, and descends on a convex
+    energy. The first one assumes that no slider slides. Without sliders the curvature is 0. The
+    limit of a growing slider remains, as it does not slide on release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -189,13 +193,13 @@ def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
         )
         if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
-        bent = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
-        weights = stiffnesses * slips / np.maximum(bent, slips)
+        strains = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
+        weights = stiffnesses * slips / np.maximum(strains, slips)
     return curvature
 
 
-def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
-    """Return the curvature of the line if it were released, 1/m, shape (n + 1,).
+def compute_residual_curvature(state: RodState, law: SliderLaw) -> Floats:
+    """Compute the curvature of the line after a release, 1/m, shape (n + 1,).
 
     Parameters
     ----------
@@ -204,14 +208,16 @@ def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    Without natural curvature. See `curvature_after_release`; the larger one where both sides of a
-    node differ at a clip.
+    See `compute_released_curvature`. Natural curvature is not included. Where both sides of a node
+    differ, at a clip, it is the larger one.
     """
-    return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))
+    return np.asarray(
+        np.linalg.norm(compute_released_curvature(law, state.rests), axis=2).max(axis=1)
+    )
 
 
-def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
-    """Return the residual curvature if no slider slid on unloading, 1/m, shape (n + 1,).
+def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
+    """Return an upper bound of the residual curvature, 1/m, shape (n + 1,).
 
     Parameters
     ----------
@@ -220,57 +226,29 @@ def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    From the largest bend of each node: sum of K_j a_j over the first stiffness.
+    The bound assumes that no slider slides on unloading: it is the largest sum of K_j a_j of all
+    steps over the first stiffness.
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    sizes = []
+    moments = []
     for state in path.states:
         sliders = present_sliders(law, state.rests)
-        kept = np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests)
-        sizes.append(np.linalg.norm(kept, axis=2).max(axis=1))
-    return np.asarray(np.max(sizes, axis=0) / law.first_stiffness)
+        vectors = np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests)
+        moments.append(np.linalg.norm(vectors, axis=2).max(axis=1))
+    return np.asarray(np.max(moments, axis=0) / law.first_stiffness)
 
 
-def largest_unbending(path: RodPath) -> float:
-    """Return the largest decrease of curvature at a node over the sharpest bend of the line.
+def measure_unbending(path: RodPath) -> float:
+    """Return the largest decrease of curvature at a node over the largest curvature of the line.
 
     Parameters
     ----------
     path : of the line
     """
-    bent = np.array([state.bendings for state in path.states])
-    most = bent.max(axis=0)
-    return float(np.max(most - bent[-1]) / max(float(most.max()), _MIN_CURVATURE))
-
-
-def unloading_reason(path: RodPath, line: Line) -> Reason | None:
-    """Return the reason why numbers that depend on unloading are doubtful, if they are.
-
-    Parameters
-    ----------
-    path : of the line
-    line : of the path
-
-    Notes
-    -----
-    The law of a wire is that of first loading; on unloading it follows Masing's rule, by which
-    copper springs back two to four times as far as standards of annealed wire allow.
-    """
-    law = line.section.law
-    if law.growing:
-        return None
-    largest = max_residual_curvature(path, law)
-    node = int(np.argmax(largest))
-    residual = float(residual_curvature(path.last, law)[node])
-    if largest[node] <= max(_MIN_CURVATURE, 1.1 * residual):
-        return None
-    return Reason.of(
-        "mechanics.studies.unloading_assumed",
-        place=1e3 * line.stations[node],
-        by_rule=residual,
-        without_sliding=largest[node],
-    )
+    curvature = np.array([state.bendings for state in path.states])
+    largest = curvature.max(axis=0)
+    return float(np.max(largest - curvature[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,7 +259,7 @@ class BendLimit:
     ----------
     radius : m
     source : of the number
-    is_assumed : whether it is not stated
+    is_assumed : whether the file does not state it
     """
 
     radius: float
@@ -291,7 +269,7 @@ class BendLimit:
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """The sharpest bend of a line.
+    """The find_sharpest_bend bend of a line.
 
     Parameters
     ----------
@@ -305,7 +283,7 @@ class Bend:
     place: float
 
 
-def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
+def find_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     """Return the allowed bend radius, stated or assumed.
 
     Parameters
@@ -322,8 +300,8 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     return BendLimit(diameters * material.diameter, source, is_assumed=True)
 
 
-def curvature_of(state: RodState, line: Line) -> Floats:
-    """Return the curvature of the line, 1/m, shape (n + 1,), rest curvature included.
+def compute_curvature(state: RodState, line: Line) -> Floats:
+    """Compute the curvature of the line, 1/m, shape (n + 1,), natural curvature included.
 
     Parameters
     ----------
@@ -332,13 +310,13 @@ def curvature_of(state: RodState, line: Line) -> Floats:
 
     Notes
     -----
-    The larger one where both sides of a node differ at a clip.
+    Where both sides of a node differ, at a clip, it is the larger one.
     """
-    return largest_of_sides(curvature_vectors(state, line))
+    return compute_node_curvature(compute_curvature_vectors(state, line))
 
 
-def radius_of(curvature: Floats) -> Floats:
-    """Return the bend radius, m; infinite where the line is straight.
+def compute_radius(curvature: Floats) -> Floats:
+    """Compute the bend radius, m; infinite where the line is straight.
 
     Parameters
     ----------
@@ -349,8 +327,8 @@ def radius_of(curvature: Floats) -> Floats:
     return np.asarray(np.where(is_bent, 1.0 / np.where(is_bent, curvature, 1.0), np.inf))
 
 
-def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
-    """Find the sharpest bend among some steps.
+def find_sharpest_bend(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
+    """Find the find_sharpest_bend bend among some steps.
 
     Parameters
     ----------
@@ -358,12 +336,14 @@ def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
     line : of the path
     steps : at least one
     """
-    row, node, curvature = _largest([curvature_of(path.states[step], line) for step in steps])
-    radius = float(radius_of(np.array(curvature)))
+    row, node, curvature = _find_largest(
+        [compute_curvature(path.states[step], line) for step in steps]
+    )
+    radius = float(compute_radius(np.array(curvature)))
     return Bend(radius, steps[row], float(line.stations[node]))
 
 
-def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
+def find_reasons(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
     """Return the reasons why all numbers of a harness are doubtful or missing.
 
     Parameters
@@ -374,24 +354,24 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     """
 
     def place(node: int) -> str:
-        return f"{_mm(line.stations[node])} from the start"
+        return f"{_format_mm(line.stations[node])} from the start"
 
     reasons = [Reason(reason.code, reason.at(place)) for reason in path.reasons]
     if not path.states:
         return tuple(reasons)
-    row, node, bent = _largest([state.bendings for state in path.states])
-    if bent > material.limit and "beyond_law" not in {reason.code for reason in reasons}:
+    row, node, curvature = _find_largest([state.bendings for state in path.states])
+    if curvature > material.limit and "beyond_law" not in {reason.code for reason in reasons}:
         reasons.append(
             Reason.of(
                 "mechanics.studies.beyond_backed",
                 step=row,
                 place=place(node),
-                curvature=bent,
+                curvature=curvature,
                 limit=material.limit,
                 source=material.limit_source,
             )
         )
-    row, element, stretch = _largest([np.abs(state.stretches) for state in path.states])
+    row, element, stretch = _find_largest([np.abs(state.stretches) for state in path.states])
     if stretch > material.stretch_limit:
         reasons.append(
             Reason.of(
@@ -405,8 +385,8 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     return tuple(reasons)
 
 
-def _largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Return step and place of the largest number, and the number."""
+def _find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
+    """Return step and node (or element) of the largest value, and the value."""
     values = np.array(values_by_step)
     row, place = divmod(int(np.argmax(values)), values.shape[1])
     return row, place, float(values[row, place])
@@ -414,20 +394,20 @@ def _largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """The reason why some of the numbers are doubtful.
+    """A reason why some of the numbers are doubtful.
 
     Parameters
     ----------
     reason : of the doubt
-    names : beginnings of the names of these numbers
+    names : of these numbers, or the beginnings of their names
     """
 
     reason: Reason
     names: tuple[str, ...]
 
 
-def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
-    """Return the doubt about history-dependent numbers if much energy was lost in jumps.
+def check_jumps(path: RodPath, prepared: PreparedLine) -> Doubt | None:
+    """Doubt history-dependent numbers if much energy was lost in jumps.
 
     Parameters
     ----------
@@ -436,23 +416,23 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
 
     Notes
     -----
-    A line that buckles or is released passes through states that are no equilibria. Its motion
-    there is unknown, and the state of the sliders depends on it. A released line may swing, so
-    that its shape depends on it, too: with little damping the shape in MuJoCo differs by 0.5 % of
-    the length where 7 % of the energy is lost in jumps, 2 % where it is 17 %, and 6 % where it is
-    33 %.
+    A line that buckles or is released passes through states that are not in equilibrium. Its motion
+    there is unknown, and the state of the sliders depends on it. The shape of a released line
+    depends on it as well, because the line may swing. In simulations with MuJoCo and little damping
+    the shape differs by 0.5 % of the length where 7 % of the energy is lost in jumps, by 2 % where
+    17 % is lost, and by 6 % where 33 % is lost.
     """
     share = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
     if share <= 0.1:  # of the energy lost
         return None
-    fell = np.diff(path.lost_in_jumps, prepend=0.0)
-    step_text = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
-    names = (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
+    losses = np.diff(path.lost_in_jumps, prepend=0.0)
+    step_text = ", ".join(map(str, np.flatnonzero(losses > 0.1 * np.max(losses))))
+    names = (ENERGY_LOST, RESIDUAL, MOMENT, *_list_released_numbers(prepared))
     return Doubt(Reason.of("mechanics.studies.jumped", steps=step_text, share=100.0 * share), names)
 
 
-def element_doubt(path: RodPath, line: Line) -> Doubt | None:
-    """Return the doubt about numbers if elements are too long for the bends of the line.
+def check_elements(path: RodPath, line: Line) -> Doubt | None:
+    """Doubt numbers if elements are too long for the bends of the line.
 
     Parameters
     ----------
@@ -461,14 +441,16 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
 
     Notes
     -----
-    With turns of 30 degrees over an element the error of the smallest bend radius is 0.3 % for a
-    heavy line and 1 % for a lifted chain. With 90 degrees it is up to 7 %, that of forces 1 %, and
-    that of the shape 0.3 % of the length.
+    If an element turns by 30 degrees, the error of the smallest bend radius is 0.3 % for a heavy
+    line and 1 % for a lifted chain. If it turns by 90 degrees, that error is up to 7 %, that of
+    forces 1 %, and that of the shape 0.3 % of the length.
     """
     max_turn, excessive_turn = float(np.radians(30.0)), float(np.radians(90.0))
     lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
-    turns = [lengths * curvature_of(state, line) for state in path.states]  # over longer elements
-    row, node, turn = _largest(turns)
+    turns = [
+        lengths * compute_curvature(state, line) for state in path.states
+    ]  # over longer elements
+    row, node, turn = _find_largest(turns)
     count = len(line.lengths)
     if turn <= max_turn:
         return None
@@ -490,8 +472,8 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
     return Doubt(reason, names)
 
 
-def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
-    """Return the doubt about numbers that depend on unloading, if any.
+def check_unloading(path: RodPath, prepared: PreparedLine) -> Doubt | None:
+    """Doubt numbers that depend on unloading if the law unloads by Masing's rule.
 
     Parameters
     ----------
@@ -500,41 +482,66 @@ def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
 
     Notes
     -----
-    These are the shape of a released line, and forces and moments of a line that was unbent and has
-    more than one support, so that they depend on its law. See `unloading_reason`.
+    By Masing's rule copper springs back two to four times as far as standards of annealed wire
+    allow. A law with growing sliders does not follow this rule. The numbers are residual curvature,
+    lost energy, the shape of a released line, and forces and moments of a line that was unbent and
+    has several supports, so that they depend on its law.
     """
-    reason = unloading_reason(path, prepared.line)
-    return None if reason is None else Doubt(reason, unloading_names(path, prepared))
+    law = prepared.line.section.law
+    if law.growing:
+        return None
+    bound = bound_residual_curvature(path, law)
+    node = int(np.argmax(bound))
+    residual = float(compute_residual_curvature(path.last, law)[node])
+    if bound[node] <= max(_MIN_CURVATURE, 1.1 * residual):
+        return None
+    reason = Reason.of(
+        "mechanics.studies.unloading_assumed",
+        place=1e3 * prepared.line.stations[node],
+        by_rule=residual,
+        without_sliding=bound[node],
+    )
+    return Doubt(reason, list_unloading_numbers(path, prepared))
 
 
-def unloading_names(path: RodPath, prepared: PreparedLine) -> tuple[str, ...]:
-    """Return the names of numbers that depend on unloading: see `unloading_doubt`."""
-    names = [ENERGY_LOST, RESIDUAL, *_names_after_release(prepared)]
-    holding = [e for e in prepared.boundaries if isinstance(e, HOLDS) and not _is_released(e)]
-    if len(holding) > 1 and largest_unbending(path) > 0.1:  # of the sharpest bend
+def list_unloading_numbers(path: RodPath, prepared: PreparedLine) -> tuple[str, ...]:
+    """Return the names of numbers that depend on unloading; see `check_unloading`.
+
+    Parameters
+    ----------
+    path : of the line
+    prepared : line and boundaries
+    """
+    names = [ENERGY_LOST, RESIDUAL, *_list_released_numbers(prepared)]
+    supports = [
+        boundary
+        for boundary in prepared.boundaries
+        if isinstance(boundary, HOLDS) and not _is_released(boundary)
+    ]
+    if len(supports) > 1 and measure_unbending(path) > 0.1:  # of the largest curvature
         names += [FORCE, MOMENT]
     return tuple(names)
 
 
-def share_doubts(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iterator[Doubt]:
-    """Yield doubts about numbers with wide intervals, as the hardening of the copper is not known.
+def check_share(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iterator[Doubt]:
+    """Doubt numbers with wide intervals if the hardening of the copper is unknown.
 
     Parameters
     ----------
     intervals : of numbers, by name
-    names : of numbers that depend on unloading, or their beginnings
+    names : of numbers that depend on unloading, or the beginnings of their names
     """
     max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
-    sized = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
+    positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
     for name, interval in intervals.items():
-        if name.startswith(sized) and interval.upper > max_ratio * interval.lower:
-            facts = interval.lower, interval.upper
-            reason = Reason.of("mechanics.studies.share_unknown", low=facts[0], high=facts[1])
+        if name.startswith(positive) and interval.upper > max_ratio * interval.lower:
+            low, high = interval.lower, interval.upper
+            reason = Reason.of("mechanics.studies.share_unknown", low=low, high=high)
             yield Doubt(reason, (name,))
 
 
-def _names_after_release(prepared: PreparedLine) -> tuple[str, ...]:
-    """Return the names of numbers of the shape of a released line."""
+def _list_released_numbers(prepared: PreparedLine) -> tuple[str, ...]:
+    """Return the names of the numbers that a release of the line changes."""
     return (SPRINGBACK, RADIUS, LOWEST_POINT) if any(map(_is_released, prepared.boundaries)) else ()
 
 
@@ -565,8 +572,8 @@ class Number:
         return self.name == LOWEST_POINT
 
 
-def reference_size(unit: str, line: Line) -> float:
-    """Return the typical magnitude of a quantity in this unit, for a line bent to 1 / length.
+def estimate_size(unit: str, line: Line) -> float:
+    """Estimate the magnitude of a quantity for a line bent to the curvature 1 / length.
 
     Parameters
     ----------
@@ -580,47 +587,52 @@ def reference_size(unit: str, line: Line) -> float:
     ]
 
 
-def numbers_of(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
-    """Return the numbers of a harness at its last step and over the whole path.
+def compute_numbers(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
+    """Compute the numbers of a harness at its last step and over the whole path.
 
     Parameters
     ----------
     path : of the line, to the last step
     prepared : line and boundaries
     """
-    return tuple(_numbers(path, prepared))
+    return tuple(_yield_numbers(path, prepared))
 
 
-def _numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
-    fields, last, line = fields_of(path, prepared), len(path.states) - 1, prepared.line
+def _yield_numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
+    fields, last, line = collect_fields(path, prepared), len(path.states) - 1, prepared.line
 
     def number(name: str, unit: str, remark: str = "") -> Number:
         value = float(evaluate_number(name, fields.__getitem__, prepared, last))
         return Number(name, value, unit, remark)
 
     def place(node: int) -> str:
-        return f"{_mm(line.stations[node])} from the start"
+        return f"{_format_mm(line.stations[node])} from the start"
 
-    end, overall = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
-    yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
-    where = f"step {overall.step}, {_mm(overall.place)} from the start"
+    end, overall = (
+        find_sharpest_bend(path, line, [last]),
+        find_sharpest_bend(path, line, range(last + 1)),
+    )
+    yield Number(RADIUS, end.radius, "m", f"{_format_mm(end.place)} from the start")
+    where = f"step {overall.step}, {_format_mm(overall.place)} from the start"
     yield Number(RADIUS_ON_PATH, overall.radius, "m", where)
-    lowest = int(np.argmin(heights_of(path.last.positions, prepared)))
+    lowest = int(np.argmin(compute_heights(path.last.positions, prepared)))
     yield number(LOWEST_POINT, "m", place(lowest))
-    forces = np.array([sizes(state.reaction_forces) for state in path.states])
+    forces = np.array([compute_norms(state.reaction_forces) for state in path.states])
     for k, boundary in enumerate(prepared.boundaries):
         if isinstance(boundary, HOLDS):
             step = int(np.argmax(forces[:, k]))
-            remark = f"largest on the way: {forces[step, k]:.4g} N at step {step}"
+            remark = f"largest in all steps: {forces[step, k]:.4g} N at step {step}"
             yield number(f"{FORCE}{boundary.name}", "N", remark)
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             yield number(f"{MOMENT}{boundary.name}", "N*m")
     for boundary in prepared.boundaries:
         if isinstance(boundary, rod.Held) and boundary.release is not None:
-            remark = f"against step {boundary.release - 1}, the last one before its release"
+            remark = (
+                f"from its place in step {boundary.release - 1}, the last one before the release"
+            )
             yield number(f"{SPRINGBACK}{boundary.name}", "m", remark)
     law = line.section.law
-    residual = residual_curvature(path.last, law)
+    residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
     rule = "" if law.growing else ", by Masing's rule"
     remark = f"{place(node)}; if released{rule}" if residual[node] else ""
@@ -628,7 +640,7 @@ def _numbers(path: RodPath, prepared: PreparedLine) -> Iterator[Number]:
     yield number(ENERGY_LOST, "J", "in bending, since the start")
 
 
-def results_of(
+def build_results(
     numbers: Sequence[Number],
     reasons: tuple[Reason, ...],
     intervals: Mapping[str, Interval],
@@ -639,26 +651,28 @@ def results_of(
     Parameters
     ----------
     numbers : of a harness
-    reasons : of a doubt about all of them
-    intervals : by name, of those that have one
-    doubts : about some of them
+    reasons : why all of them are doubtful
+    intervals : by name, of the numbers that have one
+    doubts : about some of the numbers
     """
     return tuple(
-        _result(number, (*reasons, *_reasons_for(number, doubts)), intervals.get(number.name))
+        _build_result(
+            number, (*reasons, *_select_reasons(number, doubts)), intervals.get(number.name)
+        )
         for number in numbers
     )
 
 
-def _reasons_for(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
+def _select_reasons(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
     """Yield the reasons of the doubts about this number."""
     for doubt in doubts:
-        # its name begins with that of another number
+        # the name of this number begins with that of another one
         is_named = number.name != RADIUS_ON_PATH or RADIUS_ON_PATH in doubt.names
         if number.name.startswith(doubt.names) and is_named:
             yield doubt.reason
 
 
-def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
+def _build_result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
     if not np.isfinite(number.value):
         reason = Reason.of("mechanics.studies.straight")
         return Result(number.name, None, number.unit, None, Status.FAILED, (reason,))
@@ -668,5 +682,5 @@ def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | No
     )
 
 
-def _mm(length: float) -> str:
+def _format_mm(length: float) -> str:
     return f"{1e3 * length:.4g} mm"

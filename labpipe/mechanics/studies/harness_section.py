@@ -1,4 +1,4 @@
-"""Material of the line of a harness: sections as functions of uncertain inputs, and their range."""
+"""Material of a harness line: sections as functions of uncertain inputs, with their valid range."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
-    calibrated_distributions,
+    build_calibrated_distributions,
+    build_stated_distribution,
+    build_uniform_distribution,
     join_distributions,
-    stated_distribution,
-    uniform_distribution,
 )
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.mechanics.studies.harness_line import FREE_CURVATURES
-from labpipe.mechanics.studies.wire_sheets import read_wire_sheet, wire_error
+from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.law_family import (
     ISOTROPIC_SHARE,
     LAW_FACTOR,
@@ -45,7 +45,7 @@ from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
 
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs: logarithms of factors on moments, torsional stiffness and mass."""
+"""Inputs that are logarithms of factors: on moments, torsional stiffness and mass."""
 DEFAULT_SHEET = "wires.xlsx"
 _HARDENING = "hardening of the copper"
 _INSULATION_LIMIT = "the straight line of its insulation"
@@ -62,16 +62,16 @@ class Material:
     Parameters
     ----------
     name : of the wire, or a description
-    sections : functions of named inputs, such as ``law_factor``, with 0 for a missing one; one for
-        each solution of a calibration, the best first
+    sections : functions of named inputs such as ``law_factor``, of which a missing one is 0; one
+        function for each solution of a calibration, the best first
     limit : 1/m, largest curvature for which the law is supported
-    limit_source : of this limit
-    has_unknown_share : whether the isotropic share of its strands is taken from a range
+    limit_source : what sets this limit
+    has_unknown_share : whether the isotropic share of the strands is unknown and varied in a range
     stretch_limit : largest strain along the line for which its axial stiffness is supported
-    files : that it was read from
+    files : from which it was read
     notes : quality notes of the law
-    distributions : of the inputs, one for each solution of a calibration; empty without any
-        information on the uncertainty of the law
+    distributions : of the inputs, one for each solution of a calibration; empty if the uncertainty
+        of the law is unknown
     """
 
     name: str
@@ -117,41 +117,41 @@ def fix_inputs(material: Material) -> Material:
     return replace(material, sections=sections, distributions=())
 
 
-def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
+def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
     """Read the material of the line of a harness.
 
     Parameters
     ----------
     harness : as read
     file : its YAML; other files are relative to its folder
-    wires : wire sheet instead of that in the file
+    wires : wire sheet in place of the one that the file names
 
     Raises
     ------
     LabpipeError
-        If a file cannot be used, or has no such wire.
+        If a file cannot be used, or the sheet has no such wire.
     """
     block = harness.line.section
     if block.wire is not None:
-        material = _wire_material(block, file, wires)
+        material = _read_wire_material(block, file, wires)
     elif block.sliders is not None:
-        material = _deck_material(block, find_named_file(block.sliders, file))
+        material = _read_deck_material(block, find_named_file(block.sliders, file))
     else:
-        material = _stiffness_material(block)
+        material = _build_stiffness_material(block)
     return replace(material, distributions=_add_stated(material.distributions, harness))
 
 
 def _add_stated(
     distributions: tuple[InputDistribution, ...], harness: HarnessFile
 ) -> tuple[InputDistribution, ...]:
-    """Join the distributions of a calibration with those that the file states."""
+    """Join the distributions of a calibration with the uncertainties that the file states."""
     inputs = {
         LAW_FACTOR: (harness.line.section.stiffness_uncertainty or 0.0, "stiffness as stated")
     }
     if harness.line.spool is not None:
         inputs |= dict.fromkeys(FREE_CURVATURES, (harness.line.spool.spread, "curl of the spool"))
     stated = [
-        stated_distribution(name, deviation, cause=cause)
+        build_stated_distribution(name, deviation, cause=cause)
         for name, (deviation, cause) in inputs.items()
         if deviation > 0.0
     ]
@@ -162,8 +162,8 @@ def _add_stated(
     return tuple(join_distributions([calibrated, *stated]) for calibrated in distributions)
 
 
-def input_file(role: str, path: Path) -> InputFile:
-    """Return a file with its hash, for the record.
+def describe_file(role: str, path: Path) -> InputFile:
+    """Return name, hash and size of an input file.
 
     Parameters
     ----------
@@ -174,21 +174,21 @@ def input_file(role: str, path: Path) -> InputFile:
     return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
 
 
-def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
+def find_wire(name: str, sheet: Path, *, where: str) -> WireSpec:
     """Find a wire in a sheet.
 
     Parameters
     ----------
     name : of the wire
     sheet : of wires
-    where : place that names the wire, for the message
+    where : file and key that name the wire, for messages
 
     Raises
     ------
     LabpipeError
         If the sheet has faults, or no such wire.
     """
-    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     if name in specs:
         return specs[name]
     near = ", ".join(sort_by_likeness(name, list(specs)))
@@ -197,21 +197,21 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     )
 
 
-def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
     sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
-    spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
-    files = [input_file("wires", sheet)]
+    spec = find_wire(str(block.wire), sheet, where=f"{file}, line.section.wire")
+    files = [describe_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:
         path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
-        files.append(input_file("calibration", path))
-    specs = _solution_specs(spec, calibrated)
+        files.append(describe_file("calibration", path))
+    specs = _build_solution_specs(spec, calibrated)
     try:
         table, families = wire_table(specs[0]), [make_law_family(spec) for spec in specs]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
-        raise wire_error(sheet, spec, expected, error) from error
+        raise build_wire_error(sheet, spec, expected, error) from error
     limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
@@ -221,38 +221,38 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
         name = f"{name} (calibrated as {calibrated.wire})"
     return Material(
         name,
-        tuple(partial(_family_section, family, spec.wire_diameter) for family in families),
+        tuple(partial(_build_section, family, spec.wire_diameter) for family in families),
         *(limits[source], source),
         files=tuple(files),
         notes=table.notes,
-        distributions=_distributions(spec, calibrated),
+        distributions=_build_distributions(spec, calibrated),
         has_unknown_share=spec.isotropic_share is None
         and (calibrated is None or calibrated.share is None),
         stretch_limit=1e-3,  # copper yields beyond it
     )
 
 
-def _distributions(
+def _build_distributions(
     spec: WireSpec, calibrated: CalibratedFile | None
 ) -> tuple[InputDistribution, ...]:
-    """Return the distributions of a calibration, and that of an unknown isotropic share."""
-    found: tuple[InputDistribution, ...] = ()
+    """Return the distributions of a calibration, joined with that of an unknown isotropic share."""
+    distributions: tuple[InputDistribution, ...] = ()
     if calibrated is not None:
-        found = calibrated_distributions(
+        distributions = build_calibrated_distributions(
             calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
         )
     if spec.isotropic_share is not None:
-        return found
+        return distributions
     if calibrated is not None and calibrated.share is not None:
         value, error = calibrated.share
-        share = stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
+        share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
-        share = uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=_HARDENING)
-    return tuple(join_distributions([other, share]) for other in found) or (share,)
+        share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=_HARDENING)
+    return tuple(join_distributions([other, share]) for other in distributions) or (share,)
 
 
-def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
-    """Return the wire with the parameters of each allowed solution of a calibration, if any."""
+def _build_solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
+    """Return the wire with the parameters of each allowed solution; unchanged if not calibrated."""
     if calibrated is None:
         return [spec]
     return [
@@ -262,7 +262,7 @@ def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[W
     ]
 
 
-def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
+def _build_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
     member = family.at(inputs)
     return Section(
         *(member.law, member.torsional_stiffness, member.axial_stiffness, member.coupling),
@@ -271,7 +271,7 @@ def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, flo
     )
 
 
-def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
+def _scale_section(section: Section, inputs: Mapping[str, float]) -> Section:
     """Multiply moments, torsion and mass of a section by the factors of the inputs."""
     bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
     law = section.law
@@ -288,7 +288,7 @@ def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
     )
 
 
-def _stiffness_material(block: SectionBlock) -> Material:
+def _build_stiffness_material(block: SectionBlock) -> Material:
     stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
         make_linear_law(stiffness, limit),
@@ -299,10 +299,10 @@ def _stiffness_material(block: SectionBlock) -> Material:
     )
     name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
     source = "'largest_curvature' of the file"
-    return Material(name, (partial(_scaled_section, section),), limit, source)
+    return Material(name, (partial(_scale_section, section),), limit, source)
 
 
-def _deck_material(block: SectionBlock, path: Path) -> Material:
+def _read_deck_material(block: SectionBlock, path: Path) -> Material:
     deck = _read_deck(path)
     try:
         first, last = map(float, deck["range"]["curvature"])
@@ -330,13 +330,13 @@ def _deck_material(block: SectionBlock, path: Path) -> Material:
     distributions: tuple[InputDistribution, ...] = ()
     if hardening is not None and not hardening.is_known:
         distributions = (
-            uniform_distribution(ISOTROPIC_SHARE, *hardening.shares, cause=_HARDENING),
+            build_uniform_distribution(ISOTROPIC_SHARE, *hardening.shares, cause=_HARDENING),
         )
     source = min(limits, key=lambda limit: limits[limit])
     return Material(
-        *(str(deck.get("wire", path.stem)), (partial(_deck_section, section, hardening),)),
+        *(str(deck.get("wire", path.stem)), (partial(_build_deck_section, section, hardening),)),
         *(limits[source], source),
-        files=(input_file("sliders", path),),
+        files=(describe_file("sliders", path),),
         distributions=distributions,
         has_unknown_share=bool(distributions),
     )
@@ -375,7 +375,7 @@ def _read_hardening(deck: Mapping[str, Any]) -> _Hardening | None:
     return _Hardening(slider.scaled(1.0 / share), (low, high))
 
 
-def _deck_section(
+def _build_deck_section(
     section: Section, hardening: _Hardening | None, inputs: Mapping[str, float]
 ) -> Section:
     """Return the section of a deck with its isotropic share and the factors of the inputs."""
@@ -383,7 +383,7 @@ def _deck_section(
         stated = hardening.shares[0] if hardening.is_known else 0.0
         share = min(max(inputs.get(ISOTROPIC_SHARE, stated), 0.0), 1.0)
         section = replace(section, law=share_hardening(section.law, hardening.strands, share))
-    return _scaled_section(section, inputs)
+    return _scale_section(section, inputs)
 
 
 def _read_deck(path: Path) -> dict[str, Any]:

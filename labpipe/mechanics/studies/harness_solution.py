@@ -1,4 +1,4 @@
-"""Solution of a harness: its path, its numbers with their bands, and the lengths of its sweep."""
+"""Solution of a harness file: path of its line, numbers with their bands, and its sweep."""
 
 from __future__ import annotations
 
@@ -10,12 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.mechanics.rod.bands import LineBands, StateBands, bands_of
+from labpipe.mechanics.rod.bands import LineBands, StateBands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.response import Band, Fields, Response, band_of, respond, sizes
+from labpipe.mechanics.rod.response import (
+    Band,
+    Fields,
+    Response,
+    compute_band,
+    compute_norms,
+    respond,
+)
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_convergence import convergence_doubts
+from labpipe.mechanics.studies.harness_convergence import check_convergence
 from labpipe.mechanics.studies.harness_line import Inputs, PreparedLine, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
@@ -25,20 +32,20 @@ from labpipe.mechanics.studies.harness_numbers import (
     Bend,
     BendLimit,
     Doubt,
-    bend_limit,
-    element_doubt,
+    build_results,
+    check_elements,
+    check_jumps,
+    check_share,
+    check_unloading,
+    collect_fields,
+    compute_numbers,
+    estimate_size,
     evaluate_number,
-    fields_of,
-    jump_doubt,
-    number_names,
-    numbers_of,
-    reasons_of,
-    reference_size,
-    results_of,
-    share_doubts,
-    sharpest,
-    unloading_doubt,
-    unloading_names,
+    find_bend_limit,
+    find_reasons,
+    find_sharpest_bend,
+    list_numbers,
+    list_unloading_numbers,
 )
 from labpipe.mechanics.studies.harness_section import Material, fix_inputs
 from labpipe.messages import format_sentence
@@ -53,7 +60,7 @@ FAILED = "failed"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedHarness:
-    """A harness with its solution.
+    """A harness file with its solution.
 
     Parameters
     ----------
@@ -62,14 +69,14 @@ class FollowedHarness:
     material : of its line
     prepared : line and boundaries
     path : of the line
-    status : ``failed`` where the line cannot be solved to the last step; then only the reason is
+    status : ``failed`` if the line cannot be solved to the last step; then only the reason is
         written
-    reasons : why it is doubtful or failed
-    results : numbers; none of a failed one
+    reasons : why all numbers are doubtful, or why the solution failed
+    results : numbers; empty if failed
     limit : allowed bend radius
     folder : of the results
     files : that were written
-    sweep : the same harness with the lengths of its sweep, reasons those of its bends
+    sweep : solutions for the lengths of the sweep; their reasons are those of their bend radii
     bands : of the steps that are shown; None without information on the uncertainty of the line
     """
 
@@ -90,7 +97,7 @@ class FollowedHarness:
     @property
     def steps(self) -> tuple[int, ...]:
         """Return the steps that are shown: those of the file, and the last."""
-        return shown_steps(self.harness)
+        return list_shown_steps(self.harness)
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
@@ -100,27 +107,27 @@ class FollowedHarness:
 
     @property
     def sharpest(self) -> Bend:
-        """Return the sharpest bend of all steps; NaN for a failed line."""
+        """Return the find_sharpest_bend bend of all steps; NaN for a failed line."""
         return self._sharpest(range(len(self.path.states)))
 
     @property
     def bend(self) -> Bend:
-        """Return the sharpest bend at the last step; NaN for a failed line."""
+        """Return the find_sharpest_bend bend at the last step; NaN for a failed line."""
         return self._sharpest([len(self.path.states) - 1])
 
     def _sharpest(self, steps: Sequence[int]) -> Bend:
         if self.status is Status.FAILED:
             return Bend(math.nan, -1, math.nan)
-        return sharpest(self.path, self.prepared.line, steps)
+        return find_sharpest_bend(self.path, self.prepared.line, steps)
 
     @property
     def is_bend_doubtful(self) -> bool:
-        """Return whether the sharpest bend of all steps is doubtful."""
+        """Return whether the find_sharpest_bend bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
 
 
-def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
+def list_shown_steps(harness: HarnessFile) -> tuple[int, ...]:
     """Return the steps of the file that are shown, and the last.
 
     Parameters
@@ -153,7 +160,7 @@ def solve_harness(
         If the line does not fit its boundaries.
     """
     path, prepared, bands = _follow_with_bands(harness, file, material, on_step)
-    reasons = _all_reasons(path, prepared, material, bands)
+    reasons = _collect_reasons(path, prepared, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
     results: tuple[Result, ...] = ()
@@ -162,40 +169,40 @@ def solve_harness(
         line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
         coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
         half = prepare_line(coarse, section(material.best), material.best)
-        names = unloading_names(path, prepared)
-        doubts = _doubts(path, prepared, half, intervals)
+        names = list_unloading_numbers(path, prepared)
+        doubts = _collect_doubts(path, prepared, half, intervals)
         if material.has_unknown_share:
-            doubts += share_doubts(intervals, names)
+            doubts += check_share(intervals, names)
         if material.knows_only_share:
             intervals = {
                 name: interval for name, interval in intervals.items() if name.startswith(names)
             }
-        results = results_of(numbers_of(path, prepared), reasons, intervals, doubts)
-    limit = bend_limit(harness, material)
+        results = build_results(compute_numbers(path, prepared), reasons, intervals, doubts)
+    limit = find_bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, prepared, path, status, reasons, results, limit, folder),
         bands=bands,
     )
 
 
-def _doubts(
+def _collect_doubts(
     path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
 ) -> list[Doubt]:
     """Return the doubts about some numbers of a complete path."""
     doubts = [
-        element_doubt(path, prepared.line),
-        jump_doubt(path, prepared),
-        unloading_doubt(path, prepared),
-        *convergence_doubts(path, prepared, half, intervals),
+        check_elements(path, prepared.line),
+        check_jumps(path, prepared),
+        check_unloading(path, prepared),
+        *check_convergence(path, prepared, half, intervals),
     ]
     return [doubt for doubt in doubts if doubt is not None]
 
 
-def _all_reasons(
+def _collect_reasons(
     path: RodPath, prepared: PreparedLine, material: Material, bands: HarnessBands | None
 ) -> tuple[Reason, ...]:
-    """Return the reasons why all numbers are doubtful or missing, with those of the bands."""
-    reasons = reasons_of(path, prepared.line, material)
+    """Return the reasons why all numbers are doubtful or missing, those of the bands included."""
+    reasons = find_reasons(path, prepared.line, material)
     if bands is None:
         return reasons
     codes = {reason.code for reason in reasons} | {"beyond_tested"}
@@ -207,7 +214,7 @@ def _all_reasons(
 def solve_sweep_length(
     stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
 ) -> FollowedHarness:
-    """Solve a harness with another length of its line, and show its last step only.
+    """Solve a harness with another length of its line; only its last step is shown.
 
     Parameters
     ----------
@@ -242,18 +249,18 @@ def solve_sweep_length(
 def _follow_with_bands(
     harness: HarnessFile, file: Path, material: Material, on_step: Callable[[], object]
 ) -> tuple[RodPath, PreparedLine, HarnessBands | None]:
-    """Solve a line at its best inputs, and at others where these have distributions."""
+    """Solve a line at its best inputs, and at further inputs if these have distributions."""
     solutions: list[Followed] = []
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
         prepared = prepare_line(harness, material.sections[number](inputs), inputs)
-        with np.errstate(over="ignore", invalid="ignore"):  # it then has the status failed
+        with np.errstate(over="ignore", invalid="ignore"):  # such a path has the status failed
             path = follow(prepared.line, prepared.boundaries, steps=harness.steps, on_step=on_step)
         solutions.append((path, prepared))
         return solutions[-1]
 
     try:
-        bands = harness_bands(follow_line, material, shown_steps(harness))
+        bands = predict_bands(follow_line, material, list_shown_steps(harness))
         path, prepared = solutions[0] if solutions else follow_line(0, material.best)
     except ValueError as error:
         raise ProcessingError.about(
@@ -266,7 +273,7 @@ Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
 """Prepare and solve a line: number of the distribution, and inputs."""
 _ROUNDING = 1e-6
-"""Rounding error of the solver, over a number or its `reference_size`."""
+"""Rounding error of the solver, over a number or its `estimate_size`."""
 _SHAPE = "shape"
 
 
@@ -278,7 +285,7 @@ class HarnessBands:
     ----------
     line : pointwise bands of the steps that are shown
     intervals : of the numbers of the last step, by name
-    doubt : reason why they are doubtful; None where the causes of a draw add up
+    doubt : reason why they are doubtful; None if the effects of the causes add up
     """
 
     line: LineBands
@@ -286,16 +293,16 @@ class HarnessBands:
     doubt: Reason | None = None
 
 
-def harness_bands(
+def predict_bands(
     follow_line: FollowLine, material: Material, steps: Sequence[int]
 ) -> HarnessBands | None:
-    """Predict a harness with pointwise 95 % bands.
+    """Compute pointwise 95 % bands of the shape, and intervals of the numbers.
 
     Parameters
     ----------
-    follow_line : solves the line for inputs
+    follow_line : solves the line for given inputs
     material : of the line, with the distributions of its inputs
-    steps : with bands of the shape
+    steps : for which the shape has bands
 
     Returns
     -------
@@ -305,7 +312,7 @@ def harness_bands(
     if not solves:
         return None
     limit = material.limit
-    line = bands_of(
+    line = predict_line_bands(
         [solve.path for solve in solves],
         material.distributions,
         steps=steps,
@@ -314,22 +321,26 @@ def harness_bands(
     if line is None:
         return None
     pairs = zip(solves, material.distributions, strict=True)
-    draws = [_DrawnNumbers(solve, respond(solve.fields, belief)) for solve, belief in pairs]
-    bands = {name: _band(draws, name) for name in draws[0].value}
-    intervals = {name: _interval(name, band) for name, band in bands.items() if name != _SHAPE}
-    return HarnessBands(line, intervals, _doubt(draws, bands))
+    draws = [
+        _DrawnNumbers(solve, respond(solve.fields, distribution)) for solve, distribution in pairs
+    ]
+    bands = {name: _compute_band(draws, name) for name in draws[0].value}
+    intervals = {
+        name: _compute_interval(name, band) for name, band in bands.items() if name != _SHAPE
+    }
+    return HarnessBands(line, intervals, _check_draws(draws, bands))
 
 
-def _band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
+def _compute_band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
     by_response = {draw.response: draw for draw in draws}
-    return band_of(
+    return compute_band(
         list(by_response),
         lambda response: (by_response[response].value[name], by_response[response].drawn[name]),
     )
 
 
-def _interval(name: str, band: Band) -> Interval:
-    """Return the interval of a number; of a radius, from that of its curvature."""
+def _compute_interval(name: str, band: Band) -> Interval:
+    """Return the interval of a number; that of a radius follows from the band of its curvature."""
     level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
@@ -339,14 +350,14 @@ def _interval(name: str, band: Band) -> Interval:
 
 
 class _Solver:
-    """Solves a line for inputs of one distribution, each of them once."""
+    """Solver of a line for the inputs of one distribution; equal inputs are solved once."""
 
     def __init__(self, follow_line: FollowLine, number: int) -> None:
         self.follow_line, self.number = follow_line, number
         self.solutions: dict[tuple[tuple[str, float], ...], Followed] = {}
 
     def solve(self, inputs: Inputs) -> Followed:
-        """Path and line."""
+        """Return path and line for inputs."""
         key = tuple(sorted(inputs.items()))
         if key not in self.solutions:
             self.solutions[key] = self.follow_line(self.number, inputs)
@@ -354,103 +365,105 @@ class _Solver:
 
     @property
     def first(self) -> Followed:
-        """Path and line at the best inputs, which are solved first."""
+        """Return path and line at the best inputs, which are solved first."""
         return next(iter(self.solutions.values()))
 
     def path(self, inputs: Inputs) -> RodPath:
-        """Path alone."""
+        """Return the path for inputs."""
         return self.solve(inputs)[0]
 
     def fields(self, inputs: Inputs) -> Fields | None:
-        """Fields of all numbers; None of a line that cannot be solved."""
+        """Return the fields of all numbers; None if the line cannot be solved."""
         path, prepared = self.solve(inputs)
-        return None if path.status == "failed" else fields_of(path, prepared)
+        return None if path.status == "failed" else collect_fields(path, prepared)
 
 
 class _DrawnNumbers:
-    """Numbers at the best inputs of a distribution, and in its draws; radii as curvatures.
+    """Numbers at the best inputs of a distribution, and in its draws; of radii, the curvatures.
 
-    The shape is one of them: positions of the nodes, shape (n + 1, 3).
+    The positions of the nodes, shape (n + 1, 3), are one of the numbers.
     """
 
     def __init__(self, solve: _Solver, response: Response | None) -> None:
         assert response is not None, "the line was solved at the best inputs before"
         self.solve, self.response = solve, response
-        self.names = number_names(response.value)
+        self.names = list_numbers(response.value)
         self.value = self.numbers(response.value.__getitem__)
         self.drawn = self.numbers(response.drawn)
 
     def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
-        """All numbers of fields, and the shape."""
+        """Compute all numbers, and the positions of the nodes, from fields."""
         path, prepared = self.solve.first
         steps = len(path.states) - 1
         numbers = {name: evaluate_number(name, field, prepared, steps) for name in self.names}
         return numbers | {_SHAPE: field(POSITIONS)}
 
     def solved_draws(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
-        """Solve draws with all their causes at once; None for one without equilibrium."""
-        belief = self.response.distribution
-        for row in check_draws(belief):
-            fields = self.solve.fields(belief.inputs(belief.amounts[row]))
+        """Solve the line for some draws; yield None for a draw without equilibrium."""
+        distribution = self.response.distribution
+        for row in choose_draws(distribution):
+            fields = self.solve.fields(distribution.inputs(distribution.amounts[row]))
             yield row, None if fields is None else self.numbers(fields.__getitem__)
 
 
-def check_draws(belief: InputDistribution) -> tuple[int, ...]:
-    """Return rows of draws of different sizes; none for a single cause, where nothing is added.
+def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
+    """Choose rows of draws of different sizes; none for a single cause, which has nothing to add.
 
     Parameters
     ----------
-    belief : that is drawn from
+    distribution : of the inputs
     """
-    # by size of the draw: large draws show best whether causes add up
+    # ranks by size: large draws show best whether the effects of the causes add up
     rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
-    amounts = belief.amounts
+    amounts = distribution.amounts
     if amounts.shape[1] < 2:
         return ()
-    order = np.argsort(sizes(amounts / np.std(amounts, axis=0)), kind="stable")
+    order = np.argsort(compute_norms(amounts / np.std(amounts, axis=0)), kind="stable")
     return tuple(int(order[int(rank * len(order))]) for rank in rank_shares)
 
 
-def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason | None:
-    """Return the reason why bands are doubtful; None where the causes add up."""
+def _check_draws(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason | None:
+    """Solve some draws; return the reason why bands are doubtful, or None."""
     max_cause_error = 0.5  # of half the width of a band
     path, prepared = draws[0].solve.first
-    scales = _scales(path, prepared)
+    scales = _compute_rounding(path, prepared)
     squares: dict[str, list[float]] = {}
-    count = lost = 0
+    count = unsolved = 0
     for draw in draws:
         for row, numbers in draw.solved_draws():
             count += 1
-            lost += numbers is None
+            unsolved += numbers is None
             for name, number in (numbers or {}).items():
-                times = _relative_error(number, draw.drawn[name], row, bands[name], scales[name])
+                times = _compute_draw_error(
+                    number, draw.drawn[name], row, bands[name], scales[name]
+                )
                 squares.setdefault(name, []).append(times**2)
-    off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
-    most = max(off, key=lambda name: off[name], default=_SHAPE)
-    if not lost and off.get(most, 0.0) <= max_cause_error:
+    errors = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
+    worst = max(errors, key=lambda name: errors[name], default=_SHAPE)
+    if not unsolved and errors.get(worst, 0.0) <= max_cause_error:
         return None
-    faults = [f"{lost} have no equilibrium"] if lost else []
-    if off.get(most, 0.0) > max_cause_error:
-        error, limit = off[most], max_cause_error
+    faults = [f"{unsolved} have no equilibrium"] if unsolved else []
+    if errors.get(worst, 0.0) > max_cause_error:
+        error, limit = errors[worst], max_cause_error
         faults.append(
-            format_sentence("mechanics.studies.cause_error", number=most, error=error, most=limit)
+            format_sentence("mechanics.studies.cause_error", number=worst, error=error, most=limit)
         )
     return Reason.of(
         "mechanics.studies.causes_do_not_add", count=count, faults=" and ".join(faults)
     )
 
 
-def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
-    """Return the rounding error of each number and of the shape."""
-    units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
+def _compute_rounding(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
+    """Return the rounding error of each number, and of the positions."""
+    units = {number.name: number.unit for number in compute_numbers(path, prepared)} | {_SHAPE: "m"}
     units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
-    return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
+    return {name: _ROUNDING * estimate_size(unit, prepared.line) for name, unit in units.items()}
 
 
-def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
+def _compute_draw_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
     """Return the error of a draw over the distance from the median to the end of its band.
 
-    Of the shape, both are the largest along the line.
+    For positions, both the error and the distance are the largest along the line.
     """
     middle = np.median(drawn, axis=0)
     distances = np.where(number > middle, band.upper - middle, middle - band.lower)

@@ -1,4 +1,4 @@
-"""Files of a solved harness: shape, forces, summary, deck and figures."""
+"""Study ``labpipe harness``: solves a harness file and writes shape, forces, deck and figures."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.rotations import matrices
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
-    curvature_of,
-    heights_of,
-    radius_of,
-    residual_curvature,
+    compute_curvature,
+    compute_heights,
+    compute_radius,
+    compute_residual_curvature,
 )
-from labpipe.mechanics.studies.harness_section import input_file, material_of
+from labpipe.mechanics.studies.harness_section import describe_file, read_material
 from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     solve_harness,
     solve_sweep_length,
 )
-from labpipe.mechanics.studies.study_json import entries, plain
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
@@ -55,6 +54,8 @@ from labpipe.store.summaries import (
     SUMMARY_FILE,
     build_result_entry,
     replace_non_finite,
+    select_json,
+    to_json,
 )
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
@@ -64,12 +65,12 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Watcher:
-    """Callbacks for progress.
+class Progress:
+    """Callbacks that report progress.
 
     Parameters
     ----------
-    begin : called with the number of lines and of the steps of each
+    begin : called with the number of lines and the number of steps of each
     line : called with the name of each line before it is solved
     step : called after each step
     """
@@ -86,7 +87,7 @@ def follow_harness(
     out: Path | None = None,
     figures: bool = True,
     png: bool = False,
-    watcher: Watcher | None = None,
+    progress: Progress | None = None,
 ) -> FollowedHarness:
     """Solve the line of a harness and write the results.
 
@@ -98,12 +99,12 @@ def follow_harness(
         folder
     figures : whether to draw
     png : figures as PNG, too; without it those of an earlier run are removed
-    watcher : of the progress
+    progress : callbacks
 
     Returns
     -------
     The harness with its numbers and files. If the line cannot be solved to the last step, only
-    ``failure.json`` is written; earlier results are then unchanged.
+    ``failure.json`` is written, and earlier results stay unchanged.
 
     Raises
     ------
@@ -111,34 +112,34 @@ def follow_harness(
         If the file or one that it names has faults; earlier results are then unchanged.
     """
     harness = load_harness(file)
-    material = material_of(harness, file, wires)
+    material = read_material(harness, file, wires)
     folder = Path("processed/harness") / file.stem if out is None else out
     lengths = harness.sweep.length if harness.sweep else ()
-    watcher = watcher or Watcher()
+    progress = progress or Progress()
     others = [length for length in lengths if length != harness.line.length]
-    watcher.begin(len(others) + 1, harness.steps + 1)
-    watcher.line("as stated")
-    solution = solve_harness(harness, file, material, folder, watcher.step)
+    progress.begin(len(others) + 1, harness.steps + 1)
+    progress.line("as stated")
+    solution = solve_harness(harness, file, material, folder, progress.step)
     if solution.status is Status.FAILED:
         _write_failure(solution)
         return solution
     sweep = []
     for length in lengths:
         if length in others:
-            watcher.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(solve_sweep_length(solution, length, watcher.step))
+            progress.line(f"length {1e3 * length:.6g} mm")
+        sweep.append(solve_sweep_length(solution, length, progress.step))
     return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
 
 
 def _write_failure(solution: FollowedHarness) -> None:
-    """Write the reason beside earlier results, which are unchanged."""
+    """Write ``failure.json``; earlier results stay unchanged."""
     states = solution.path.states
     reached = states[-1].positions if states else solution.prepared.line.positions
     content = {
-        **_json_head(solution),
-        **entries(solution.reasons[0], "code", reason="message"),
-        **entries(solution, "reasons"),
-        "reached": {"step": len(states) - 1, "positions": plain(reached)},
+        **_build_head(solution),
+        **select_json(solution.reasons[0], "code", reason="message"),
+        **select_json(solution, "reasons"),
+        "reached": {"step": len(states) - 1, "positions": to_json(reached)},
     }
     text = json.dumps(content, indent=1, ensure_ascii=False)
     with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
@@ -149,20 +150,20 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
     folder, rod_path, prepared = solution.folder, solution.path, solution.prepared
     shapes, forces = {}, {}
     for step, state in solution.bands_by_step.items():
-        places, bent, pulls = state.positions, state.curvature, state.reaction_forces
-        lower = np.column_stack([places.lower, bent.lower])
-        shapes[step] = lower, np.column_stack([places.upper, bent.upper])
-        forces[step] = pulls.lower, pulls.upper
+        positions, curvature = state.positions, state.curvature
+        lower = np.column_stack([positions.lower, curvature.lower])
+        shapes[step] = lower, np.column_stack([positions.upper, curvature.upper])
+        forces[step] = state.reaction_forces.lower, state.reaction_forces.upper
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
-        SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, shapes),
-        FORCES_FILE: forces_csv(rod_path, prepared, forces),
-        VTK_FILE: shape_vtk(rod_path, prepared.line, solution.steps, title),
+        SHAPE_FILE: format_shape(rod_path, prepared.line, solution.steps, shapes),
+        FORCES_FILE: format_forces(rod_path, prepared, forces),
+        VTK_FILE: format_vtk(rod_path, prepared.line, solution.steps, title),
         DECK_FILE: write_line_deck(prepared.line, prepared.boundaries, title=title),
         SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
     }
     if solution.sweep:
-        texts[SWEEP_FILE] = _csv([_sweep_row(run) for run in solution.sweep])
+        texts[SWEEP_FILE] = _format_csv([_build_sweep_row(run) for run in solution.sweep])
     names = (FIGURE, SWEEP_FIGURE) if figures else ()
     owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
     owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
@@ -172,14 +173,16 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
                 (stage / name).write_text(text, encoding="utf-8", newline="\n")
         written = [stage / name for name in texts]
         if figures:
-            drawn = drawn_harness(solution)
+            drawn = build_drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_pages(list_harness_figures(drawn, drawn_sweep(solution)), into, png=png)
+            written += save_pages(
+                list_harness_figures(drawn, build_drawn_sweep(solution)), into, png=png
+            )
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(solution, files=files)
 
 
-def _sweep_row(run: FollowedHarness) -> dict[str, object]:
+def _build_sweep_row(run: FollowedHarness) -> dict[str, object]:
     names = (
         *("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]"),
         *(f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]"),
@@ -187,16 +190,16 @@ def _sweep_row(run: FollowedHarness) -> dict[str, object]:
     row: dict[str, object] = {"length [m]": run.harness.line.length, **dict.fromkeys(names)}
     if run.status is not Status.FAILED:
         bend, on_path = run.bend, run.sharpest
-        lowest = float(heights_of(run.path.last.positions, run.prepared).min())
-        values = (bend.radius, *_band_ends(run).values(), bend.place)
+        lowest = float(compute_heights(run.path.last.positions, run.prepared).min())
+        values = (bend.radius, *_build_band_ends(run).values(), bend.place)
         row |= zip(names, (*values, on_path.radius, str(on_path.step), lowest), strict=True)
     reason = run.reasons[0] if run.reasons else None
     code, message = (reason.code, reason.message) if reason else ("", "")
     return row | {"status": str(run.status), "code": code, "reason": message}
 
 
-def _json_head(solution: FollowedHarness) -> dict[str, object]:
-    files = (input_file("harness", solution.file), *solution.material.files)
+def _build_head(solution: FollowedHarness) -> dict[str, object]:
+    files = (describe_file("harness", solution.file), *solution.material.files)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
@@ -204,13 +207,13 @@ def _json_head(solution: FollowedHarness) -> dict[str, object]:
         "about": solution.harness.about,
         "labpipe": __version__,
         "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
-        "inputs": [entries(file, "role", "file", "sha256") for file in files],
+        "inputs": [select_json(file, "role", "file", "sha256") for file in files],
         "status": str(solution.status),
     }
 
 
 def as_json(solution: FollowedHarness) -> dict[str, object]:
-    """Return the content of ``summary.json``: SI numbers; None for one that is not available.
+    """Return the content of ``summary.json`` in SI units; None for a number that is missing.
 
     Parameters
     ----------
@@ -219,22 +222,22 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
     line, material = solution.prepared.line, solution.material
     section, bend, limit = line.section, solution.sharpest, solution.limit
     section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
-    allowed = entries(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
+    allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
-        **_json_head(solution),
-        **entries(solution, "reasons"),
+        **_build_head(solution),
+        **select_json(solution, "reasons"),
         "line": {
             "of": material.name,
             "length": line.length,
             "elements": len(line.lengths),
-            **entries(section, *section_numbers),
+            **select_json(section, *section_numbers),
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
-            **entries(material, backed_curvature="limit", backed_by="limit_source"),
+            **select_json(material, backed_curvature="limit", backed_by="limit_source"),
         },
         "bend_radius": {
             **allowed,
-            **entries(bend, "step", "place", smallest="radius"),
+            **select_json(bend, "step", "place", smallest="radius"),
             "kept": bend.radius >= limit.radius,
             "doubtful": solution.is_bend_doubtful,
         },
@@ -242,31 +245,31 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
         "sweep": [
             {
                 "length": run.harness.line.length,
-                **entries(run, "status"),
+                **select_json(run, "status"),
                 "smallest_bend_radius": replace_non_finite(run.bend.radius),
-                **_band_ends(run),
+                **_build_band_ends(run),
                 "smallest_bend_radius_on_the_way": replace_non_finite(run.sharpest.radius),
             }
             for run in solution.sweep
         ],
-        "bands": _bands_json(solution),
-        "quality": [entries(note, "code", "severity", "message") for note in material.notes],
+        "bands": _build_bands(solution),
+        "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _UNITS,
     }
 
 
-def _band_ends(run: FollowedHarness) -> dict[str, float | None]:
-    """Return the ends of the band of the smallest bend radius; None without one."""
+def _build_band_ends(run: FollowedHarness) -> dict[str, float | None]:
+    """Return the ends of the interval of the smallest bend radius; None without one."""
     if run.bands is None:
         return {"lower": None, "upper": None}
-    return entries(run.bands.intervals[RADIUS], "lower", "upper")
+    return select_json(run.bands.intervals[RADIUS], "lower", "upper")
 
 
-def _bands_json(solution: FollowedHarness) -> dict[str, object]:
-    """Return the kind of the bands and the share of each cause, or why there are none."""
+def _build_bands(solution: FollowedHarness) -> dict[str, object]:
+    """Return the kind of the bands and the share of each cause, or the reason for their absence."""
     if solution.bands is None:
         return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
-    return {"kind": "pointwise 95 %", "shares": plain(solution.bands.line.states[-1].shares)}
+    return {"kind": "pointwise 95 %", "shares": to_json(solution.bands.line.states[-1].shares)}
 
 
 _UNITS: Mapping[str, str] = {
@@ -281,22 +284,22 @@ _UNITS: Mapping[str, str] = {
 }
 
 
-def _csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
-    """Write rows with nine digits; empty for NaN, ``inf`` for a straight line."""
+def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
+    """Format rows with nine digits; NaN is an empty cell, an infinite bend radius is ``inf``."""
     frame = pd.DataFrame(table)
     text: str = frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     return text
 
 
 BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
-"""Columns of the shape that have bands where there are any."""
+"""Columns of the shape that have bands."""
 Bands = Mapping[int, tuple[Floats, Floats]]
-"""By step: lower and upper ends; of the columns `BANDED` shape (n + 1, 4) each."""
+"""Lower and upper ends by step; for the columns `BANDED` of shape (n + 1, 4) each."""
 _AXES = "xyz"
 
 
-def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
-    """Return the columns of all nodes of a state; each of shape (n + 1,).
+def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
+    """Compute the columns of ``shape.csv`` for a state, each of shape (n + 1,).
 
     Parameters
     ----------
@@ -305,52 +308,53 @@ def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
 
     Notes
     -----
-    Tension and torque are those of elements, at a node the mean of both sides.
+    Tension at a node is the mean of both elements; torque and bending moment are the larger of both
+    sides.
     """
-    curvature = curvature_of(state, line)
-    axes = matrices(state.frames)[:, :, 2]
+    curvature = compute_curvature(state, line)
+    axes = to_matrices(state.frames)[:, :, 2]
     tension = np.einsum("nk,nk->n", state.forces, axes)
     before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
     moments = state.moments
-    both = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
-    torque = np.einsum("nsk,nsk->ns", moments, np.stack(both, axis=1))
+    side_axes = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
+    torque = np.einsum("nsk,nsk->ns", moments, np.stack(side_axes, axis=1))
     bending = np.sqrt(np.maximum(np.sum(moments**2, axis=2) - torque**2, 0.0))
     places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
     return {
         "along [m]": line.stations,
         **places,
         "curvature [1/m]": curvature,
-        "bend_radius [m]": radius_of(curvature),
-        "kept_curvature [1/m]": residual_curvature(state, line.section.law),
+        "bend_radius [m]": compute_radius(curvature),
+        "kept_curvature [1/m]": compute_residual_curvature(state, line.section.law),
         "tension [N]": 0.5 * (before + behind),
         "bending_moment [N*m]": bending.max(axis=1),
         "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
     }
 
 
-def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
-    """Write the nodes of some steps.
+def format_shape(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
+    """Format ``shape.csv``, a table of the nodes in some steps.
 
     Parameters
     ----------
     path : of the line
     line : of the path
-    steps : one after the other
-    bands : of some steps; others have empty cells
+    steps : to write, in this order
+    bands : of some steps; the cells of other steps are empty
     """
-    nothing = (np.full((len(line.stations), len(BANDED)), np.nan),) * 2
+    blank = (np.full((len(line.stations), len(BANDED)), np.nan),) * 2
     tables = []
     for step in steps:
         columns: dict[str, object] = {"step": step, "node": np.arange(len(line.stations))}
-        columns |= shape_columns(path.states[step], line)
+        columns |= compute_columns(path.states[step], line)
         if bands:
-            columns |= _band_columns(BANDED, bands.get(step, nothing))
+            columns |= _build_band_columns(BANDED, bands.get(step, blank))
         tables.append(pd.DataFrame(columns))
-    return _csv(pd.concat(tables))
+    return _format_csv(pd.concat(tables))
 
 
-def _band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
-    """Return the columns of a band, lower and upper in turn."""
+def _build_band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
+    """Return the columns of a band: lower and upper end of each name."""
     return {
         name.replace(" ", f"_{end} "): values.T[number]
         for number, name in enumerate(names)
@@ -358,21 +362,21 @@ def _band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Flo
     }
 
 
-def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
-    """Write forces and moments of each boundary on the line in every step.
+def format_forces(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
+    """Format ``forces.csv``: forces and moments of each boundary on the line in every step.
 
     Parameters
     ----------
     path : of the line
     prepared : line and boundaries
-    bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; other steps
-        have empty cells
+    bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; the cells of
+        other steps are empty
 
     Notes
     -----
-    The weight is left out: in each step it is minus the sum of the others.
+    The weight is omitted; in each step it is minus the sum of all forces.
     """
-    nothing = (np.full((len(prepared.boundaries), 3), np.nan),) * 2
+    blank = (np.full((len(prepared.boundaries), 3), np.nan),) * 2
     force_names = [f"f{axis} [N]" for axis in _AXES]
     moment_names = [f"m{axis} [N*m]" for axis in _AXES]
     rows = []
@@ -386,14 +390,14 @@ def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
             row |= {"force [N]": np.linalg.norm(force), "moment [N*m]": np.linalg.norm(moment)}
             row |= zip([*force_names, *moment_names], [*force, *moment], strict=True)
             if bands:
-                band = [end[number] for end in bands.get(step, nothing)]
-                row |= _band_columns(force_names, band)
+                band = [end[number] for end in bands.get(step, blank)]
+                row |= _build_band_columns(force_names, band)
             rows.append(row)
-    return _csv(rows)
+    return _format_csv(rows)
 
 
-def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
-    """Write the shapes of some steps for ParaView, PyVista or meshio: legacy VTK, polygonal lines.
+def format_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
+    """Format the shapes of some steps as legacy VTK lines, for ParaView, PyVista or meshio.
 
     Parameters
     ----------
@@ -404,8 +408,8 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
 
     Notes
     -----
-    Infinite bend radii of a straight line are written as 0: legacy VTK has no infinity that all
-    readers accept.
+    The infinite bend radius of a straight line is written as 0, because not all readers of legacy
+    VTK accept an infinity.
     """
     states = [path.states[step] for step in steps]
     count = len(line.stations)
@@ -421,29 +425,31 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
         f"LINES {len(states)} {len(states) * (count + 1)}",
         *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
         f"CELL_DATA {len(states)}",
-        *_scalars("step", [float(step) for step in steps]),
+        *_format_scalars("step", [float(step) for step in steps]),
         f"POINT_DATA {len(points)}",
-        *_point_data([shape_columns(state, line) for state in states]),
+        *_format_point_data([compute_columns(state, line) for state in states]),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
+def _format_point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
     for name in columns[0]:
         if name[:2] in ("x ", "y ", "z "):
             continue
         values = np.concatenate([column[name] for column in columns])
-        yield from _scalars(name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist())
+        yield from _format_scalars(
+            name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist()
+        )
 
 
-def _scalars(name: str, values: Iterable[float]) -> Iterator[str]:
+def _format_scalars(name: str, values: Iterable[float]) -> Iterator[str]:
     yield f"SCALARS {name} double 1"
     yield "LOOKUP_TABLE default"
     yield from (f"{value:.9g}" for value in values)
 
 
-def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
-    """Return the data of the figure of a harness.
+def build_drawn_harness(solution: FollowedHarness) -> DrawnHarness:
+    """Build the data for the figure of a harness.
 
     Parameters
     ----------
@@ -451,34 +457,38 @@ def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
     """
     line, states = solution.prepared.line, solution.path.states
     bands = solution.bands_by_step
-    shapes = tuple(_shape(step, states[step], line, bands.get(step)) for step in solution.steps)
+    shapes = tuple(
+        _build_drawn_shape(step, states[step], line, bands.get(step)) for step in solution.steps
+    )
     planes = [
         boundary for boundary in solution.prepared.boundaries if isinstance(boundary, rod.Plane)
     ]
     return DrawnHarness(
         name=solution.file.stem,
-        note=_caption(solution),
+        note=_format_caption(solution),
         along=line.stations,
         shapes=shapes,
-        marks=_marks(solution),
+        marks=_build_marks(solution),
         planes=tuple((plane.point, plane.normal) for plane in planes),
         allowed=solution.limit.radius,
     )
 
 
-def _shape(step: int, state: RodState, line: Line, bands: StateBands | None) -> DrawnShape:
-    shape = DrawnShape(step, state.positions, radius_of(curvature_of(state, line)))
+def _build_drawn_shape(
+    step: int, state: RodState, line: Line, bands: StateBands | None
+) -> DrawnShape:
+    shape = DrawnShape(step, state.positions, compute_radius(compute_curvature(state, line)))
     if bands is None:
         return shape
-    places, bent = bands.positions, bands.curvature
+    positions, curvature = bands.positions, bands.curvature
     return replace(
         shape,
-        band=(places.lower, places.upper),
-        radius_band=(radius_of(bent.upper), radius_of(bent.lower)),
+        band=(positions.lower, positions.upper),
+        radius_band=(compute_radius(curvature.upper), compute_radius(curvature.lower)),
     )
 
 
-def _caption(solution: FollowedHarness) -> str:
+def _format_caption(solution: FollowedHarness) -> str:
     limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
     about = solution.harness.about.strip()
     sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
@@ -487,22 +497,22 @@ def _caption(solution: FollowedHarness) -> str:
     return " ".join([*sentences, line, limit, *doubts])
 
 
-def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
+def _build_marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
     """Return the symbols of clips, grips and other boundaries at the last step."""
     marks = []
     last, steps = solution.path.last, solution.harness.steps
     pairs = zip(solution.harness.boundaries, solution.prepared.boundaries, strict=False)
     for stated, boundary in pairs:  # the weight, which comes last, has no symbol
-        path, direction, holds = np.zeros((0, 3)), None, True
+        path, direction, is_holding = np.zeros((0, 3)), None, True
         match boundary:
             case rod.Held():
-                holds = boundary.release is None or boundary.release > steps
-                removed = boundary.position[: boundary.release]
-                place: Floats = last.positions[boundary.node] if not holds else removed[-1]
+                is_holding = boundary.release is None or boundary.release > steps
+                held_path = boundary.position[: boundary.release]
+                place: Floats = held_path[-1] if is_holding else last.positions[boundary.node]
                 if stated.kind == "grip":  # the path of a clip is of no interest
-                    path = removed
-                if boundary.frame is not None and holds:
-                    direction = matrices(boundary.frame[-1])[:, 2]
+                    path = held_path
+                if boundary.frame is not None and is_holding:
+                    direction = to_matrices(boundary.frame[-1])[:, 2]
             case rod.Ring():
                 place, direction = boundary.position[-1], boundary.direction
             case rod.String():
@@ -512,12 +522,12 @@ def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
                 place = last.positions[boundary.node]
             case _:
                 continue
-        marks.append(DrawnMark(stated.name, stated.kind, place, path, direction, holds))
+        marks.append(DrawnMark(stated.name, stated.kind, place, path, direction, is_holding))
     return tuple(marks)
 
 
-def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
-    """Return the data of the figure of a sweep; None without one.
+def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
+    """Build the data for the figure of a sweep; None without one.
 
     Parameters
     ----------
@@ -528,11 +538,11 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
     sweep = sorted(solution.sweep, key=lambda run: run.harness.line.length)
     return DrawnSweep(
         name=solution.file.stem,
-        note=_caption(solution),
+        note=_format_caption(solution),
         length=np.array([run.harness.line.length for run in sweep]),
         radius=np.array([run.bend.radius for run in sweep]),
         radius_over_steps=np.array([run.sharpest.radius for run in sweep]),
-        radius_band=_radius_band(sweep),
+        radius_band=_collect_radius_bands(sweep),
         shapes=tuple(
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
             for run in sweep
@@ -542,8 +552,8 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
     )
 
 
-def _radius_band(sweep: Sequence[FollowedHarness]) -> tuple[Floats, Floats] | None:
-    """Return the bands of the smallest bend radius by length; None where no length has one."""
+def _collect_radius_bands(sweep: Sequence[FollowedHarness]) -> tuple[Floats, Floats] | None:
+    """Return the ends of the interval of the smallest bend radius by length; None without any."""
     intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
     if not any(intervals):
         return None

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import UsageError, format_error, sort_by_likeness
-from labpipe.mechanics.studies.first_loadings import FirstLoading, insulation_note
-from labpipe.mechanics.studies.wire_sheets import wire_error
+from labpipe.errors import UsageError, sort_by_likeness
+from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
+from labpipe.mechanics.studies.wire_sheets import build_wire_error
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, compute_curve_errors
@@ -31,7 +31,7 @@ from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
@@ -39,11 +39,11 @@ from labpipe.statistics.mean_curves import compute_band, interpolate_curves
 from labpipe.store.read import read_result
 from labpipe.units import GRAVITY
 
-STEPS = 6
-"""Number of shapes, at even steps of deflection."""
+N_SHAPES = 6
+"""Number of shapes at evenly spaced deflections."""
 
 
-def bent_shapes(
+def compare_shapes(
     file: Path, wire: Wire, length: float, rig: StringRig | None, deepest: float
 ) -> tuple[BentShape, ...]:
     """Return shapes of a sample and of the model at even steps of deflection.
@@ -58,7 +58,7 @@ def bent_shapes(
 
     Returns
     -------
-    `STEPS` shapes in the frame of the clamp; none for a test without a fitted shape. Markers are
+    `N_SHAPES` shapes in the frame of the clamp; none for a test without a fitted shape. Markers are
     on the surface, as measured; fit and model are the axis.
 
     Raises
@@ -74,25 +74,25 @@ def bent_shapes(
     parts = wire.parts
     largest_curvature, _ = parts.reach(parts.given)
     shapes = []
-    for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
-        reached = np.flatnonzero(rise >= wanted)
+    for goal in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+        reached = np.flatnonzero(rise >= goal)
         if len(reached):
             frame = int(reached[0])
-            model = _model_shape(wire, length, rig, float(rise[frame]), largest_curvature)
+            model = _bend_model(wire, length, rig, float(rise[frame]), largest_curvature)
             measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
             markers = shape.positions[frame, measured, :2]
-            axis = _fitted_axis(shape, frame)
+            axis = _evaluate_axis(shape, frame)
             shapes.append(BentShape(float(rise[frame]), markers, axis, model))
     return tuple(shapes)
 
 
-def _fitted_axis(shape: Shape, frame: int) -> Floats:
+def _evaluate_axis(shape: Shape, frame: int) -> Floats:
     places = np.linspace(0.0, 1.0, 60)
     powers = np.vander(places, shape.coefficients.shape[2], increasing=True)
     return np.asarray(powers @ shape.coefficients[frame, :2].T, dtype=np.float64)
 
 
-def _model_shape(
+def _bend_model(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
     """Bend the model from rest to a deflection of its tip; return its axis."""
@@ -106,24 +106,26 @@ def _model_shape(
     )
     weight = wire.self_weight
     if rig is None:
-        bent = bend_to_deflection(law, hold_level(law, length, weight).state, length, deflection)
-        return np.column_stack([bent.x, bent.y])
+        solution = bend_to_deflection(
+            law, hold_level(law, length, weight).state, length, deflection
+        )
+        return np.column_stack([solution.x, solution.y])
     travel, level = deflection, make_straight(law, self_weight=weight)
     rest = bend_to_travel(law, level, length, rig, 0.0).state
     for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
-        bent = bend_to_travel(law, rest, length, rig, travel)
-        missing = deflection - float(bent.y[-1])
+        solution = bend_to_travel(law, rest, length, rig, travel)
+        missing = deflection - float(solution.y[-1])
         if abs(missing) < tip_tolerance:
             break
         travel += missing
-    return np.column_stack([bent.x, bent.y])
+    return np.column_stack([solution.x, solution.y])
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
 """Names of the wire sheet in the working folder."""
 
 
-def default_sheet() -> Path:
+def find_wire_sheet() -> Path:
     """Return the wire sheet of the working folder.
 
     Raises
@@ -134,17 +136,12 @@ def default_sheet() -> Path:
     for name in DEFAULT_SHEETS:
         if Path(name).is_file():
             return Path(name)
-    message = format_error(
-        "--wire",
-        "",
-        expected=f"a wire sheet, or {' or '.join(DEFAULT_SHEETS)} in the working folder",
-        found="neither",
-        remedy="Name the sheet that has the dimensions of the tested wires.",
+    raise UsageError.about(
+        "mechanics.studies.no_wire_sheet", "--wire", names=" or ".join(DEFAULT_SHEETS)
     )
-    raise UsageError(message)
 
 
-def wire_to_calibrate(
+def choose_wire(
     loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
 ) -> str:
     """Return the wire of the plan, or the only one with tests.
@@ -166,14 +163,19 @@ def wire_to_calibrate(
     if settings.wire in tested:
         return str(settings.wire)
     if settings.wire is None:
-        actual = f"tests of {len(tested)} wires: {', '.join(tested)}"
-        remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
-        place, key, expected = plan or "tests", "", "tests of one wire"
-    else:
-        remedy = "Name a specimen type of the tests, or give its tests, too."
-        actual = f"usable tests of {', '.join(sort_by_likeness(settings.wire, tested))} alone"
-        place, key, expected = plan or "plan", "wire", f"tests of '{settings.wire}'"
-    raise UsageError(format_error(place, key, expected=expected, found=actual, remedy=remedy))
+        raise UsageError.about(
+            "mechanics.studies.several_wires",
+            plan or "tests",
+            count=len(tested),
+            wires=", ".join(tested),
+        )
+    raise UsageError.about(
+        "mechanics.studies.untested_wire",
+        plan or "plan",
+        "wire",
+        wire=settings.wire,
+        tested=", ".join(sort_by_likeness(settings.wire, tested)),
+    )
 
 
 def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], dict[str, str]]:
@@ -194,13 +196,8 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
             (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
         )
         if original is not loading:
-            left_out[str(loading.file)] = format_error(
-                loading.file,
-                "",
-                expected="each test once",
-                found=f"the same first loading as in {original.file}",
-                remedy="Remove the copy.",
-            )
+            error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
+            left_out[str(loading.file)] = str(error)
     return list(first.values()), left_out
 
 
@@ -222,17 +219,17 @@ def require_wires(
     """
     for wire in sorted({loading.curve.wire for loading in loadings} - set(specs)):
         test = next(loading.curve.test for loading in loadings if loading.curve.wire == wire)
-        message = format_error(
+        raise UsageError.about(
+            "mechanics.studies.type_not_in_sheet",
             wires,
             "column wire",
-            expected=f"a row for '{wire}', the specimen type of test {test}",
-            found=f"rows for {', '.join(sort_by_likeness(wire, list(specs)))}",
-            remedy="Add the wire, or use the name of the tests.",
+            wire=wire,
+            test=test,
+            near=", ".join(sort_by_likeness(wire, list(specs))),
         )
-        raise UsageError(message)
 
 
-def built_wire(spec: WireSpec, wires: Path) -> Wire:
+def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
     """Build a wire of the sheet.
 
     Parameters
@@ -248,17 +245,17 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
     try:
         wire = build_wire(spec)
     except ValueError as error:
-        raise wire_error(wires, spec, "a wire that can be built", error) from error
+        raise build_wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * mass_per_length(spec, wire.section)
     linear_range = find_linear_range(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
-"""Deflections of a prediction over the largest, closer at the start of the curve."""
+"""Deflections of a prediction as shares of the largest, denser at the start of the curve."""
 
 
-def compare(
+def compare_tests(
     calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
 ) -> tuple[ValidationGroup, ...]:
     """Compare a calibration with its own tests and with others.
@@ -287,7 +284,7 @@ def compare(
     )
 
 
-def insulation_notes(
+def note_insulations(
     calibration: Calibration,
     wires: Mapping[str, Wire],
     specs: Mapping[str, WireSpec],
@@ -304,7 +301,7 @@ def insulation_notes(
     Returns
     -------
     A note for each of them. A predicted wire for which the model has no solution in the range of
-    the tests has none: its group has the reason.
+    the tests has no note: the reason is in its group.
     """
     notes, values = [], calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
@@ -314,31 +311,27 @@ def insulation_notes(
         except ValueError:
             continue
         of = "" if name == calibration.wire else calibration.wire
-        notes.append(insulation_note(specs[name], reach, of=of))
+        notes.append(note_insulation(specs[name], reach, of=of))
     return tuple(note for note in notes if note is not None)
 
 
-def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
-    """Return notes on calibrating tests outside of the 95 % band of their calibration.
+def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
+    """Return notes on calibrating tests that lie outside the 95 % band of their calibration.
 
     Parameters
     ----------
-    groups : of `compare`
+    groups : of `compare_tests`
 
     Returns
     -------
-    A note for each group with less than 80 % of the points inside: of campaigns with the right wire
-    hardly any had less than 95 %.
+    A note for each group with less than 80 % of its points inside the band. With the right wire,
+    hardly any campaign of the virtual lab had less than 95 %.
     """
     return tuple(
-        QualityNote(
-            "model_misses_tests",
-            Severity.WARNING,
+        QualityNote.of(
+            "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
-            f"{100.0 * group.errors.inside:.2g} % of the points of the calibrating tests lie in "
-            f"their 95 % band: the model does not represent these tests, and identified "
-            f"parameters are those of another wire. Check the row of the wire in the sheet "
-            f"(strands, diameters, lay, wall), and length and string of the tests",
+            share=100.0 * group.errors.inside,
         )
         for group in groups
         if group.is_calibrated and group.errors is not None and group.errors.inside < 0.8
@@ -361,18 +354,20 @@ def _compare_group(
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
-        errors = _errors(curves, prediction)
+        errors = _compute_errors(curves, prediction)
         values = calibration.solutions[0].values
-        bent = compute_calibrated_curve(wire, values, first.length, first.rig, deepest)
+        solution = compute_calibrated_curve(wire, values, first.length, first.rig, deepest)
         doubtful_deflection = float(
-            np.interp(wire.linear_range, bent.clamp_curvature, bent.deflection, right=np.inf)
+            np.interp(
+                wire.linear_range, solution.clamp_curvature, solution.deflection, right=np.inf
+            )
         )
     return ValidationGroup(
         wire=first.wire,
         length=first.length,
         is_calibrated=first.wire == calibration.wire,
         samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
-        band=_band(curves, prediction),
+        band=_compute_band(curves, prediction),
         prediction=prediction,
         errors=errors,
         reason=reason,
@@ -380,11 +375,11 @@ def _compare_group(
     )
 
 
-def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
-    """Return the mean of curves, each of block means.
+def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
+    """Return the mean of curves and its band, from block means.
 
-    A block mean of a curved line has a bias, near the start 8 % of the force. Therefore the model
-    is subtracted first and added last, where there is one.
+    The mean over a block of a curved line is biased, near the start by 8 % of the force. Therefore
+    the prediction, if there is one, is subtracted before averaging and added afterwards.
     """
     blocks = 50  # a band of single points would show noise, not the scatter of samples
 
@@ -404,7 +399,7 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
     return compute_band(replace(common, force=common.force + shape(common.displacement)))
 
 
-def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
+def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
     """Return the errors of all points of curves, and their share inside the band."""
     deflection = np.concatenate([curve.deflection for curve in curves])
     model, lower, upper = (

@@ -1,4 +1,4 @@
-"""Laws of the wires of a wire sheet: tables, simulation decks, figures, a workbook."""
+"""Study ``labpipe model``: moment-curvature laws, decks and figures of the wires of a sheet."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, format_error
+from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
-from labpipe.mechanics.studies.study_json import entries
 from labpipe.mechanics.studies.wire_sheets import (
     StatedCurve,
+    build_wire_error,
     describe_stress_tables,
-    read_wires,
-    wire_error,
+    read_wire_sheet,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.wire import WireSpec, WireTable
@@ -29,6 +28,7 @@ from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.report.wire_figures import list_figure_names, list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.store.summaries import select_json
 
 WORKBOOK_FILE = "wires.xlsx"
 MODEL_FILE = "model.json"
@@ -36,7 +36,7 @@ FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 _MIN_PARALLEL_WIRES = 24
-"""Number of wires above which a second process saves time."""
+"""Number of wires above which two worker processes are faster than one process."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +82,8 @@ def model_wires(
 
     Returns
     -------
-    Tables, refusals and files. The files of a wire that is refused or no longer in the sheet are
-    removed.
+    Tables, refused wires and files. Earlier files of wires that are refused or no longer in the
+    sheet are removed.
 
     Raises
     ------
@@ -93,16 +93,16 @@ def model_wires(
     """
     folder = Path("processed") / sheet.stem if out is None else out
     _refuse_overwriting(sheet, folder)
-    read = read_wires(sheet)
+    read = read_wire_sheet(sheet)
     specs = read.specs
-    with _worker_pool(len(specs), sheet) as pool:
+    with _open_pool(len(specs), sheet) as pool:
         modelled_wires, refused = make_tables(specs, sheet, say, pool)
         if not modelled_wires:
             raise ProcessingError("\n".join(refused.values()))
         tables = tuple(wire.table for wire in modelled_wires)
-        removed = _removed_wires(folder, [spec.name for spec in specs])
+        removed = _find_removed_wires(folder, [spec.name for spec in specs])
         modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
-        owned = _wire_files((*refused, *removed))
+        owned = _list_wire_files((*refused, *removed))
         if figures:
             owned += list_pngs(list_wire_figures(tables), FIGURES_FOLDER)
         with locked(folder), replacing_together(folder, owned=owned) as stage:
@@ -157,14 +157,14 @@ def make_tables(
         if isinstance(outcome, ModelledWire):
             modelled_wires.append(outcome)
         else:
-            error = wire_error(sheet, spec, "a wire that can be built and bent", outcome)
+            error = build_wire_error(sheet, spec, "a wire that can be built and bent", outcome)
             refused[spec.name] = str(error)
     return tuple(modelled_wires), refused
 
 
 @contextmanager
-def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
-    """Start two processes for many wires, none for a few; report one that is killed."""
+def _open_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
+    """Start two worker processes for a sheet of many wires; yield None for a short one."""
     if count <= _MIN_PARALLEL_WIRES:
         yield None
         return
@@ -172,24 +172,17 @@ def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
     try:
         yield pool
     except BrokenProcessPool as error:
-        message = format_error(
-            sheet,
-            "",
-            expected="processes that run to the end",
-            found="one that was killed, perhaps out of memory",
-            remedy="Close other programs, or split the sheet, and run the model again.",
-        )
-        raise ProcessingError(message) from error
+        raise ProcessingError.about("mechanics.studies.process_killed", sheet) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def _init_worker() -> None:
-    """Leave interrupts to the parent process, and avoid work on memory.
+    """Leave interrupts to the parent process, and speed up memory management.
 
-    The model of a wire has no reference cycles, so that garbage collection is not needed. After a
-    large block was freed, the C library reuses blocks up to this size; otherwise it would return
-    them to the system twenty times for each wire.
+    The model of a wire has no reference cycles, so garbage collection is not needed. Once a large
+    block has been freed, the C library keeps freed blocks up to that size; otherwise it would
+    return memory to the system about twenty times for each wire.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
@@ -208,7 +201,7 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
 def _write(
     modelled: ModelledWires, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
 ) -> list[Path]:
-    """Write workbook, model and decks, the workbook in another process if there is one."""
+    """Write workbook, model and decks; the workbook in a worker process where there is one."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
     stated = {name: describe_stress_tables(curves) for name, curves in modelled.curves.items()}
     save = partial(
@@ -229,17 +222,10 @@ def _refuse_overwriting(sheet: Path, folder: Path) -> None:
     """Refuse to overwrite the wire sheet."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
-            message = format_error(
-                sheet,
-                "",
-                expected="a folder of the results without this sheet",
-                found=f"{file}, which would overwrite it",
-                remedy="Choose another folder with --out.",
-            )
-            raise UsageError(message)
+            raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
 
 
-def _removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     """Return the wires of an earlier model in a folder that are not among the names."""
     try:
         earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
@@ -248,8 +234,8 @@ def _removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         return ()  # no model, or not one of labpipe
 
 
-def _wire_files(names: Iterable[str]) -> list[str]:
-    """Return the files of wires below the folder, to be removed for a refused wire."""
+def _list_wire_files(names: Iterable[str]) -> list[str]:
+    """Return the paths of all files of some wires, relative to the folder of the results."""
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in deck_paths(name, Path())]
@@ -270,7 +256,7 @@ def as_json(modelled: ModelledWires) -> dict[str, object]:
         "labpipe": __version__,
         "sheet": modelled.sheet.name,
         "wires": {
-            table.name: _wire(table, modelled.curves.get(table.name, {}))
+            table.name: _build_wire_json(table, modelled.curves.get(table.name, {}))
             for table in modelled.tables
         },
         "refused": dict(modelled.refused),
@@ -286,10 +272,12 @@ _NUMBERS = (
 )
 
 
-def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
-    cantilever = entries(table, "tip_deflection", "doubtful_deflection", "rest", force="tip_force")
+def _build_wire_json(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
+    cantilever = select_json(
+        table, "tip_deflection", "doubtful_deflection", "rest", force="tip_force"
+    )
     return {
-        **entries(table, *_NUMBERS),
+        **select_json(table, *_NUMBERS),
         "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
         "cantilever": {"length": table.spec.length, **cantilever},
         "stress_tables": {column: curve.as_json() for column, curve in curves.items()},

@@ -1,6 +1,7 @@
-"""Wire sheets and their stress tables: checked cells, faults with their places.
+"""Readers of wire sheets and of the stress-strain tables that these name.
 
-Strain rate and temperature of the measurement are optional.
+Every cell is checked, and each fault names its cell. A table may state the strain rate and the
+temperature of its measurement.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _B = TypeVar("_B", bound=Block)
 
 
 class ProofStress(Block):
-    """Strain = s / E + 0.002 (s / Rp0.2)^n, with its range; in the units of the columns."""
+    """Ramberg-Osgood curve, strain = s / E + 0.002 (s / Rp0.2)^n, in the units of its columns."""
 
     modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
     proof_stress_mpa: Annotated[float, Column("MPa", 1e-3, 1e5)]
@@ -62,7 +63,7 @@ class ProofStress(Block):
 
 
 class Conditions(Block):
-    """Conditions of a measurement."""
+    """Conditions under which a stress-strain curve was measured."""
 
     strain_rate_per_s: Annotated[float | None, Column("1/s", 1e-9, 1e4)] = None
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
@@ -71,14 +72,11 @@ class Conditions(Block):
 _POINT, _PROOF, _CONDITIONS = (
     list(kind.list_keys()) for kind in (StressPoint, ProofStress, Conditions)
 )
-_NAME_COLUMNS = (
-    f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
-)
 
 
 @dataclass(frozen=True, slots=True)
 class StatedCurve:
-    """A stress-strain curve as a table states it.
+    """A stress-strain curve, as stated in a table.
 
     Parameters
     ----------
@@ -110,7 +108,7 @@ class StatedCurve:
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
-        """Return the content of the table in SI units; None for what it does not state."""
+        """Return the content of the table in SI units; None for a value that is not stated."""
         numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
             "table": self.table,
@@ -134,7 +132,7 @@ def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
     return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
 
-def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
+def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
     """Compute a stress table from the numbers of Ramberg and Osgood.
 
     Parameters
@@ -143,9 +141,9 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
 
     Returns
     -------
-    Strains, the last of them `largest_strain`, and stresses, Pa: at most 60 points. Straight lines
-    between them are below the curve, by less than 0.1 % of the stress for exponents to 5 and by
-    less for others; so is the first slope, the modulus of the table.
+    Strains, up to `largest_strain`, and stresses, Pa, at most 60 points. Straight lines between the
+    points lie below the curve by less than 0.1 % of the stress, and so does the first slope, which
+    is the modulus of the table.
 
     Notes
     -----
@@ -180,17 +178,17 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     Raises
     ------
     ReadError
-        If there is no such table or it has faults: all of them, each with its cell.
+        If there is no such table, or if it has faults; the message names the cell of each.
     """
-    table, file = _table(column, name, path)
+    table, file = _find_table(column, name, path)
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    raise_faults(file, _heading_faults(table.heading, names))
-    conditions = _conditions(rows, file)
+    raise_faults(file, _find_heading_faults(table.heading, names))
+    conditions = _read_conditions(rows, file)
     if set(names) & set(_PROOF):
-        numbers = _numbers(rows, column, file)
-        return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
-    points = _blocks(StressPoint, rows, file)
+        numbers = _read_numbers(rows, column, file)
+        return StatedCurve(name.text, compute_ramberg_osgood(numbers), numbers, conditions)
+    points = _parse_rows(StressPoint, rows, file)
     if curve_error := find_curve_fault(points, column):
         number, fault = curve_error
         before = points[number - 1].strain if number else 0.0
@@ -199,74 +197,89 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     return StatedCurve(name.text, convert_points(points), None, conditions)
 
 
-def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
-    """Find missing, repeated, contradicting and misspelt columns."""
+def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
+    """Find columns that are missing, repeated, contradictory or misspelt."""
     numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
     for column in needed:
         if column not in names:
             actual = ", ".join(repr(cell.text) for cell in heading)
-            yield heading[0].place, Fault((), f"a column {column!r}", actual, _NAME_COLUMNS)
+            yield (
+                heading[0].place,
+                Fault.of("mechanics.studies.missing_column", column=column, columns=actual),
+            )
     if numbers and points:
-        expected = f"either points or numbers, so no column {points[0]!r} beside {numbers[0]!r}"
-        place = heading[names.index(points[0])].place
-        yield place, Fault((), expected, "both", _NAME_COLUMNS)
+        place, first, other = heading[names.index(points[0])].place, points[0], numbers[0]
+        yield place, Fault.of("mechanics.studies.points_and_numbers", point=first, number=other)
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
         if name in (*needed, *_CONDITIONS) and name in names[:number]:
-            yield cell.place, Fault((), "each column once", f"{name!r} again", "Remove one.")
+            yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
         if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
             column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
-            remedy = "Give it in the unit of that column."
-            yield cell.place, Fault((), f"a column {column!r}", repr(cell.text), remedy)
+            yield (
+                cell.place,
+                Fault.of("mechanics.studies.other_column", column=column, name=cell.text),
+            )
 
 
-def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
-    """Read rate and temperature, which are the same in all rows that state them."""
+def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
+    """Read rate and temperature, which must agree in all rows that state them."""
     stated: dict[str, Cell] = {}
     for column in _CONDITIONS:
         cells = [row[column] for row in rows if column in row and row[column].text]
         for cell in cells:
             first = stated.setdefault(column, cell)
             if cell.text != first.text:
-                expected = f"{first.text!r} as in {first.place}: one for the whole table"
-                fault = Fault((), expected, repr(cell.text), "Make a table of each.")
+                fault = Fault.of(
+                    "mechanics.studies.two_conditions",
+                    first=first.text,
+                    place=first.place,
+                    value=cell.text,
+                )
                 raise_faults(file, [(f"{cell.place} ({column})", fault)])
-    [conditions] = _blocks(Conditions, [stated], file)
+    [conditions] = _parse_rows(Conditions, [stated], file)
     return conditions
 
 
-def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
-    """Read the numbers of the single row, which must define a curve."""
+def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
+    """Read the Ramberg-Osgood numbers from the single row of a table."""
     if len(rows) > 1:
-        fault = Fault((), "one row of numbers", f"{len(rows)}", "Make a table of each.")
+        fault = Fault.of("mechanics.studies.several_rows", count=len(rows))
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
-    [numbers] = _blocks(ProofStress, cells, file)
-    raise_faults(file, place_faults(_number_faults(numbers, column), rows[0]))
+    [numbers] = _parse_rows(ProofStress, cells, file)
+    raise_faults(file, place_faults(_find_number_faults(numbers, column), rows[0]))
     return numbers
 
 
-def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
+def _find_number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
     low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
     if not low <= numbers.modulus_mpa <= high:
-        what = "insulation" if column == "insulation_table" else "strands"
-        expected = f"a modulus of {what} of {low:g} to {high:g} MPa"
-        actual, remedy = f"{numbers.modulus_mpa:g} MPa", "Is the unit right?"
-        yield Fault(("modulus_mpa",), expected, actual, remedy)
+        yield Fault.of(
+            "mechanics.studies.modulus_range",
+            ("modulus_mpa",),
+            part="insulation" if column == "insulation_table" else "strands",
+            low=low,
+            high=high,
+            modulus=numbers.modulus_mpa,
+        )
     yields = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
     if yields > numbers.largest_strain:
-        expected = f"a largest strain of {yields:.4g} or more, where the proof stress is reached"
-        remedy = "Give the range of the test that the numbers come from."
-        yield Fault(("largest_strain",), expected, f"{numbers.largest_strain:g}", remedy)
+        yield Fault.of(
+            "mechanics.studies.proof_beyond_range",
+            ("largest_strain",),
+            least=yields,
+            strain=numbers.largest_strain,
+        )
 
 
-def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
-    """Parse rows of a kind; other columns are ignored."""
+def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
+    """Parse rows as blocks of a type; columns without a field in it are ignored."""
     blocks: list[_B] = []
     faults: list[PlacedFault] = []
     for row in rows:
         cells = {key: cell for key, cell in row.items() if key in block_type.model_fields}
-        block = block_type.read(texts(cells))
+        block = block_type.read(get_texts(cells))
         if isinstance(block, list):
             faults += place_faults(block, cells)
         else:
@@ -275,31 +288,29 @@ def _blocks(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path
     return blocks
 
 
-def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
+def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     """Return the table and its file: another sheet of the workbook, or a csv beside the csv."""
     rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
-            expected = "the name of a csv in the folder of the wire sheet"
-            remedy = "Put the table beside the sheet and give its name."
-            raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
+            raise_faults(
+                path, [(place, Fault.of("mechanics.studies.csv_elsewhere", name=name.text))]
+            )
         neighbour = path.with_name(name.text)
         return as_table(csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
-        expected = (
-            f"the name of a sheet ({', '.join(map(repr, sort_by_likeness(name.text, sheets)))})"
-        )
-        remedy = "Add the sheet or correct its name."
-        raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
+        near = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
+        fault = Fault.of("mechanics.studies.no_such_sheet", sheets=near, name=name.text)
+        raise_faults(path, [(place, fault)])
     chosen = name.text if name.text in matches else matches[0]
     where = f"sheet '{chosen}'"
     cells = workbook_cells(path, chosen, where)
     return as_table(cells, path, rows_of=rows_of, place=where), path
 
 
-def texts(row: Mapping[str, Cell]) -> dict[str, str]:
+def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
     """Return the text of each cell of a row, by column."""
     return {name: cell.text for name, cell in row.items()}
 
@@ -318,7 +329,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
         yield f"{row.get(column, cell).place} ({column})", fault
 
 
-def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
+def format_faults(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
     """Return the messages of faults of a file."""
     return [
         format_error(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
@@ -334,7 +345,7 @@ def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
     ReadError
         With a line for each fault.
     """
-    if messages := fault_messages(path, faults):
+    if messages := format_faults(path, faults):
         raise ReadError("\n".join(messages))
 
 
@@ -356,26 +367,7 @@ class WireSheet:
     curves: Mapping[str, Mapping[str, StatedCurve]]
 
 
-def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
-    """Read the wires of a sheet: one row per wire, its dimensions and materials.
-
-    Parameters
-    ----------
-    path : an xlsx workbook (the sheet named ``wires``, else the first visible one), or a csv
-
-    Returns
-    -------
-    The wires, in the order of the rows.
-
-    Raises
-    ------
-    ReadError
-        If the file is damaged, has no wires, or has faults: all in one message, each with its cell.
-    """
-    return read_wires(path).specs
-
-
-def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
+def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
     """Return the error of a wire that cannot be modelled.
 
     Parameters
@@ -385,51 +377,59 @@ def wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> Pr
     expected : what it should be
     reason : why it is not
     """
-    place, remedy = f"{spec.place}, wire {spec.name!r}", "Check its row against the wire."
-    actual = f"this: {reason}"
-    message = format_error(sheet, place, expected=expected, found=actual, remedy=remedy)
-    return ProcessingError(message)
+    place = f"{spec.place}, wire {spec.name!r}"
+    return ProcessingError.about(
+        "mechanics.studies.no_model_of_wire", sheet, place, expected=expected, reason=reason
+    )
 
 
-def read_wires(path: Path) -> WireSheet:
-    """Read the wires of a sheet as `read_wire_sheet`, with their stress tables."""
-    cells, where = _cells(path)
-    raise_faults(path, _first_row_faults(cells))
+def read_wire_sheet(path: Path) -> WireSheet:
+    """Read the wires of a sheet: one row per wire, its dimensions and materials.
+
+    Parameters
+    ----------
+    path : an xlsx workbook (the sheet named ``wires``, else the first visible one), or a csv
+
+    Raises
+    ------
+    ReadError
+        If the file is damaged, has no wires, or has faults: one message names the cell of each
+        fault.
+    """
+    cells, where = _read_cells(path)
+    raise_faults(path, _find_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
     wrong = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    messages = fault_messages(path, _repeated_name_faults([row["wire"] for row in rows]))
+    messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
     specs = [_read_spec(row, path, curves, messages) for row in rows]
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
     return WireSheet(
         tuple(spec for spec in specs if spec is not None),
-        {row["wire"].text: _stress_tables(row, curves) for row in rows},
+        {row["wire"].text: _select_tables(row, curves) for row in rows},
     )
 
 
-def _cells(path: Path) -> tuple[list[list[Cell]], str]:
+def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
     """Read the cells of the sheet; return them with its place in the file, empty for a csv."""
     if not is_workbook(path):
         return csv_cells(path), ""
     sheets = sheets_of(path)
     if not sheets:
-        actual, remedy = "a workbook without sheets", "Name the wire sheet."
-        raise ReadError(
-            format_error(path, "", expected="a wire sheet", found=actual, remedy=remedy)
-        )
+        raise ReadError.about("mechanics.studies.no_sheets", path)
     visible = [name for name, is_shown in sheets.items() if is_shown]
-    usual = [name for name in sheets if name.casefold() == "wires"]
-    name = [*usual, *visible, *sheets][0]
+    named_wires = [name for name in sheets if name.casefold() == "wires"]
+    name = [*named_wires, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return workbook_cells(path, name, where), where
 
 
-def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
-    """Find a title or a comment above the heading, and a row of units below it."""
+def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
+    """Find a title above the heading, and a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
     counts = [
         sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
@@ -439,30 +439,32 @@ def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
         return
     if counts[0] == 0:
         title = next(cell for cell in filled[0] if cell.text)
-        expected = "the heading in the first row that is not blank"
-        remedy = f"Remove the lines above the heading at {filled[heading][0].place}."
-        yield title.place, Fault((), expected, repr(title.text), remedy)
+        place = filled[heading][0].place
+        yield (
+            title.place,
+            Fault.of("mechanics.studies.title_above", title=title.text, heading=place),
+        )
     below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
     units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _UNITS]
     if len(units) > 1 and len(units) >= len(below) - 1:
-        actual = f"a row of units ({', '.join(cell.text for cell in units[:3])}, ...)"
-        remedy = "Remove it: the unit is part of a column's name."
-        yield units[0].place, Fault((), "a wire", actual, remedy)
+        written = ", ".join(cell.text for cell in units[:3])
+        yield units[0].place, Fault.of("mechanics.studies.row_of_units", units=written)
 
 
-def _repeated_name_faults(names: Sequence[Cell]) -> Iterator[PlacedFault]:
-    """Find repeated names, and names that are the same in files or labels."""
-    seen: dict[str, Cell] = {}
+def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
+    """Find names that are repeated or that differ only in case or in the encoding of accents."""
+    first_cells: dict[str, Cell] = {}
     for cell in names:
         # some systems ignore case and the encoding of accents, Abaqus ignores case
         bare = unicodedata.normalize("NFC", unicodedata.normalize("NFC", cell.text).casefold())
-        first = seen.setdefault(bare, cell)
+        first = first_cells.setdefault(bare, cell)
         if first is not cell and cell.text:
-            expected, actual = "each wire once", f"{cell.text!r} again, as in {first.place}"
-            if cell.text != first.text:
-                expected = "names that differ in more than the case of letters"
-                actual = f"{cell.text!r}, and {first.text!r} in {first.place}"
-            fault = Fault((), expected, actual, "Give each wire a name of its own.")
+            fault = Fault.of(
+                "mechanics.studies.similar_names",
+                name=cell.text,
+                first=first.text,
+                place=first.place,
+            )
             yield f"{cell.place} (wire)", fault
 
 
@@ -474,8 +476,8 @@ def _read_spec(
 ) -> WireSpec | None:
     """Read one wire; return None for one with faults, which are added to the messages."""
     before = len(messages)
-    read = WireRow.read(texts(row))
-    messages += fault_messages(path, place_faults(read, row)) if isinstance(read, list) else []
+    read = WireRow.read(get_texts(row))
+    messages += format_faults(path, place_faults(read, row)) if isinstance(read, list) else []
     for column in FIRST_SLOPES:
         table = row.get(column)
         if table is not None and table.text and (column, table.text) not in curves:
@@ -488,14 +490,14 @@ def _read_spec(
     blank = [name for name, cell in row.items() if not cell.text]
     place = re.sub(r", column \d+$", "", row["wire"].place)
     place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-    named = _stress_tables(row, curves)
+    named = _select_tables(row, curves)
     tables = [
         named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
     ]
     return build_wire_spec(read, blank, place, *tables)
 
 
-def _stress_tables(
+def _select_tables(
     row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
 ) -> dict[str, StatedCurve]:
     """Return the stress tables of a row, by column."""

@@ -29,23 +29,23 @@ from typing import NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError, sort_by_likeness
-from labpipe.readers.channels import ReportOptions, channel_notes, find_in_parts, unique_names
+from labpipe.readers.channels import ChannelChoice, find_in_parts, make_channel_notes, unique_names
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
 from labpipe.readers.load_frame.column_titles import (
     Header,
     find_header,
-    header_of_rows,
+    parse_header_rows,
     time_column,
 )
 from labpipe.readers.load_frame.tables import (
     MIN_TEST_ROWS,
     Export,
     Table,
+    format_head,
     read_sheets,
     read_text,
-    sheet_head,
 )
-from labpipe.readers.number_table import rows_note
+from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     as_content,
     decode,
@@ -54,8 +54,8 @@ from labpipe.readers.raw_files import (
     read_content,
     read_head,
 )
-from labpipe.readers.recording_checks import clock_notes
-from labpipe.readers.workbooks import forget_sheets, is_workbook, open_sheets
+from labpipe.readers.recording_checks import make_clock_notes
+from labpipe.readers.workbooks import clear_sheet_cache, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import find_si_factor, parse_count
@@ -75,7 +75,7 @@ def recognise(path: Path) -> bool:
 def read(
     path: Path,
     *,
-    channels: Sequence[ReportOptions] | None = None,
+    channels: Sequence[ChannelChoice] | None = None,
     dialect: CardNames = None,
     part: str | None = None,
 ) -> Recording:
@@ -106,7 +106,7 @@ def read(
         try:
             export = read_sheets(open_sheets(path), card, path)
         finally:
-            forget_sheets()
+            clear_sheet_cache()
     return assemble(export, card, path, channels, part)
 
 
@@ -114,7 +114,7 @@ def assemble(
     export: Export,
     card: Card,
     path: object,
-    channels: Sequence[ReportOptions] | None = None,
+    channels: Sequence[ChannelChoice] | None = None,
     part: str | None = None,
 ) -> Recording:
     """Convert the tables of an export to a recording.
@@ -136,14 +136,14 @@ def assemble(
     ReadError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
-    tables = [_without_mark(_without_codes(table, card), card) for table in export.tables]
+    tables = [_drop_mark_row(_blank_codes(table, card), card) for table in export.tables]
     tables = _choose_part(tables, part, path)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
-        notes += _count_notes(export, tables[0], card)
+        notes += _compare_counts(export, tables[0], card)
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
-    parts = [_part(table, card, path, is_alone=len(tables) == 1) for table in tables]
+    parts = [_convert_table(table, card, path, is_alone=len(tables) == 1) for table in tables]
     chosen = [channel for its in parts for channel in its.channels]
     if channels is not None:
         if chosen:
@@ -154,8 +154,8 @@ def assemble(
     notes += [note for its in parts for note in its.notes]
     return Recording(
         reader="load-frame",
-        program=" ".join((card.program, _match_group(card.model, export.head))).strip(),
-        program_version=_match_group(card.version, export.head),
+        program=" ".join((card.program, _find_group(card.model, export.head))).strip(),
+        program_version=_find_group(card.version, export.head),
         clocks=tuple(its.clock for its in parts),
         channels=tuple(chosen),
         metadata={
@@ -163,16 +163,16 @@ def assemble(
             **export.about,
             "clocks": {its.clock.name: its.about for its in parts},
         },
-        notes=(*notes, *_missing_notes(chosen, card), *channel_notes(chosen)),
+        notes=(*notes, *_make_missing_notes(chosen, card), *make_channel_notes(chosen)),
     )
 
 
-def _match_group(pattern: re.Pattern[str] | None, head: str) -> str:
+def _find_group(pattern: re.Pattern[str] | None, head: str) -> str:
     match = pattern.search(head) if pattern is not None else None
     return match[1].strip() if match else ""
 
 
-def _without_codes(table: Table, card: Card) -> Table:
+def _blank_codes(table: Table, card: Card) -> Table:
     """Replace the codes of missing values by NaN."""
     columns = {
         i: np.where(np.isin(values, card.missing), np.nan, values) if card.missing else values
@@ -181,7 +181,7 @@ def _without_codes(table: Table, card: Card) -> Table:
     return replace(table, columns=columns)
 
 
-def _without_mark(table: Table, card: Card) -> Table:
+def _drop_mark_row(table: Table, card: Card) -> Table:
     """Omit a last row of zeros that is a mark, not a sample, according to the card."""
     if not card.last_zeros or not table.rows:
         return table
@@ -212,13 +212,13 @@ def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Ta
     )
 
 
-def _count_notes(export: Export, table: Table, card: Card) -> list[QualityNote]:
+def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
     rows, columns = (
         parse_count(str(export.about.get(key, ""))) if key else None
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, held = rows_note(rows, table.rows), len(table.names)
+    notes, held = compare_row_counts(rows, table.rows), len(table.names)
     if columns not in {None, held}:
         notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=held))
     return notes
@@ -233,7 +233,7 @@ class _Part(NamedTuple):
     notes: list[QualityNote]
 
 
-def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
+def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = time_column(table.names, table.units, card)
     paths = unique_names(table.names)
@@ -248,10 +248,10 @@ def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
         notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
     else:
         unit = table.units[column] or card.time_unit
-        factor, time = _seconds(unit, table.names[column], path), table.columns[column]
+        factor, time = _find_time_factor(unit, table.names[column], path), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
         about |= {"time": table.names[column], "unit_in_file": unit}
-        notes += clock_notes(clock, is_variable=card.variable_rate)
+        notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
     if table.part or table.also:
@@ -259,7 +259,7 @@ def _part(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
     return _Part(clock, about, channels, notes)
 
 
-def _seconds(unit: str, name: str, path: object) -> float:
+def _find_time_factor(unit: str, name: str, path: object) -> float:
     for spelling in (unit, unit.casefold()):
         try:
             return find_si_factor(spelling or "none", "s")
@@ -273,7 +273,7 @@ def _seconds(unit: str, name: str, path: object) -> float:
     )
 
 
-def _missing_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
+def _make_missing_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
     codes = " or ".join(f"{code:.0f}" for code in card.missing)
     shown = f" (blank or {codes})" if codes else ""
     missing = [(channel, np.flatnonzero(np.isnan(channel.values))) for channel in channels]
@@ -308,7 +308,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    fits = _sheet_test(path) if kind == "workbook" else _text_test(path)
+    fits = _build_sheet_test(path) if kind == "workbook" else _build_text_test(path)
     shipped = shipped_cards().values()
     ranks = (
         lab_cards().values(),
@@ -365,7 +365,7 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, card=card.name)
 
 
-def _text_test(path: Path) -> Callable[[Card], bool]:
+def _build_text_test(path: Path) -> Callable[[Card], bool]:
     """Return the test of whether a card fits a text."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
@@ -393,10 +393,10 @@ def _text_test(path: Path) -> Callable[[Card], bool]:
     return fits
 
 
-def _sheet_test(path: Path) -> Callable[[Card], bool]:
+def _build_sheet_test(path: Path) -> Callable[[Card], bool]:
     """Return the test of whether a card fits one of the sheets of a workbook."""
     try:
-        heads = [sheet_head(rows) for rows in open_sheets(path).values()]
+        heads = [format_head(rows) for rows in open_sheets(path).values()]
     except ReadError:
         return lambda _: False
 
@@ -404,7 +404,7 @@ def _sheet_test(path: Path) -> Callable[[Card], bool]:
         fitting = (head for head in heads if card.fits("\n".join(map("\t".join, head))))
         if not card.fallback:
             return any(True for _ in fitting)
-        headers = (partial(header_of_rows, head, card, path, "row 1") for head in fitting)
+        headers = (partial(parse_header_rows, head, card, path, "row 1") for head in fitting)
         return any(_is_test_header(find, card) for find in headers)
 
     return fits

@@ -35,7 +35,7 @@ def _require(is_right: bool, message: str) -> None:
         raise ValueError(message)
 
 
-def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
+def _compile_pattern(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
     try:
         return re.compile(str(value), flags)
     except (re.error, OverflowError, RecursionError) as error:
@@ -43,12 +43,12 @@ def _compiled(value: object, *, flags: re.RegexFlag) -> re.Pattern[str]:
         raise ValueError(message) from error
 
 
-def _one_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
+def _check_group(pattern: re.Pattern[str]) -> re.Pattern[str]:
     _require(pattern.groups == 1, "a pattern needs one group in round brackets")
     return pattern
 
 
-def _encoding(name: str) -> str:
+def _check_encoding(name: str) -> str:
     is_known = name == "detect"
     with suppress(LookupError):
         is_known = is_known or bool(codecs.lookup(name))
@@ -56,7 +56,7 @@ def _encoding(name: str) -> str:
     return name
 
 
-def _separator(sign: str) -> str:
+def _parse_separator(sign: str) -> str:
     is_sign = sign == "blanks" or (len(sign) == 1 and sign.isascii())
     _require(is_sign, 'should be one sign, or "blanks"')
     return " " if sign == "blanks" else sign
@@ -65,11 +65,15 @@ def _separator(sign: str) -> str:
 _Text = Annotated[str, Field(pattern=r"\S")]
 _Flag = Annotated[bool, Field(strict=True)]
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-_Pattern = Annotated[re.Pattern[str], BeforeValidator(partial(_compiled, flags=re.MULTILINE))]
-_NamePattern = Annotated[re.Pattern[str], BeforeValidator(partial(_compiled, flags=re.IGNORECASE))]
-_Group = Annotated[_Pattern, AfterValidator(_one_group)]
-_Encoding = Annotated[_Text, AfterValidator(_encoding)]
-_Separator = Annotated[str, AfterValidator(_separator)]
+_Pattern = Annotated[
+    re.Pattern[str], BeforeValidator(partial(_compile_pattern, flags=re.MULTILINE))
+]
+_NamePattern = Annotated[
+    re.Pattern[str], BeforeValidator(partial(_compile_pattern, flags=re.IGNORECASE))
+]
+_Group = Annotated[_Pattern, AfterValidator(_check_group)]
+_Encoding = Annotated[_Text, AfterValidator(_check_encoding)]
+_Separator = Annotated[str, AfterValidator(_parse_separator)]
 
 
 class Card(BaseModel):
@@ -187,12 +191,12 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         return Card.model_validate({"name": name, "source": str(source), **keys})
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        raise ReadError("\n".join(_fault_text(fault, source) for fault in faults)) from error
+        raise ReadError("\n".join(_format_fault(fault, source) for fault in faults)) from error
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
         raise ReadError.about("readers.no_toml", source, reason=error) from error
 
 
-def _fault_text(fault: Any, source: object) -> str:
+def _format_fault(fault: Any, source: object) -> str:
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
     place, why = f"key {key}" if key else "", fault["msg"].removeprefix("Value error, ")
     value = "nothing" if isinstance(fault["input"], dict) else repr(fault["input"])[:60]

@@ -16,10 +16,10 @@ from labpipe.readers.text_cells import (
     hold_units,
     is_number,
     is_sample,
-    name_and_unit,
     quoted,
     split_line,
-    without_brackets,
+    split_name_and_unit,
+    strip_brackets,
 )
 
 _TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
@@ -71,16 +71,16 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     # The longest real header has 56 lines.
     head = lines[:400]
     if card.names == "listed":
-        return _listed_titles(head, card, path)
+        return _read_listed_titles(head, card, path)
     for separator in card.separators:
-        rows = _rows_of(head, separator, card)
+        rows = _split_rows(head, separator, card)
         if _first_sample_row(rows, card) is not None:
-            return header_of_rows(rows, card, path, f"line {first_line}", separator=separator)
+            return parse_header_rows(rows, card, path, f"line {first_line}", separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
     raise ReadError.about("readers.no_table", path, place)
 
 
-def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
+def _split_rows(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
     """Return the cells of the lines up to the first one with samples."""
     rows: list[list[str]] = []
     for line in lines:
@@ -99,7 +99,7 @@ def _first_sample_row(rows: Rows, card: Card) -> int | None:
     return next((i + 1 for i, head in enumerate(heads) if head == card.header_words), None)
 
 
-def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
+def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
     """Read names on separate lines, with the samples after a start line."""
     assert card.listed is not None  # a card without them is refused
     assert card.start is not None
@@ -114,11 +114,11 @@ def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
             "readers.no_listed_names", path, f"lines 1 to {start}", pattern=pattern
         )
     above = [split_line(line, "\t") for line in lines[:start]]
-    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
+    names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
 
 
-def header_of_rows(
+def parse_header_rows(
     rows: Rows, card: Card, path: object, place: str, *, separator: str = ""
 ) -> Header:
     """Find names and units in rows of cells; blank rows among them are ignored.
@@ -140,7 +140,7 @@ def header_of_rows(
     if first is None:
         raise ReadError.about("readers.no_table", path, place)
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-    above = [_stripped(rows[i]) for i in filled]
+    above = [_strip_cells(rows[i]) for i in filled]
 
     def place_above(row: int) -> str:
         at = filled[max(len(filled) - row, 0)] if filled else 0
@@ -149,7 +149,7 @@ def header_of_rows(
 
     if separator == " " and card.name_starts is not None and len(above) > 1:
         text = " ".join(rows[filled[-2]])
-        above[-2] = _joined_names(text, card.name_starts)
+        above[-2] = _split_names(text, card.name_starts)
         if len(above[-2]) != len(rows[first]):
             raise ReadError.about(
                 "readers.names_with_blanks",
@@ -159,7 +159,7 @@ def header_of_rows(
                 count=len(above[-2]),
                 text=quoted([text]),
             )
-    names, units, n_rows = _titles([(), (), *above][-2:], card, path, place_above)
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
     above = above[:-n_rows]
     specimens: _Cells = ()
     has_specimens = card.names == "above units" and card.layout in {
@@ -171,13 +171,13 @@ def header_of_rows(
     return Header(names, units, first, above, separator, specimens)
 
 
-def _joined_names(text: str, starts: re.Pattern[str]) -> _Cells:
+def _split_names(text: str, starts: re.Pattern[str]) -> _Cells:
     """Split a line into names that contain blanks, by the pattern of their beginnings."""
     cuts = [0, *(match.start() for match in starts.finditer(text) if match.start()), len(text)]
     return tuple(text[a:b].strip() for a, b in pairwise(cuts)) if text else ()
 
 
-def _stripped(row: Sequence[str]) -> _Cells:
+def _strip_cells(row: Sequence[str]) -> _Cells:
     """Return cells without surrounding blanks, and without blank cells at the end."""
     cells = [cell.strip() for cell in row]
     while cells and not cells[-1]:
@@ -185,7 +185,7 @@ def _stripped(row: Sequence[str]) -> _Cells:
     return tuple(cells)
 
 
-def _titles(
+def _find_titles(
     rows: Sequence[_Cells], card: Card, path: object, place: Callable[[int], str]
 ) -> tuple[_Cells, _Cells, int]:
     """Return names, units, and the number of rows that hold them, above the samples.
@@ -199,7 +199,7 @@ def _titles(
     names, cells = (row + ("",) * (width - len(row)) for row in rows)
     # A unit cell may repeat the name above it, as for a counter.
     stated = ["" if cell == name else cell for name, cell in zip(names, cells, strict=True)]
-    pairs = [name_and_unit(cell, card.brackets) for cell in last]
+    pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
     if card.names == "above units":
         _check_row_of_units(stated, card.brackets, last, path, place(1))
         if _lacks_names(names, cells):
@@ -210,7 +210,7 @@ def _titles(
                 names=quoted(above),
                 units=quoted(last),
             )
-        return names, tuple(map(without_brackets, stated)), 2
+        return names, tuple(map(strip_brackets, stated)), 2
     if card.names == "with units" and not any(pairs):
         brackets, row = card.brackets, quoted(last)
         raise ReadError.about(
@@ -221,7 +221,7 @@ def _titles(
             raise ReadError.about("readers.no_names", path, place(1), row=quoted(last))
         has_both = any(pair is not None and pair[0] for pair in pairs)
         if not has_both and are_units(stated) and not _lacks_names(names, cells):
-            return names, tuple(map(without_brackets, stated)), 2
+            return names, tuple(map(strip_brackets, stated)), 2
     names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 

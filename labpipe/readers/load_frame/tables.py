@@ -11,17 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ReportOptions, find_channel, unique_names
+from labpipe.readers.channels import ChannelChoice, find_channel, unique_names
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.column_titles import (
     Header,
     Rows,
     find_header,
-    header_of_rows,
+    parse_header_rows,
     time_column,
 )
-from labpipe.readers.number_table import Body, filled_rows, read_columns, sheet_columns
-from labpipe.readers.raw_files import HEAD_BYTES, Content, decode, is_blank, lines_from, lines_of
+from labpipe.readers.number_table import Body, count_filled_rows, read_columns, read_sheet_columns
+from labpipe.readers.raw_files import HEAD_BYTES, Content, decode, is_blank, skip_lines, split_lines
 from labpipe.readers.text_cells import as_text, is_sample, split_line
 from labpipe.readers.workbooks import Sheets
 from labpipe.records.arrays import Floats
@@ -80,7 +80,7 @@ class Export:
 
 
 def read_text(
-    content: Content, card: Card, path: Path, channels: Sequence[ReportOptions] | None = None
+    content: Content, card: Card, path: Path, channels: Sequence[ChannelChoice] | None = None
 ) -> Export:
     """Read all tables of a text export.
 
@@ -104,33 +104,37 @@ def read_text(
     head = decode(content.data[:HEAD_BYTES], content, card.encodings, path)
     if is_blank(content.data):
         return Export((), notes=(QualityNote.of("readers.blank_export", "file"),), head=head)
-    decimal = _decimal_of(head, card, path)
+    decimal = _find_decimal_sign(head, card, path)
     if card.layout == "blocks":
         text = decode(content.data, content, card.encodings, path)
         return _read_blocks(text, decimal, card, path)
-    header = find_header(lines_of(head), card, path)
-    specimens = _specimens(header, card)
+    header = find_header(split_lines(head), card, path)
+    specimens = _find_specimens(header, card)
     wanted = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
-    body = _body(lines_from(content.data, header.first), header, wanted, header.first + 1, decimal)
+    body = _build_body(
+        skip_lines(content.data, header.first), header, wanted, header.first + 1, decimal
+    )
     columns, notes = read_columns(replace(body, others_numeric=not card.words), path)
     tables = []
     for part, group in specimens:
         names, units = (tuple(row[i] for i in group) for row in (header.names, header.units))
         titled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
         chosen = {i - group[0]: columns[i] for i in titled if i in columns}
-        rows = filled_rows(chosen)  # a shorter specimen is padded
+        rows = count_filled_rows(chosen)  # a shorter specimen is padded
         tables.append(Table(part, names, units, {i: chosen[i][:rows] for i in chosen}))
-    about = _preamble(header.above) | _word_values(body, header, card)
+    about = _parse_preamble(header.above) | _list_texts(body, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
 
 
-def _body(data: bytes, header: Header, columns: list[int], first_line: int, decimal: str) -> Body:
+def _build_body(
+    data: bytes, header: Header, columns: list[int], first_line: int, decimal: str
+) -> Body:
     names = unique_names(header.names)
     return Body(data, names, columns, first_line, header.separator, decimal)
 
 
 def _wanted_columns(
-    header: Header, card: Card, channels: Sequence[ReportOptions] | None, path: object
+    header: Header, card: Card, channels: Sequence[ChannelChoice] | None, path: object
 ) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
     names = header.names
@@ -146,7 +150,7 @@ def _wanted_columns(
     return sorted(chosen | always | ({time} if time is not None else set()))
 
 
-def _decimal_of(head: str, card: Card, path: Path) -> str:
+def _find_decimal_sign(head: str, card: Card, path: Path) -> str:
     """Return the decimal sign of the card, or the one stated in the export."""
     if card.decimal_pattern is None:
         return card.decimal
@@ -156,7 +160,7 @@ def _decimal_of(head: str, card: Card, path: Path) -> str:
     raise ReadError.about("readers.no_decimal_sign", path, "line 1", line=head[:60].splitlines()[0])
 
 
-def _specimens(header: Header, card: Card) -> list[tuple[str, range]]:
+def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
     """Return names and columns of the specimens; each begins where the row of them is filled."""
     width = len(header.names)
     if card.layout != "side by side":
@@ -172,7 +176,7 @@ def _specimens(header: Header, card: Card) -> list[tuple[str, range]]:
     return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
 
 
-def _word_values(body: Body, header: Header, card: Card) -> dict[str, object]:
+def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
     """Return the distinct texts in columns of text according to the card."""
     max_texts = 20
     columns = {i: name for i, name in enumerate(header.names) if name in card.words}
@@ -184,7 +188,7 @@ def _word_values(body: Body, header: Header, card: Card) -> dict[str, object]:
     return {name: list(distinct)[:max_texts] for name, distinct in texts.items()}
 
 
-def _preamble(rows: Rows) -> dict[str, object]:
+def _parse_preamble(rows: Rows) -> dict[str, object]:
     """Return keys and values of rows ``key, value, unit``, or ``key: value`` in one cell.
 
     A key that occurs several times has a list; rows without a key are under ``lines``. A line
@@ -194,7 +198,7 @@ def _preamble(rows: Rows) -> dict[str, object]:
     for row in rows:
         cells = [cell.strip() for cell in row if cell.strip()]
         if cells and not _SEPARATOR_CELL.fullmatch(cells[0]):
-            key, value = _key_and_value(cells)
+            key, value = _parse_key_and_value(cells)
             entries.setdefault(key, []).append(value)
     return {
         key: values[0] if len(values) == 1 and key != "lines" else values
@@ -202,7 +206,7 @@ def _preamble(rows: Rows) -> dict[str, object]:
     }
 
 
-def _key_and_value(cells: Sequence[str]) -> tuple[str, str]:
+def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
     if len(cells) > 1:
         return cells[0].rstrip(" :"), " ".join(cells[1:])
     key, colon, value = cells[0].partition(": ")
@@ -229,29 +233,31 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     about: list[Sequence[str]] = []
     line = 1
     for block in _BLANK_LINES.split(text):
-        header = _header_of_block(block, line, card, path) if block.strip() else None
+        header = _find_block_header(block, line, card, path) if block.strip() else None
         if header is None:
-            about += [split_line(row, "\t") for row in lines_of(block)]
+            about += [split_line(row, "\t") for row in split_lines(block)]
         else:
             blanks = header.separator == " "  # parts of one key, not cells
             about += [[" ".join(row)] for row in header.above] if blanks else header.above
-            data, first = lines_from(block.encode(), header.first), line + header.first
+            data, first = skip_lines(block.encode(), header.first), line + header.first
             wanted = _wanted_columns(header, card, None, path)
-            columns, its_notes = read_columns(_body(data, header, wanted, first, decimal), path)
+            columns, its_notes = read_columns(
+                _build_body(data, header, wanted, first, decimal), path
+            )
             blocks.append(_Block(first, Table("", header.names, header.units, columns)))
             notes += its_notes
         line += block.count("\n")
     if not blocks:
         raise ReadError.about("readers.no_blocks", path, f"lines 1 to {line}")
-    samples, summaries = _without_summaries(blocks, card)
+    samples, summaries = _separate_summaries(blocks, card)
     notes += [
         QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=first)
         for first, table in summaries
     ]
     if not samples:
         notes.append(QualityNote.of("readers.no_samples", "file"))
-    tables, joined_notes = _joined(samples)
-    metadata = _preamble(about)
+    tables, joined_notes = _join_blocks(samples)
+    metadata = _parse_preamble(about)
     if summaries:
         metadata["summaries"] = [
             {table.names[i]: values.tolist() for i, values in table.columns.items()}
@@ -260,9 +266,9 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     return Export(tuple(tables), metadata, (*notes, *joined_notes), text[:HEAD_BYTES])
 
 
-def _header_of_block(block: str, first_line: int, card: Card, path: Path) -> Header | None:
+def _find_block_header(block: str, first_line: int, card: Card, path: Path) -> Header | None:
     """Return the header of a block with samples, None for other blocks."""
-    head = lines_of(block[:HEAD_BYTES])
+    head = split_lines(block[:HEAD_BYTES])
     for separator in card.separators:
         rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
         if any(len(row) > 1 and is_sample(row) for row in rows):
@@ -270,7 +276,7 @@ def _header_of_block(block: str, first_line: int, card: Card, path: Path) -> Hea
     return None
 
 
-def _without_summaries(blocks: Sequence[_Block], card: Card) -> tuple[list[_Block], list[_Block]]:
+def _separate_summaries(blocks: Sequence[_Block], card: Card) -> tuple[list[_Block], list[_Block]]:
     """Separate summaries from samples: blocks without time; if none has time, extremes.
 
     Extremes are two rows, of which the first one is never the smaller one.
@@ -287,7 +293,7 @@ def _has_time(table: Table, card: Card) -> bool:
     return time_column(table.names, table.units, card) is not None
 
 
-def _joined(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
+def _join_blocks(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
     """Join blocks with the same columns; other blocks become separate parts."""
     groups: dict[object, list[_Block]] = {}
     for block in blocks:
@@ -307,7 +313,7 @@ def _joined(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
     return tables, notes
 
 
-def sheet_head(rows: Sequence[Sequence[object]]) -> list[list[str]]:
+def format_head(rows: Sequence[Sequence[object]]) -> list[list[str]]:
     """Return the first rows of a sheet as text."""
     return [[as_text(cell) for cell in row] for row in rows[:HEAD_ROWS]]
 
@@ -334,15 +340,15 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     tables: dict[str, Table] = {}
     faults: list[ReadError] = []
     about: dict[str, object] = {}
-    heads = {name: sheet_head(rows) for name, rows in sheets.items()}
+    heads = {name: format_head(rows) for name, rows in sheets.items()}
     for name, head in heads.items():
         try:
-            header = _header_of_sheet(head, name, card, path)
+            header = _find_sheet_header(head, name, card, path)
         except ReadError as fault:
             faults.append(fault)
             continue
-        tables[name] = _table_of_sheet(sheets[name], header, name, card, path)
-        about |= _preamble(header.above)
+        tables[name] = _read_sheet_table(sheets[name], header, name, card, path)
+        about |= _parse_preamble(header.above)
     if not tables:
         general = ReadError.about("readers.no_sheets", path, count=len(faults))
         raise next((fault for fault in faults if "numbers below it" not in str(fault)), general)
@@ -359,8 +365,8 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     return Export(kept, about, tuple(notes), text)
 
 
-def _header_of_sheet(head: Rows, sheet: str, card: Card, path: Path) -> Header:
-    header = header_of_rows(head, card, path, f"sheet '{sheet}', row 1")
+def _find_sheet_header(head: Rows, sheet: str, card: Card, path: Path) -> Header:
+    header = parse_header_rows(head, card, path, f"sheet '{sheet}', row 1")
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if time_column(header.names, header.units, card) is not None:
@@ -369,12 +375,12 @@ def _header_of_sheet(head: Rows, sheet: str, card: Card, path: Path) -> Header:
     raise ReadError.about("readers.no_specimen_above", path, place)
 
 
-def _table_of_sheet(
+def _read_sheet_table(
     rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
 ) -> Table:
     names = unique_names(header.names)
     wanted = {i: names[i] for i in _wanted_columns(header, card, None, path)}
-    columns, notes = sheet_columns(rows, header.first, wanted, (path, f"sheet '{sheet}'"))
+    columns, notes = read_sheet_columns(rows, header.first, wanted, (path, f"sheet '{sheet}'"))
     specimen = next((cell for cell in header.specimens if cell), "")
     return Table(specimen or sheet, header.names, header.units, columns, sheet, tuple(notes))
 

@@ -106,7 +106,7 @@ def test_cards_that_are_refused(approved: Approve) -> None:
     messages = [refusal(text) for text in FAULTS]
     assert messages[-1].count(", key ") == 5
     # what Python says of text that is no TOML is its own affair
-    short = [message.partition(" text that is none (")[0][:200] for message in messages]
+    short = [message.partition(" other text (")[0][:200] for message in messages]
     approved([*short, refusal(GOOD, "Acme Frame")])
 
 
@@ -199,6 +199,6 @@ def test_own_cards_come_first_and_must_not_both_fit(
         recognise_card(file)
     assert [*lab_cards()] == ["other", "own"]
     (tmp_path / "dialects" / "own.toml").rename(tmp_path / "dialects" / "catman.toml")
-    expected = r"catman\.toml: expected a name of its own, found 'catman', which is a card of labp"
+    expected = r"catman\.toml: expected a unique name, found 'catman', the name of a card of labp"
     with pytest.raises(ReadError, match=expected):
         load_frame.read(file)
