@@ -387,17 +387,88 @@ class Difference:
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
-    def verdict_text(self) -> str:
-        """Return the verdict with its reason and caveats."""
-        verdict = (
-            f"{self.verdict}: {self.verdict_reason}" if self.verdict_reason else str(self.verdict)
-        )
-        return "; ".join((verdict, *self.caveats))
-
-    @property
     def single_field(self) -> str:
         """Return the only differing field of the groups; empty for several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
+
+
+class Answer(StrEnum):
+    """Whether a sample or a lot reaches the smallest force allowed."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True, slots=True)
+class SampleVerdict:
+    """Whether a sample reaches its limit.
+
+    Parameters
+    ----------
+    by_number : as a standard compares it
+    with_interval : not told where the 95 % interval contains the limit, or the number is doubtful
+    """
+
+    by_number: Answer
+    with_interval: Answer
+
+    @property
+    def text(self) -> str:
+        """Return both, such as ``pass (cannot tell with its interval)``."""
+        if self.by_number is self.with_interval:
+            return str(self.by_number)
+        return f"{self.by_number} ({self.with_interval} with its interval)"
+
+
+@dataclass(frozen=True, slots=True)
+class LotRule:
+    """What a lot must show.
+
+    Parameters
+    ----------
+    coverage : share of the lot that must reach the limit
+    confidence : with which it does
+    """
+
+    coverage: float = 0.99
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """Samples of a group against the smallest force allowed; numbers are shares of the limit.
+
+    Parameters
+    ----------
+    answer : of the lot
+    limit : N; None if the samples have several limits or none
+    verdicts : by test
+    rule : coverage and confidence
+    n : samples with a number
+    mean, deviation, smallest : of the samples; NaN without samples, the deviation of one
+    bound : one-sided lower tolerance bound; NaN for one sample
+    cpk : (mean - limit) / (3 standard deviations); NaN without scatter
+    n_needed : samples with which this mean and deviation would pass; None if no number would
+    reasons : for the answer, then caveats
+    """
+
+    answer: Answer
+    limit: float | None
+    verdicts: Mapping[str, SampleVerdict]
+    rule: LotRule
+    n: int
+    mean: float
+    deviation: float
+    smallest: float
+    bound: float
+    cpk: float
+    n_needed: int | None
+    reasons: tuple[Reason, ...] = ()
+
+    def describe_share(self, share: float) -> str:
+        """Write a share of the limit in N, or as a share where the limits differ."""
+        return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -414,6 +485,7 @@ class Group:
     band_scaled : the same for force / peak force of each sample; None if not requested
     notes : on the group as a whole
     fields : grouping fields with the same value in all samples, as text by field
+    lot : the samples against the smallest force allowed; None if the protocol asks for none
     """
 
     name: str
@@ -424,19 +496,20 @@ class Group:
     band_scaled: Band | None = None
     notes: tuple[QualityNote, ...] = ()
     fields: Mapping[str, str] = field(default_factory=dict)
+    lot: Lot | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class BundlePlace:
-    """The bending stiffness of a harness bundle between the bounds of the bundle model.
+class BoundedStiffness:
+    """A measured bending stiffness of a harness bundle, with the bounds of the bundle model.
 
     Parameters
     ----------
     group, test : of the sample; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
     interval : 95 %, of `value`
-    low, free, high : N m^2, bounds: all strands slip; wires slip and the strands within them stick;
-        nothing slips, bent along y. NaN without a bundle model
+    low, free, high : N m^2, stiffness if all strands slip; if the wires slip but the strands within
+        them stick; and if nothing slips, bent along y. NaN without a bundle model
     principal : N m^2, smallest and largest stiffness of all directions if nothing slips
     share : (value - low) / (high - low); NaN without a value or bounds
     share_interval : 95 %, from that of `value`; the bounds are taken as known
@@ -470,7 +543,7 @@ class Campaign:
     by : fields of the grouping
     compared : only field in which the pairs in `differences` differ; empty for all pairs
     pairs_not_shown : number of pairs that differ in other fields
-    places : bending stiffness of bundles between the bounds of their model
+    bounded_stiffnesses : bending stiffnesses of bundles, with the bounds of their model
     wire_sheet : name of the wire sheet of the bounds; empty without one
     rejected : decision of a person to exclude a test, with reason, name and date, by file
     rejected_samples : the rejected tests, which are in no group
@@ -487,7 +560,7 @@ class Campaign:
     by: tuple[str, ...] = ("type",)
     compared: str = ""
     pairs_not_shown: int = 0
-    places: tuple[BundlePlace, ...] = ()
+    bounded_stiffnesses: tuple[BoundedStiffness, ...] = ()
     wire_sheet: str = ""
     rejected: Mapping[str, str] = field(default_factory=dict)
     rejected_samples: tuple[Sample, ...] = ()

@@ -13,12 +13,13 @@ from labpipe.records.group import (
     Difference,
     Group,
     GroupNumber,
+    Lot,
     MeanInterval,
     Sample,
 )
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
-from labpipe.report.bundle_figures import choose_place_units
+from labpipe.report.bundle_figures import choose_stiffness_units
 from labpipe.report.comparisons import (
     Pair,
     describe_context,
@@ -28,6 +29,7 @@ from labpipe.report.comparisons import (
     name_field,
 )
 from labpipe.report.issues import Cause, Issue, find_causes, find_notes
+from labpipe.report.lot_tables import make_lot_record, make_verdict_cells
 from labpipe.report.page_facts import (
     compute_report_id,
     describe_days,
@@ -85,7 +87,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Notes
     -----
-    At most eleven sheets after the first, for any number of groups.
+    At most twelve sheets after the first, for any number of groups.
     """
     footer = f"{campaign.title}  \u00b7  report {compute_report_id(campaign)}"
     about = About(campaign.title, (*_facts(campaign), *how_to_read(BOOK)), footer)
@@ -111,6 +113,9 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         yield make_sheet(BOOK, "answers", map(_answer, pairs))
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
     yield make_sheet(BOOK, "key numbers", map(_key_record, by_protocol))
+    lots = [make_lot_record(group, group.lot) for group in campaign.groups if group.lot]
+    if lots:
+        yield make_sheet(BOOK, "lots", lots)
     yield make_sheet(BOOK, "means", _means(campaign))
     yield _tests_sheet(campaign)
     results = (
@@ -132,8 +137,8 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     yield make_sheet(BOOK, "comparisons", differences)
     if budgets := _budgets(campaign):
         yield make_sheet(BOOK, "budgets", budgets)
-    if campaign.places:
-        yield make_sheet(BOOK, "slipping and sticking", _places(campaign))
+    if campaign.bounded_stiffnesses:
+        yield make_sheet(BOOK, "slipping and sticking", _record_bounds(campaign))
     ranked = [(rank, cause) for rank, cause in enumerate(find_causes(campaign), start=1)]
     causes = [*ranked, *((None, note) for note in find_notes(campaign))]
     issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
@@ -247,12 +252,13 @@ def _tests_sheet(campaign: Campaign) -> Sheet:
     last = ("decision", "key of the run")
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
-    records = [_test(group, sample) for group, sample in every]
+    lots = {group.name: group.lot for group in campaign.groups}
+    records = [_test(group, sample, lots.get(group)) for group, sample in every]
     heads = [*(head for head in unite_heads(records) if head not in last), *last]
     return make_sheet(BOOK, "tests", records, heads=heads)
 
 
-def _test(group: str, sample: Sample) -> Record:
+def _test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
     main = [result for result in sample.results if is_main(result.name)]
     numbers: Record = {}
@@ -272,6 +278,7 @@ def _test(group: str, sample: Sample) -> Record:
         "protocol": sample.protocol,
         "day": "" if sample.date is None else str(sample.date),
         "operator": sample.operator,
+        **make_verdict_cells(sample, lot),
         **sizes,
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
         "failed numbers": sum(result.status is Status.FAILED for result in main),
@@ -408,30 +415,30 @@ def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval 
     }
 
 
-def _places(campaign: Campaign) -> Iterator[Record]:
-    """Yield the records of measured bending stiffnesses between the bounds of the bundle model."""
-    scales = choose_place_units(campaign)
-    for place in campaign.places:
-        scale, ends = scales[place.group], place.share_interval
+def _record_bounds(campaign: Campaign) -> Iterator[Record]:
+    """Yield the rows of bending stiffnesses of bundles with their bounds."""
+    scales = choose_stiffness_units(campaign)
+    for stiffness in campaign.bounded_stiffnesses:
+        scale, ends = scales[stiffness.group], stiffness.share_interval
         bounds = {
-            "all slips": place.low,
-            "wires slip": place.free,
-            "nothing slips": place.high,
-            "smallest of all directions": place.principal[0],
-            "largest of all directions": place.principal[1],
+            "all slips": stiffness.low,
+            "wires slip": stiffness.free,
+            "nothing slips": stiffness.high,
+            "smallest of all directions": stiffness.principal[0],
+            "largest of all directions": stiffness.principal[1],
         }
         yield {
-            "group": place.group,
-            "test": place.test or "mean",
+            "group": stiffness.group,
+            "test": stiffness.test or "mean",
             "unit": scale.unit,
             **make_interval_cells(
-                place.value, place.interval, scale.factor, name="bending stiffness"
+                stiffness.value, stiffness.interval, scale.factor, name="bending stiffness"
             ),
             **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
-            "share (%)": make_percent_cell(place.share),
+            "share (%)": make_percent_cell(stiffness.share),
             "share lower (%)": make_percent_cell(ends, "lower"),
             "share upper (%)": make_percent_cell(ends, "upper"),
-            "reason": join_reasons(place.reasons),
+            "reason": join_reasons(stiffness.reasons),
         }
 
 

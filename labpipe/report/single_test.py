@@ -23,6 +23,7 @@ from labpipe.report.wording import (
     write_heading,
     write_with_interval,
 )
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -69,6 +70,11 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
         for name, size in specimen.dimensions.items()
     ]
     fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
+    answers = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    share = find_result(result.results, PEAK_OVER_LIMIT)
+    verdict = []
+    if share is not None:
+        verdict = [("Verdict", "; ".join([judge_sample(share).text, *answers]))]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
@@ -76,6 +82,7 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
     )
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
+        *verdict,
         ("Dimensions", ", ".join([*sizes, *fields]) or DASH),
         (
             "Tested",
