@@ -174,7 +174,7 @@ def make_abaqus_label(name: str) -> str:
 
     Examples
     --------
-    >>> abaqus_label("FLRY-B_0.35")
+    >>> make_abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
     return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
@@ -194,7 +194,7 @@ def make_ansys_name(name: str) -> str:
 
     Examples
     --------
-    >>> ansys_name("FLRY-B 0.35")
+    >>> make_ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
     remainder = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
@@ -214,7 +214,7 @@ def make_file_stem(name: str) -> str:
 
     Examples
     --------
-    >>> file_stem("A2")
+    >>> make_file_stem("A2")
     'A2'
     """
     max_length = 100
@@ -235,7 +235,7 @@ def shorten_name(name: str, max_length: int = 100) -> str:
 
     Examples
     --------
-    >>> on_one_line("a name that goes on and on", 12)
+    >>> shorten_name("a name that goes on and on", 12)
     'a name th...'
     """
     line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
