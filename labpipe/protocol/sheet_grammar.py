@@ -262,8 +262,8 @@ class SheetSpecimen(Block):
     labels: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
         {}, description="Other properties of the specimen as text, by name"
     )
-    observed: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
-        {}, description="Answers to the questions of the protocol, by question"
+    observed: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = (
+        Field({}, description="Answers to the questions of the protocol, by question")
     )
 
     @property
