@@ -175,7 +175,7 @@ class _Run:
                 sync.catalog.release(folder)
                 continue
             self._claimed[sheet] = folder
-            key = sync.determine_content(folder).key
+            key = sync.read_inputs(folder).key
             yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
 
     def _record(self, outcome: Outcome) -> None:

@@ -64,9 +64,9 @@ from labpipe.report.page_tables import (
     make_test_rows,
 )
 from labpipe.report.plot_records import (
-    Strip,
+    MeanStrip,
     clip_range,
-    make_strip,
+    make_mean_strip,
     simplify_line,
     write_sparkline,
 )
@@ -285,7 +285,7 @@ class KeyRow(NamedTuple):
     name: str
     stem: str
     n: int
-    strip: Strip | None
+    strip: MeanStrip | None
     cells: tuple[Cell, ...]
     spark: str
 
@@ -358,7 +358,7 @@ def _key_rows(
         strip = None
         if has_heads and number_and_mean is not None:
             interval = _find_interval(*number_and_mean)[0].interval
-            strip = make_strip(strip_ends, interval, number_and_mean[1].mean)
+            strip = make_mean_strip(strip_ends, interval, number_and_mean[1].mean)
         cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
         rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
     return rows
@@ -404,7 +404,7 @@ def _spark(group: Group) -> str:
         if first is None:
             return ""
         x, y = first.displacement, first.force
-    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
 
 
