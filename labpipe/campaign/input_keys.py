@@ -195,7 +195,7 @@ class InputReader:
         for names in sheet.files.values():
             stamps |= {name: take_stamp(folder / name, previous_stamps.get(name)) for name in names}
         try:
-            resolved, protocol = self._resolve(sheet, sheet_path, text)
+            resolved, protocol = self._resolve_protocol(sheet, sheet_path, text)
             cards = fingerprint_dialect_cards(protocol)
         except LabpipeError:
             return replace(
@@ -251,7 +251,9 @@ class InputReader:
             self._cards_hash = _hash_text(json.dumps(cards)) if cards else ""
         return self._cards_hash
 
-    def _resolve(self, sheet: TestSheet, sheet_path: Path, text: str) -> tuple[str, Protocol]:
+    def _resolve_protocol(
+        self, sheet: TestSheet, sheet_path: Path, text: str
+    ) -> tuple[str, Protocol]:
         """Resolve the protocol of a test, once for all tests with the same keys that affect it."""
         sheet_data: Any = parse_yaml(text, str(sheet_path)).data
         sheet_keys = {key: sheet_data[key] for key in sheet_data.keys() - _UNRESOLVED_SHEET_KEYS}

@@ -68,18 +68,22 @@ class Axis:
         >>> [text for _, text in Axis("Force", "N", -0.4, 10.4).find_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
-        nice_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
+        round_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
         rounding = 1e-12  # in steps
         if self.row_names:
             return []
         span = self.high - self.low
         power = 10.0 ** floor(log10(span / max_steps))
-        step = next(power * nice for nice in nice_steps if power * nice * max_steps >= span)
-        first = int(np.ceil(self.low / step - rounding))
-        last = int(np.floor(self.high / step + rounding))
+        step = next(
+            power * round_step
+            for round_step in round_steps
+            if power * round_step * max_steps >= span
+        )
+        first_number = int(np.ceil(self.low / step - rounding))
+        last_number = int(np.floor(self.high / step + rounding))
         return [
             ((number * step - self.low) / span, f"{number * step:.6g}".replace("-", "\u2212"))
-            for number in range(first, last + 1)
+            for number in range(first_number, last_number + 1)
         ]
 
 
@@ -108,8 +112,8 @@ class Line:
 
         Parameters
         ----------
-        x, y : axes of the plot. Points further outside them than their own length are moved to that
-            distance
+        x, y : axes of the plot. A point outside of them by more than the length of an
+            axis is moved to that distance
 
         Examples
         --------
@@ -118,10 +122,12 @@ class Line:
         >>> line.write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
-        finite = np.isfinite(self.x) & np.isfinite(self.y)
+        is_finite = np.isfinite(self.x) & np.isfinite(self.y)
         x_grid = _convert_to_grid(self.x, x)
         y_grid = GRID_SIZE - _convert_to_grid(self.y, y)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(np.int8)))
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], is_finite, [False]]).astype(np.int8))
+        )
         segments = [
             _write_segment(x_grid[start:stop], y_grid[start:stop])
             for start, stop in zip(edges[::2], edges[1::2], strict=True)
@@ -137,11 +143,11 @@ def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
 
 
 def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
-    first = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
+    start = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
     if len(x_grid) == 1:
-        return f"{first}h0"
+        return f"{start}h0"
     steps = np.column_stack([np.diff(x_grid), np.diff(y_grid)]).astype(np.int64).ravel().tolist()
-    return f"{first}l{' '.join(map(str, steps))}".replace(" -", "-")
+    return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,8 +107,8 @@ def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMe
 @lru_cache(maxsize=4)
 def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
-    points, quads = _mesh_half_disc()
-    corners = np.unique(quads[:, :4])
+    points, quadrangles = _mesh_half_disc()
+    corners = np.unique(quadrangles[:, :4])
     stations = [
         np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]
@@ -121,13 +121,13 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
         np.column_stack([np.full(len(station_points), x), points[station_points]])
         for x, station_points in zip(station_x, stations, strict=True)
     ]
-    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quads) for i in range(n_bricks_along)]
+    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quadrangles) for i in range(n_bricks_along)]
     return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
 
 
-def _stack_bricks(numbers: Ints, quads: Ints) -> Ints:
+def _stack_bricks(numbers: Ints, quadrangles: Ints) -> Ints:
     """Return the bricks of one layer, from the node numbers at its three stations."""
-    below, middle, above = (number[quads] for number in numbers)
+    below, middle, above = (number[quadrangles] for number in numbers)
     corners, mid_sides = slice(0, 4), slice(4, 8)
     faces = (below[:, corners], above[:, corners], below[:, mid_sides], above[:, mid_sides])
     return np.concatenate([*faces, middle[:, corners]], axis=1)
