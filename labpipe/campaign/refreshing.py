@@ -367,16 +367,16 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     exports that it pairs are known.
     """
     raw = sync.campaign.raw
-    known = {
+    known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
         for name in sync.list_files(folder, sheet)
     }
     if (raw / PLAN_NAME).is_file():
-        known.add(PLAN_NAME)
+        known_files.add(PLAN_NAME)
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
             for candidate in list_candidates(raw, read_plan(raw)).candidates:
                 if candidate.by_role or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
-                    known |= {path.relative_to(raw).as_posix() for path in files}
-    return sorted(file for file in overview.raw.files if file not in known)
+                    known_files |= {path.relative_to(raw).as_posix() for path in files}
+    return sorted(file for file in overview.raw.files if file not in known_files)

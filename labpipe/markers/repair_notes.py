@@ -74,14 +74,14 @@ def make_repair_notes(
 
 
 def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    seen = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
+    visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
             marker = take.names[column]
             yield QualityNote.of(
                 "markers.marker_under_another_label"
-                if column in seen
+                if column in visible_columns
                 else "markers.marker_missing",
                 marker,
                 marker=marker,
@@ -200,10 +200,10 @@ def _dropped_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iter
         span, extent = take.span(chain.start, chain.stop), _extent(take.tracklets, chain, measured)
         where, size = f"{names}, {span}", 1e3 * extent
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
-    rest = chains[_MAX_NOTES:]
-    if rest:
-        frames = sum(chain.frames for chain in rest)
-        count = len(rest)
+    unlisted = chains[_MAX_NOTES:]
+    if unlisted:
+        frames = sum(chain.frames for chain in unlisted)
+        count = len(unlisted)
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 

@@ -177,8 +177,8 @@ def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     uncertainty is 1 / sqrt(3) of the half-width.
     """
     values = compute_deflection(fit.shape, rest=rest)
-    seen = ~np.isnan(values)
-    _, error = average_level(values[rest & seen], values[~rest])
+    is_measured = ~np.isnan(values)
+    _, error = average_level(values[rest & is_measured], values[~rest])
     change = fit.tip_systematic[:, 1]
     has_change = not np.isnan(change[rest]).all()
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
@@ -279,11 +279,11 @@ def _select_specimen_tracks(
             if is_unlabelled(name)
             or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
         ]
-    seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
-    if len(seen) < 3:
-        names = ", ".join(seen) or "none"
+    visible_names = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
+    if len(visible_names) < 3:
+        names = ", ".join(visible_names) or "none"
         raise ProcessingError.about(
-            "process.few_markers", role, "markers", count=len(seen), names=names
+            "process.few_markers", role, "markers", count=len(visible_names), names=names
         )
     return candidates, findings
 
@@ -337,7 +337,7 @@ def fit_three_point_shape(
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
-    bent = replace(
+    bent_shape = replace(
         prepared,
         signals=prepared.signals.add_signal(
             "mid_span", _make_mid_span_signal(shape, tracks.time, rest, take)
@@ -352,7 +352,7 @@ def fit_three_point_shape(
         around=int((shape.lever > 0.0).sum()),
         noise=1e6 * shape.axis.noise,
     )
-    return bent, [note]
+    return bent_shape, [note]
 
 
 def _reject_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:

@@ -458,8 +458,8 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
         the origin and x
     """
     line = harness.line
-    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
-    first = next((boundary for boundary in held if boundary.at == START), None)
+    holders = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
+    first = next((boundary for boundary in holders if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
         position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position

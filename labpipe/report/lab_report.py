@@ -704,15 +704,15 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)
-    wanted = [
+    figures_to_save = [
         drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in list_group_figures(group)
     ]
-    wanted += list_family_figures(campaign)
-    wanted += list_bounds_figures(campaign)
+    figures_to_save += list_family_figures(campaign)
+    figures_to_save += list_bounds_figures(campaign)
     return save_pages(
-        wanted,
+        figures_to_save,
         folder,
         png="png" in extras.formats,
         pdf="pdf" in extras.formats,

@@ -235,8 +235,12 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
-    wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
+    display_unit = display.get(_QUANTITIES.get(unit, ""))
+    return (
+        Scale(1.0, unit)
+        if display_unit is None
+        else Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
+    )
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -425,8 +429,8 @@ def _round_together(numbers: Iterable[float], place: int) -> list[str]:
 
 def round_to_place(number: float, place: int) -> str:
     """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
-    near = round(number, -place)
-    return f"{near + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
+    rounded = round(number, -place)
+    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
 
 
 def write_with_interval(

@@ -35,8 +35,8 @@ def conjugate(frames: Floats) -> Floats:
 
 def cross(u: Floats, v: Floats) -> Floats:
     """Compute the vector product, shape (..., 3), several times faster than `numpy.cross`."""
-    one = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
-    return np.asarray(one - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
+    positive_terms = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
+    return np.asarray(positive_terms - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
 
 
 def skew(vectors: Floats) -> Floats:
@@ -60,10 +60,10 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
 
 def to_rotation_vectors(frames: Floats) -> Floats:
     """Return rotation vectors of quaternions, rad, of magnitude up to pi, shape (..., 3)."""
-    real, others = frames[..., 0], frames[..., 1:]
-    size = np.maximum(np.sqrt(np.vecdot(others, others)), 1e-150)
+    real, imaginary = frames[..., 0], frames[..., 1:]
+    size = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), 1e-150)
     scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
-    return np.asarray(scale[..., None] * others)
+    return np.asarray(scale[..., None] * imaginary)
 
 
 def to_matrices(frames: Floats) -> Floats:

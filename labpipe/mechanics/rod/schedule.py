@@ -144,21 +144,23 @@ class Schedule:
         """
         share = min(1.0, time + 1.0)
         forces, moments = self._loads(time, share)
-        held, clamps = self._places(time, share, grips)
+        held_positions, clamps = self._places(time, share, grips)
         anchors = np.array(
             [_interpolate_path(self._get(String, k).anchor, time) for k in self.strings]
         )
         rings = self._ring_places(time, share)
-        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
+        return Demands(held_positions, clamps, forces, moments, anchors.reshape(-1, 3), rings)
 
     def _ring_places(self, time: float, share: float) -> Floats:
         """Return the positions of the rings, which at first move from the line to their paths."""
         places = [_interpolate_path(self._get(Ring, k).position, time) for k in self.rings]
-        goal = np.array(places).reshape(-1, 3)
+        target_positions = np.array(places).reshape(-1, 3)
         if share < 1.0:
             starts = [evaluate_curve(self.start.positions, u) for u in self.start_places]
-            goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
-        return goal
+            target_positions = share * target_positions + (1.0 - share) * np.array(starts).reshape(
+                -1, 3
+            )
+        return target_positions
 
     def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
         forces = np.zeros((self.n + 1, 3))
@@ -175,18 +177,20 @@ class Schedule:
         return forces, moments
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
-        held = np.zeros((len(grips), 3))
+        held_positions = np.zeros((len(grips), 3))
         clamps = []
         for row, k in enumerate(grips):
             grip, node = self._get(Held, k), self.held_nodes[k]
-            goal = _interpolate_path(grip.position, time)
-            held[row] = share * goal + (1.0 - share) * self.start.positions[node]
+            target_position = _interpolate_path(grip.position, time)
+            held_positions[row] = (
+                share * target_position + (1.0 - share) * self.start.positions[node]
+            )
             if grip.frame is not None:
                 frame = _interpolate_frame_path(grip.frame, time)
                 if share < 1.0:
                     frame = _interpolate_frames(self._start_frames[k], frame, share)
                 clamps.append(frame)
-        return held, np.array(clamps).reshape(-1, 4)
+        return held_positions, np.array(clamps).reshape(-1, 4)
 
     def _get(self, boundary_type: type[T], k: int) -> T:
         boundary = self.boundaries[k]

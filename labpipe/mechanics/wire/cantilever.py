@@ -339,23 +339,24 @@ def bend_to_travel(
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
         condition = Pull(anchor, rig.string_length, rig.weight)
-        bent = settle(law, present, length, condition, travel=travel)
-        return bent if bent is not None and bent.load >= 0.0 else None
+        solution = settle(law, present, length, condition, travel=travel)
+        return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
-        bent = settle(law, present, length, weight, travel=travel)
-        if bent is None:
+        solution = settle(law, present, length, weight, travel=travel)
+        if solution is None:
             return None
-        tip = compute_shape(law, bent, length)
+        tip = compute_shape(law, solution, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
-        return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
+        # exactly zero, without the rounding error of the solution
+        return replace(solution, load=0.0)
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
-        bent = first(present, travel)
-        return second(present, travel) if bent is None else bent
+        solution = first(present, travel)
+        return second(present, travel) if solution is None else solution
 
     require_positive("length", length)
     require_finite("travel", travel)
@@ -412,12 +413,12 @@ def settle(
     solved = solve(wire, moment[None], np.array([load]), tolerance=tolerance, floor=floor)
     if solved is None:
         return None
-    bent = bend_wire(wire, *solved)
-    turn = stations.from_clamp @ (bent.curvature - bend(moment[None])[0])[0]
+    bent_wire = bend_wire(wire, *solved)
+    turn = stations.from_clamp @ (bent_wire.curvature - bend(moment[None])[0])[0]
     if np.max(np.abs(turn)) > max_turn:
         return None
     plays = respond(law, solved[0][0], state.plays).plays
-    force, load = bent.wanted.force[0], float(solved[1][0])
+    force, load = bent_wire.wanted.force[0], float(solved[1][0])
     return WireState(solved[0][0], plays, force, load, travel, state.self_weight)
 
 

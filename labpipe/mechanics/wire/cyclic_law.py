@@ -70,8 +70,8 @@ def harden(
     factor : on the moments of the strands, as of `plays`
     """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    bent, strands = continue_strands(section, curvature)
-    return make_mixed_law(plays, bent, factor * strands, isotropic_share)
+    continued_curvature, strands = continue_strands(section, curvature)
+    return make_mixed_law(plays, continued_curvature, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:

@@ -244,7 +244,7 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
     notes, length = [], 1e3 * spec.length
     try:
-        bent = _bend_to_end(law, spec.length, self_weight)
+        path = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
         note = QualityNote.of(
             "mechanics.wire.weight_left_out",
@@ -254,21 +254,21 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
             error=error,
         )
         notes.append(note)
-        bent = _bend_to_end(law, spec.length, 0.0)
-    wanted = END_DEFLECTION * spec.length
-    if bent.deflection[-1] < wanted:
+        path = _bend_to_end(law, spec.length, 0.0)
+    wanted_deflection = END_DEFLECTION * spec.length
+    if path.deflection[-1] < wanted_deflection:
         last = curve.curvature[-1]
         notes.append(
             QualityNote.of(
                 "mechanics.wire.cantilever_cut",
                 spec.place,
                 length=length,
-                reached=1e3 * bent.deflection[-1],
-                wanted=1e3 * wanted,
+                reached=1e3 * path.deflection[-1],
+                wanted=1e3 * wanted_deflection,
                 last=last,
             )
         )
-    return replace(bent, notes=tuple(notes))
+    return replace(path, notes=tuple(notes))
 
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:

@@ -100,13 +100,13 @@ def solve_weightless(
         turning = table.energy(moment)[:, 0] + force[:, 0]
         lacking = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
         load += 2.0 * lacking
-        wanted = at.demand(tip, load, rows)
-        values, changes = integrate(table, moment, wanted.force)
+        demand = at.demand(tip, load, rows)
+        values, changes = integrate(table, moment, demand.force)
         by_state = np.zeros((len(rows), 3, 3))  # of moment and force, by moment, x and load
         by_state[:, 0, 0] = 1.0
-        by_state[:, 1:, 2] = wanted.force_by_load
-        if wanted.force_by_tip is not None:
-            by_state[:, 1:, 1] = wanted.force_by_tip[:, :, 0]
+        by_state[:, 1:, 2] = demand.force_by_load
+        if demand.force_by_tip is not None:
+            by_state[:, 1:, 1] = demand.force_by_tip[:, :, 0]
         matrix = changes[:, :, :3] @ by_state
         matrix[:, 1, 1] -= 1.0
         causes = changes[:, :, 1:]

@@ -143,8 +143,8 @@ class LawFamily:
         share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
         growing: tuple[GrowingSlider, ...] = ()
         if share > 0.0:
-            bent, strands = continue_strands(built.section, corners[1:])
-            growing = (grow_from(bent, factor * self.scale * strands, share),)
+            continued_curvature, strands = continue_strands(built.section, corners[1:])
+            growing = (grow_from(continued_curvature, factor * self.scale * strands, share),)
             own = growing[0].first_loading(corners)
             slopes = slopes - np.diff(own) / np.diff(corners)
         law = replace(

@@ -262,8 +262,8 @@ def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
     squares = np.einsum("ng,nm,mg->g", off, np.linalg.inv(noise), off)
     best = int(np.argmin(squares))
     inner = min(max(best, 20), len(grid) - 21)
-    near = slice(inner - 20, inner + 21)
-    bend = np.polyfit(grid[near] - grid[inner], squares[near], 2)[0]
+    near_minimum = slice(inner - 20, inner + 21)
+    bend = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
     error = 1.0 / np.sqrt(max(bend, 1e-12))
     freedom = len(off) - 1
     if freedom > 0:

@@ -87,8 +87,8 @@ def estimate_correlation(
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
-        held = np.eye(len(shared)) + shared @ shared.T
-        residuals -= np.linalg.solve(held, shared @ residuals) @ shared
+        capacitance = np.eye(len(shared)) + shared @ shared.T
+        residuals -= np.linalg.solve(capacitance, shared @ residuals) @ shared
         above += float(residuals[1:] @ residuals[:-1])
         below += float(residuals @ residuals)
     return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
