@@ -179,10 +179,10 @@ def _jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[Qu
 
 def _ambiguity_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
     pieces = take.tracklets
-    for one, two in links.ambiguous[:_MAX_NOTES]:
-        last = int(pieces.stop[one]) - 1
-        span = take.span(last, int(pieces.start[two]) + 1)
-        names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
+    for first, second in links.ambiguous[:_MAX_NOTES]:
+        last = int(pieces.stop[first]) - 1
+        span = take.span(last, int(pieces.start[second]) + 1)
+        names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
         where, after = f"{names}, {span}", (float(take.time[last]), float(take.time[-1]))
         yield QualityNote.of("markers.label_ambiguous", where, after, names=names, span=span)
     for chain in naming.doubtful:

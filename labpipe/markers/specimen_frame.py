@@ -151,10 +151,10 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
     """Return distances between markers, m: at rest, or over all frames for other pairs."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
-    for one in range(count):
-        for two in range(one):
-            distance = _typical(positions[:, one] - positions[:, two], rest)
-            distances[one, two] = distances[two, one] = distance
+    for first in range(count):
+        for second in range(first):
+            distance = _typical(positions[:, first] - positions[:, second], rest)
+            distances[first, second] = distances[second, first] = distance
     return distances
 
 

@@ -505,8 +505,8 @@ def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limit
     # the force is steep near the peak, and small at the end of unloading
     is_loading = last.direction is Direction.LOADING
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    near = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
-    return sense * end >= turns[-1] - near
+    tolerance = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
+    return sense * end >= turns[-1] - tolerance
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:

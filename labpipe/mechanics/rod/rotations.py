@@ -68,11 +68,11 @@ def to_rotation_vectors(frames: Floats) -> Floats:
 
 def to_matrices(frames: Floats) -> Floats:
     """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
-    one, other = (
+    first_products, second_products = (
         frames.take(first, axis=-1) * frames.take(second, axis=-1) * sign
         for (first, second), sign in ((_SQUARES, _OF_SQUARES), (_OTHERS, _OF_OTHERS))
     )
-    return np.asarray(_EYE + one + other)
+    return np.asarray(_EYE + first_products + second_products)
 
 
 def unit(vectors: Floats) -> Floats:

@@ -101,8 +101,8 @@ class Schedule:
             name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-        near = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
-        return find_nearest_place(self.start.positions, ring.position[0], float(near))
+        nearest_node = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
+        return find_nearest_place(self.start.positions, ring.position[0], float(nearest_node))
 
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):

@@ -247,9 +247,9 @@ def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
     best, least = wire_types, _unevenness(wire_types, traits, near)
     while True:
-        one, other = _find_exchange(best, traits, near)
+        first, second = _find_exchange(best, traits, near)
         exchanged = best.copy()
-        exchanged[[one, other]] = best[[other, one]]
+        exchanged[[first, second]] = best[[second, first]]
         merit = _unevenness(exchanged, traits, near)
         if merit >= least:
             return best

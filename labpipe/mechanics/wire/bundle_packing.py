@@ -257,8 +257,8 @@ def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
         across = np.eye(2) - u[:, :, None] * u[:, None, :]
         turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
         bend = np.zeros((number, number, 2, 2))
-        for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
-            np.add.at(bend, (one, other), sign * turn)
+        for wire, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
+            np.add.at(bend, (wire, other), sign * turn)
         np.add.at(bend, (second, first), -turn)
         stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
         system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])

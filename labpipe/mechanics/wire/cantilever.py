@@ -183,12 +183,14 @@ class Pull:
 
     def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
         """Return tension and weight; the gap is the string's stretch."""
-        reach = self.anchor - tip
-        distance = np.hypot(*reach.T)
-        by_load = reach / self.length
+        to_anchor = self.anchor - tip
+        distance = np.hypot(*to_anchor.T)
+        by_load = to_anchor / self.length
         force = load[:, None] * by_load - np.array([0.0, self.weight])
         by_tip = -(load / self.length)[:, None, None] * np.eye(2)
-        return Demand(force, by_load, distance - self.length, -reach / distance[:, None], by_tip)
+        return Demand(
+            force, by_load, distance - self.length, -to_anchor / distance[:, None], by_tip
+        )
 
 
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
@@ -253,15 +255,15 @@ def bend_under_force(
         If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
         message states the curvature).
     """
-    start, goal = state.force, np.asarray(force, dtype=np.float64)
+    start, target = state.force, np.asarray(force, dtype=np.float64)
     require_positive("length", length)
-    require_finite("force", goal)
+    require_finite("force", target)
 
     def step(present: WireState, share: float) -> WireState | None:
-        condition = DeadLoad(start + share * (goal - start))
+        condition = DeadLoad(start + share * (target - start))
         return settle(law, present, length, condition, travel=share)
 
-    place = f"force={goal.tolist()}"
+    place = f"force={target.tolist()}"
     return _within_law(law, _walk_to(step, replace(state, travel=0.0), 1.0, place), length, place)
 
 

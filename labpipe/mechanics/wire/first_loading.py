@@ -204,22 +204,22 @@ def find_loading_states(
     begin = tip_force + (0.0 if rig is None else rig.weight)
     start = (tip_force - 0.5 * level.beyond) * from_tip
     first = _solve(level, at_rest, start[None], np.array([begin]))
-    rest, tension = first[0][0], float(first[1][0])
-    loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
+    rest_moment, tension = first[0][0], float(first[1][0])
+    loaded = replace(level, bend=partial(table.bend_on, rest_moment), condition=at)
     solution = None if near is None else _solve_near(loaded, near)
     if solution is None:
         clamp = _guess_clamp(table, length, deflections)[0]
-        guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
-        solution = _solve_all(loaded, at, np.append(rest, tension), guess)
+        guess = rest_moment + clamp[:, None] * from_tip / length, tension + clamp / length
+        solution = _solve_all(loaded, at, np.append(rest_moment, tension), guess)
     moment, tensions = solution
     bent_wire = bend_wire(loaded, moment, tensions)
     rest_change = compute_sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
-    changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+    changes = table.changes_on(rest_moment, moment, rest_change[1:, 0, :-1])
     tension_change = compute_sensitivity(loaded, bent_wire, changes)[:, :, -1]
     tension_change[1:] -= rest_change[1:, :, -1]
     cos, sin, pull = bent_wire.cos[:, -1], bent_wire.sin[:, -1], bent_wire.wanted.force
     return LoadingStates(
-        *(rest, tension, deflections, moment, tensions),
+        *(rest_moment, tension, deflections, moment, tensions),
         across=pull[:, 1] * cos - pull[:, 0] * sin,
         x=bent_wire.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),

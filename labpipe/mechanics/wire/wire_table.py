@@ -137,8 +137,8 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     decades = 4.0  # of curvature below the largest
     even = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
     even[-1] = largest
-    near = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
-    return np.concatenate([[0.0], np.union1d(even[~near.any(axis=1)], onsets)])
+    is_near_onset = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
+    return np.concatenate([[0.0], np.union1d(even[~is_near_onset.any(axis=1)], onsets)])
 
 
 def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:

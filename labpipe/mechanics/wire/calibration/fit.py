@@ -250,9 +250,9 @@ def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
         raise ValueError(message)
     require("gain", gain, ">= 0 and < 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
-        for what in ("value", "lower", "upper"):
-            number = getattr(choice, what)
-            require_positive(f"{name}: {what}", 1.0 if number is None else number)
+        for bound_name in ("value", "lower", "upper"):
+            number = getattr(choice, bound_name)
+            require_positive(f"{name}: {bound_name}", 1.0 if number is None else number)
         factor = 2.0 if choice.factor is None else choice.factor
         require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 

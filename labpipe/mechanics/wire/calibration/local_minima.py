@@ -302,12 +302,12 @@ def follow_line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list
     """
     if not (free[_TUBE] and free[_COPPER]):
         return [fit]
-    others = free.copy()
-    others[_COPPER] = False
+    other_parameters = free.copy()
+    other_parameters[_COPPER] = False
     low, high = float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
     strength = _strength(fit)
-    down = _follow(problem, levels, fit, others, _steps(strength, low))
-    up = _follow(problem, levels, fit, others, _steps(strength, high))
+    down = _follow(problem, levels, fit, other_parameters, _steps(strength, low))
+    up = _follow(problem, levels, fit, other_parameters, _steps(strength, high))
     return [*down[::-1], fit, *up]
 
 

@@ -163,20 +163,28 @@ def follow_profile(
     taken = minimum.rise / compute_limit(result, minimum) if minimum.rise > 0.0 else 0.0
     wide = result.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _min_quantile(end, error) for end in (-below[0], above[0])]
-    others = free.copy()
-    others[number] = False
+    other_parameters = free.copy()
+    other_parameters[number] = False
     direction = _direction(problem, levels, fit, free, number)
     sides = []
     bounds = (-1.0, problem.lower[number]), (1.0, problem.upper[number])
     for root, (sign, bound) in zip(roots, bounds, strict=True):
         walk = _Profile(
-            problem, levels, fit, others, number, direction, float(bound), sign, root * root
+            problem,
+            levels,
+            fit,
+            other_parameters,
+            number,
+            direction,
+            float(bound),
+            sign,
+            root * root,
         )
         sides.append(_find_end(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
-    one = len(result.local_minima) == 1
+    has_one_minimum = len(result.local_minima) == 1
     profile_points = sorted(
-        {middle, *(p for side in sides for p in (side.seen if one else _uphill(side)))}
+        {middle, *(p for side in sides for p in (side.seen if has_one_minimum else _uphill(side)))}
     )
     logs, heights = np.array(profile_points).T
     return Trace(
@@ -270,12 +278,12 @@ def _find_end(walk: _Profile, root: float, error: float) -> _Side:
     room = walk.sign * (walk.bound - start)
     if room <= 0.0:
         return _Side(walk.bound, walk.bound, is_open=True, seen=())
-    low, near, stays = (0.0, 0.0), walk.fit, 0
+    low, start_fit, stays = (0.0, 0.0), walk.fit, 0
     high: tuple[float, float] | None = None
     profile_points: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
     for _ in range(max_evaluations):
-        height, fit = walk.evaluate(near, distance)
+        height, fit = walk.evaluate(start_fit, distance)
         profile_points.append((start + walk.sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
@@ -284,7 +292,7 @@ def _find_end(walk: _Profile, root: float, error: float) -> _Side:
         elif distance >= room:
             return _Side(start, walk.bound, is_open=True, seen=tuple(profile_points))
         else:
-            near, low, stays = fit, (distance, height), max(stays, 0) + 1
+            start_fit, low, stays = fit, (distance, height), max(stays, 0) + 1
         distance = _next_distance(low, high, stays, root, room)
     else:  # conservative
         distance = high[0] if high else room
@@ -305,11 +313,11 @@ def _next_distance(
     was kept twice (`stays`): the deviance is then no parabola.
     """
     max_growth = 2.5  # of the distance, per step
-    near, height = low
+    low_distance, height = low
     if high is None:
-        ahead = near * root / height if height > 0.0 else np.inf
-        return min(max(ahead, 1.1 * near), max_growth * near, room)
+        ahead = low_distance * root / height if height > 0.0 else np.inf
+        return min(max(ahead, 1.1 * low_distance), max_growth * low_distance, room)
     if abs(stays) > 2:
-        return 0.5 * (near + high[0])
+        return 0.5 * (low_distance + high[0])
     share = (root - height) / (high[1] - height)
-    return near + min(max(share, 0.02), 0.98) * (high[0] - near)
+    return low_distance + min(max(share, 0.02), 0.98) * (high[0] - low_distance)
