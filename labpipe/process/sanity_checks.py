@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
@@ -528,6 +528,21 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
         )
         for name, certificate, quantities in _certificates(protocol)
     )
+
+
+def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[Finding]:
+    """Note the questions of the protocol that the test sheet does not answer.
+
+    Parameters
+    ----------
+    protocol : with its questions
+    observed : answers of the test sheet, by question
+    """
+    for name, answers in protocol.questions.items():
+        if name not in observed:
+            yield Finding.of(
+                "process.question_open", name, "observation", name=name, answers=", ".join(answers)
+            )
 
 
 def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:

@@ -38,8 +38,8 @@ _KEY_PATHS = (
     | {role: ("files", role) for role in ROLES}
 )
 """Place of each column in a test sheet, in the order of the sheet."""
-LABELS = "labels."
-"""Prefix of columns that are labels of the specimen."""
+TEXT_BLOCKS = ("labels", "observed")
+"""Blocks of the specimen whose texts have columns such as ``labels.cured``."""
 COLUMNS = (*_KEY_PATHS, "because")
 """Columns of a campaign table, in addition to labels and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
@@ -206,9 +206,10 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
     dotted = [column for column in values if "." in column]
     paths |= {
-        column: ("specimen", "labels", column.removeprefix(LABELS))
+        column: ("specimen", block, key)
         for column in dotted
-        if column.startswith(LABELS)
+        for block, _, key in [column.partition(".")]
+        if block in TEXT_BLOCKS
     }
     data: dict[str, Any] = {}
     for column, (*blocks, key) in paths.items():
@@ -300,8 +301,8 @@ def _column_of_fault(fault: Fault) -> str:
             return column
     if fault.missing:
         return fault.missing
-    if path[:2] == ("specimen", "labels"):
-        return f"{LABELS}{path[2]}"
+    if path[0] == "specimen" and len(path) > 2 and path[1] in TEXT_BLOCKS:
+        return f"{path[1]}.{path[2]}"
     return path[1] if path[0] == "overrides" and len(path) > 1 else path[-1]
 
 

@@ -272,6 +272,9 @@ class SheetSpecimen(Block):
     labels: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
         {}, description="Other properties of the specimen as text, by name"
     )
+    observed: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
+        {}, description="Answers to the questions of the protocol, by question"
+    )
 
     @property
     def dimensions(self) -> dict[str, float]:
@@ -283,7 +286,8 @@ class SheetSpecimen(Block):
     def record(self) -> Specimen:
         """Return the specimen as the other rooms use it; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
-        return Specimen(self.type, self.spool, self.sample, self.dimensions, bundle, self.labels)
+        names = (self.type, self.spool, self.sample)
+        return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:

@@ -37,6 +37,7 @@ from labpipe.report.wording import (
     write_count,
     write_label,
 )
+from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 _BAND_POINTS = 28
 """Largest number of points of a mean, or of one edge of a band."""
@@ -195,6 +196,7 @@ def _curve_plot(view: _GroupView) -> Plot | None:
         *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
     x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
+    lines += _limit_lines(view, x)
     y = _force_axis(view, band)
     title = (
         f"Force against displacement of {write_count(len(group.samples), 'sample')}: {group.name}."
@@ -202,6 +204,18 @@ def _curve_plot(view: _GroupView) -> Plot | None:
     caption = write_sentence(band.reason.message) if band.reason else ""
     keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("curves", view.stem, title, caption, x, y, lines, keys, (660, 240))
+
+
+def _limits(view: _GroupView) -> list[float]:
+    """Return the smallest forces allowed of the samples, N, each once."""
+    limits = (_value(sample, FORCE_LIMIT) for sample in view.group.samples)
+    return sorted({limit for limit in limits if limit is not None})
+
+
+def _limit_lines(view: _GroupView, x: Axis) -> Iterator[Line]:
+    """Yield a line for each smallest force allowed."""
+    for limit in _limits(view):
+        yield Line("limit", np.array([x.low, x.high]), np.full(2, limit * view.y_unit.factor))
 
 
 def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axis:
@@ -218,6 +232,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
         if np.isfinite(curve.force).any()
         for edge in (float(np.nanmin(curve.force)), float(np.nanmax(curve.force)))
     ]
+    forces += [] if is_scaled else _limits(view)
     low, high = clip_range(forces, [*band.lower, *band.upper], 0.5)
     whole = clip_range([low, high], [*band.lower_all, *band.upper_all], np.inf)
     if whole[1] - whole[0] <= 1.25 * (high - low):
@@ -393,6 +408,7 @@ _KEY_LABELS = {
     "window": "window of a stiffness fit",
     "segment": "fitted segments",
     "measured": "measured, before repair of slips",
+    "limit": "smallest force allowed",
     "slip": "slip",
     "failure": "failure",
     "rejected": "rejected: not in any mean",
@@ -509,6 +525,10 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         scale = find_number_unit(group, number)
         names: dict[str, int] = {}
         lines = list(_dot_rows(group, number, scale.factor, names))
+        if group.lot is not None and number.name in (PEAK_OVER_LIMIT, "peak_force.1"):
+            limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
+            places = np.full(2, scale.factor * (np.nan if limit is None else limit))
+            lines.append(Line("limit", places, np.array([0.5, 0.5 - len(names)])))
         values = [line.x for line in lines if not line.css_class.startswith("interval")]
         x = make_clipped_axis(write_label(number.name), scale, lines, values)
         y = Axis("", "", 0.5 - len(names), 0.5, tuple(names))
@@ -525,6 +545,7 @@ _DOT_LABELS = {
     "doubtful": "doubtful",
     "dot": "mean, 95 %",
     "ring": "marked as outlier",
+    "limit": "smallest allowed",
 }
 
 

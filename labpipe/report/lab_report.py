@@ -36,6 +36,7 @@ from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
 from labpipe.report.group_plots import find_first_loading, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
+from labpipe.report.lot_tables import make_lot_table, make_verdict_table
 from labpipe.report.page_facts import (
     PageTest,
     PageTests,
@@ -190,7 +191,13 @@ def _first_screen(
         "answers": min(len(answer_rows), max_answers),
         "decisions": min(len(open_ones), max_decisions),
     }
-    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
+    lots = make_lot_table(campaign, names)
+    room = (
+        screen_lines
+        - (len(lots.rows) + 2 if lots else 0)
+        - folds["answers"]
+        - lines_per_decision * folds["decisions"]
+    )
     samples = list_samples(campaign)
     recorded = name_roles(samples)
     return {
@@ -198,6 +205,7 @@ def _first_screen(
         "facts": _facts(campaign, letterhead),
         "instruments": list_instruments(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
+        "lots": lots,
         "answers": answer_rows,
         "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
@@ -489,6 +497,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "rejected": tests.rejected(stem),
         "plots": make_group_plots(group, stem, tests),
         "numbers": make_number_table(group),
+        "verdicts": make_verdict_table(group),
         "budget": budget,
         "causes": causes,
         "samples": make_sample_tables(group, tests),

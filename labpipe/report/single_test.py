@@ -23,6 +23,7 @@ from labpipe.report.wording import (
     write_heading,
     write_with_interval,
 )
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -70,6 +71,11 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
         for name, size in specimen.dimensions.items()
     ]
     labels = [f"{name.replace('_', ' ')} {label}" for name, label in specimen.labels.items()]
+    answers = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    share = find_result(result.results, PEAK_OVER_LIMIT)
+    verdict = []
+    if share is not None:
+        verdict = [("Verdict", "; ".join([judge_sample(share).text, *answers]))]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
@@ -77,6 +83,7 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     )
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
+        *verdict,
         ("Dimensions", ", ".join([*dimensions, *labels]) or DASH),
         (
             "Tested",

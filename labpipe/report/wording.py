@@ -14,6 +14,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
+from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
@@ -201,8 +202,8 @@ def replace_names(sentence: str) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number describes the specimen, rather than a slip or the clocks."""
-    return not name.startswith(("slip_", "clock_"))
+    """Return whether a number describes the specimen, not a slip, the clocks or a limit."""
+    return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:

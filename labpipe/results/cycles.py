@@ -580,7 +580,7 @@ def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def _estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
+def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     At a turn of the motion, it rises up to the crossing of the lines through two samples on each
@@ -627,7 +627,7 @@ def _choose_largest_sample(
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
-    reach = _estimate_rise_beyond_top(signed_values, travel) / steps
+    reach = estimate_rise_beyond_top(signed_values, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]

@@ -131,7 +131,8 @@ def test_verdicts_of_one_comparison(
 ) -> None:
     difference = alone(compared(FIRST, second, margin))
     assert difference.verdict is verdict
-    assert message in difference.verdict_text
+    text = f"{difference.verdict}: {difference.verdict_reason}"
+    assert message in "; ".join([text, *difference.caveats])
 
 
 def test_many_comparisons_are_corrected() -> None:

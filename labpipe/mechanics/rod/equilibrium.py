@@ -109,11 +109,7 @@ def _update_balance(
 ) -> Balance | None:
     """Return a balance with the forces of new demands; None if it does not apply to them."""
     memory, drag = known_balance.inputs
-    demand_pairs = (
-        (now.moments, goal.moments),
-        (now.anchors, goal.anchors),
-        (now.rings, goal.rings),
-    )
+    demand_pairs = ((now.anchors, goal.anchors), (now.rings, goal.rings))
     if (
         memory is not guess
         or drag is not None
