@@ -447,14 +447,14 @@ def write_with_interval(
 
     Returns
     -------
-    ``value ± half`` if both sides of the interval differ by at most a tenth, else ``value (lower
-    to upper)``; the value alone without an interval.
+    ``value ± half`` if both sides of the interval differ by at most a tenth, else
+    ``value (lower to upper)``; the value alone without an interval.
 
     Examples
     --------
-    >>> with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> write_with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
     '52.3 ± 6.0'
-    >>> with_interval(1.26, Interval(1.15, 1.44))
+    >>> write_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
     max_uneven_share = 0.1  # difference of both sides of the interval, of the longer one
