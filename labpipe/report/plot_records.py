@@ -364,7 +364,7 @@ def simplify_line(
     kept = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
-        _split_segment(positions, values, int(start), int(stop))
+        _find_furthest_sample(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
@@ -373,12 +373,12 @@ def simplify_line(
         if -distance <= max_distance:
             break
         kept.add(furthest)
-        heapq.heappush(segments, _split_segment(positions, values, start, furthest))
-        heapq.heappush(segments, _split_segment(positions, values, furthest, stop))
+        heapq.heappush(segments, _find_furthest_sample(positions, values, start, furthest))
+        heapq.heappush(segments, _find_furthest_sample(positions, values, furthest, stop))
     return np.array(sorted(kept), dtype=np.int64)
 
 
-def _split_segment(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
+def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
     """Find the sample of a segment that is furthest from the line through its ends."""
     if stop - start < 2:
         return (0.0, start, start, stop)

@@ -71,11 +71,11 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
         for name, size in specimen.dimensions.items()
     ]
     labels = [f"{name.replace('_', ' ')} {label}" for name, label in specimen.labels.items()]
-    answers = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
-    share = find_result(result.results, PEAK_OVER_LIMIT)
+    observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    peak_over_limit = find_result(result.results, PEAK_OVER_LIMIT)
     verdict = []
-    if share is not None:
-        verdict = [("Verdict", "; ".join([judge_sample(share).text, *answers]))]
+    if peak_over_limit is not None:
+        verdict = [("Verdict", "; ".join([judge_sample(peak_over_limit).text, *observations]))]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"

@@ -276,11 +276,11 @@ def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:
 
 def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
     """Describe the moment error of the bar, and the range in which it is small."""
-    largest = int(np.argmax(np.abs(material.error)))
+    position = int(np.argmax(np.abs(material.error)))
     yield (
-        f"there its moment is up to {100.0 * abs(material.error[largest]):.2g} % "
-        f"{'above' if material.error[largest] > 0.0 else 'below'} the wire's "
-        f"(at {material.curvature[largest]:.4g} 1/m)."
+        f"there its moment is up to {100.0 * abs(material.error[position]):.2g} % "
+        f"{'above' if material.error[position] > 0.0 else 'below'} the wire's "
+        f"(at {material.curvature[position]:.4g} 1/m)."
     )
     for tolerance in (0.01, 0.003):  # of the moment
         start = material.holds_from(tolerance)
@@ -293,10 +293,10 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
 
 def _describe_deck_loss(material: EquivalentMaterial) -> str:
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    above, below = (format_percent(float(part.max())) for part in (error[~is_linear], error))
+    hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
     return (
-        f"This deck: error on first loading up to {above} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {below} below."
+        f"This deck: error on first loading up to {hardening} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
     )
 
 
