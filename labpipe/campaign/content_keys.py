@@ -1,8 +1,9 @@
 """Keys of the inputs of tests: results are outdated if the key of their test has changed.
 
 The key depends on exports, test sheet, resolved protocol and processing version
-(`labpipe.process.run.key_of`). A file is read again only if its size, times or inode changed since
-its last hash, or if that hash was taken within the time resolution of the file system.
+(`labpipe.process.run.make_input_key`). A file is read again only if its size, times or inode
+changed since its last hash, or if that hash was taken within the time resolution of the file
+system.
 """
 
 from __future__ import annotations

@@ -443,7 +443,7 @@ def name_page_file(label: str) -> str:
 
     Examples
     --------
-    >>> page_file("wires/A2-085-1")
+    >>> name_page_file("wires/A2-085-1")
     'tests/wires__A2-085-1.html'
     """
     return f"tests/{label.replace('/', '__')}.html"

@@ -74,7 +74,7 @@ def shorten(name: str, max_length: int) -> str:
 
     Examples
     --------
-    >>> shortened("TWB-B1-19-PVC-half-lap", 12)
+    >>> shorten("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
     if len(name) <= max_length:
@@ -152,13 +152,13 @@ def write_label(name: str) -> str:
 
     Examples
     --------
-    >>> as_label("peak_force.2")
+    >>> write_label("peak_force.2")
     'Peak force, cycle 2'
-    >>> as_label("stiffness_first_per_peak_force")
+    >>> write_label("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
-    >>> as_label("bending_stiffness_at_3")
+    >>> write_label("bending_stiffness_at_3")
     'Bending stiffness at 3 1/m'
-    >>> as_label("slip_drop.1")
+    >>> write_label("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, part = name.partition(".")
@@ -282,11 +282,11 @@ def typeset_unit(unit: str) -> str:
 
     Examples
     --------
-    >>> unit_words("N*mm^2")
+    >>> typeset_unit("N*mm^2")
     'N·mm²'
-    >>> unit_words("um/N")
+    >>> typeset_unit("um/N")
     'µm/N'
-    >>> unit_words("1")
+    >>> typeset_unit("1")
     ''
     """
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(SUPERSCRIPTS), unit)
@@ -370,7 +370,7 @@ def find_last_place(
 
     Examples
     --------
-    >>> place_of(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> find_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
     numbers = [factor * number for number in (value, *_ends(interval))]
@@ -391,7 +391,7 @@ def make_number_writer(
 
     Examples
     --------
-    >>> shown = plain_numbers(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> shown = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
     >>> shown(0.052284), shown(0.046271)
     ('52.3', '46.3')
     """
@@ -443,14 +443,14 @@ def write_with_interval(
 
     Returns
     -------
-    ``value ± half`` if both sides of the interval differ by at most a tenth, else ``value (lower
-    to upper)``; the value alone without an interval.
+    ``value ± half`` if both sides of the interval differ by at most a tenth, else
+    ``value (lower to upper)``; the value alone without an interval.
 
     Examples
     --------
-    >>> with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> write_with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
     '52.3 ± 6.0'
-    >>> with_interval(1.26, Interval(1.15, 1.44))
+    >>> write_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
     max_uneven_share = 0.1  # difference of both sides of the interval, of the longer one

@@ -480,11 +480,11 @@ def choose_number_format(value: float, place: int) -> str:
 
     Examples
     --------
-    >>> number_format(52.284, -1)
+    >>> choose_number_format(52.284, -1)
     '0.0'
-    >>> number_format(3.1e-5, -6)
+    >>> choose_number_format(3.1e-5, -6)
     '0.000000'
-    >>> number_format(3.1e-7, -8)
+    >>> choose_number_format(3.1e-7, -8)
     '0.0E+00'
     """
     plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten

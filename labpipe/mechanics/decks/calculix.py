@@ -30,6 +30,7 @@ from labpipe.mechanics.decks.deck_law import (
     list_facts,
     shorten_name,
 )
+from labpipe.mechanics.decks.unloading import Release, release_elastically
 from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
@@ -243,8 +244,19 @@ def _describe_model(table: WireTable, material: EquivalentMaterial) -> tuple[str
         f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
         *_describe_accuracy(material),
         "On unloading the bar follows its first slope, unlike a wire. Not for cycles.",
-        *describe_deck_losses(table, _describe_deck_loss(material)),
+        *describe_deck_losses(
+            table,
+            _describe_deck_loss(material),
+            "a bar with its first slope",
+            _release_bar(table, material),
+        ),
     )
+
+
+def _release_bar(table: WireTable, material: EquivalentMaterial) -> Release:
+    """Compute the release of the bar; its fibres do not yield again before zero moment."""
+    second_moment = np.pi / 64.0 * material.diameter**4
+    return release_elastically(table, material.modulus * second_moment)
 
 
 def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from labpipe.mechanics.decks.mujoco_sliders import (
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
@@ -98,6 +99,8 @@ def _comments(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]
     out = [boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)]
     if out:
         yield f"Left out, as the chain has no contacts: {', '.join(out)}."
+    if chain.law.growing:
+        yield format_sentence("mechanics.decks.line_by_masing")
     yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."
     yield "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file."
 

@@ -99,6 +99,35 @@ class SliderLaw(ArrayRecord):
         return self.stiffness + float(np.sum(self.stiffnesses)) + growing
 
 
+def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> SliderLaw:
+    """Give a part of the hardening of the strands in a law a limit that grows.
+
+    Parameters
+    ----------
+    law : whose sliders contain the strands' own bending
+    strands : growing slider that holds the whole of it
+    share : isotropic share, from 0 to 1; with 0 the law is returned as it is
+
+    Returns
+    -------
+    A law with the same moments of first loading at its slip curvatures and at the end of its range.
+    """
+    min_slider_share = 1e-9  # of the first stiffness, for a slider that the law does not need
+    if share == 0.0:
+        return law
+    growing = strands.scaled(share)
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    slopes = np.diff(growing.first_loading(corners)) / np.diff(corners)
+    return replace(
+        law,
+        stiffness=max(law.stiffness - float(slopes[-1]), 0.0),
+        stiffnesses=np.maximum(
+            law.stiffnesses + np.diff(slopes), min_slider_share * law.first_stiffness
+        ),
+        growing=(*law.growing, growing),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PresentSliders:
     """All sliders of a law as they are now; the limits of growing ones stay as they are.
@@ -199,6 +228,38 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
         moment, stiffness = moment + step.moment, stiffness + step.stiffness
         after.append(np.column_stack([step.rest, step.slid]))
     return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
+
+
+def bend_to_moment(
+    law: SliderLaw, moment: Floats, curvature: Floats, rests: Floats
+) -> tuple[Floats, SliderResponse]:
+    """Find the curvatures at which the moments have new values, from the history.
+
+    Parameters
+    ----------
+    law : the law of every station
+    moment : shape (stations,), N m; each is reached monotonically
+    curvature, rests : present curvatures and history, as for `slide`
+
+    Returns
+    -------
+    Curvatures, 1/m, and the response there.
+
+    Notes
+    -----
+    From its present value the moment is a concave function of the change of curvature, and of
+    straight parts: Newton's method converges from below in a finite number of steps.
+    """
+    max_iterations = 60
+    rounding = 1e-13 * np.abs(moment).max(initial=0.0)
+    after = slide(law, curvature, rests)
+    for _ in range(max_iterations):
+        missing = moment - after.moment
+        if np.all(np.abs(missing) <= rounding):
+            break
+        curvature = curvature + missing / after.stiffness
+        after = slide(law, curvature, rests)
+    return curvature, after
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:

@@ -324,7 +324,7 @@ def format_value(name: str, *values: float) -> str:
 
     Examples
     --------
-    >>> in_display_unit("insulation_modulus", 9.341e8, 1.0318e9)
+    >>> format_value("insulation_modulus", 9.341e8, 1.0318e9)
     '934.1 and 1032 MPa'
     """
     factor, unit = DISPLAYED[name]

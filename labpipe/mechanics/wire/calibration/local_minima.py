@@ -390,7 +390,7 @@ def compute_tube_quantile(angle: float) -> float:
 
     Examples
     --------
-    >>> round(tube_quantile(0.0), 2), round(tube_quantile(np.pi), 2)
+    >>> round(compute_tube_quantile(0.0), 2), round(compute_tube_quantile(np.pi), 2)
     (1.96, 2.35)
     """
 
