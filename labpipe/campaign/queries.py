@@ -115,9 +115,9 @@ def _describe_condition_error(where: str, message: str, columns: list[str]) -> U
     place = repr(where)
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
-        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+        similar_columns = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
         return UsageError.about(
-            "campaign.unknown_column", "--where", place, message=message, near=near
+            "campaign.unknown_column", "--where", place, message=message, near=similar_columns
         )
     if "interrupted" in message:
         return UsageError.about("campaign.slow_condition", "--where", place)

@@ -95,9 +95,9 @@ def write_inferred_sheets(
     if not test_folders:
         yield write_inferred_sheet(infer_test(folder, stated))
         return
-    kept = [] if overwrite else existing
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
-    for test in infer_tests([path for path in test_folders if path not in kept], stated):
+    kept_folders = [] if overwrite else existing
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept_folders)
+    for test in infer_tests([path for path in test_folders if path not in kept_folders], stated):
         yield write_inferred_sheet(test)
 
 
@@ -246,10 +246,15 @@ def _unknown_column(name: str, written: str, file: Path, place: str) -> Iterator
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
         columns = sort_by_likeness(written, list(COLUMNS))
-        near = ", ".join(map(repr, columns))
+        similar_columns = ", ".join(map(repr, columns))
         yield str(
             ReadError.about(
-                "process.column_unknown", file, place, near=near, name=written, likely=columns[0]
+                "process.column_unknown",
+                file,
+                place,
+                near=similar_columns,
+                name=written,
+                likely=columns[0],
             )
         )
 
@@ -277,8 +282,8 @@ def _describe_faults(
         fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
     ]
     protocol = values.get("protocol")
-    found = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
-    for fault in [*faults, found] if isinstance(found, Fault) else faults:
+    protocol_file = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
+    for fault in [*faults, protocol_file] if isinstance(protocol_file, Fault) else faults:
         column = _column_of_fault(fault)
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column

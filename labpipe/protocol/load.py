@@ -355,10 +355,10 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
     if not missing:
         return None
     document = parse_yaml(read_text(sheet_path), str(sheet_path))
-    others = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
+    other_files = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
     placed = []
     for role, name in missing:
-        like = ", ".join(map(repr, sort_by_likeness(name, others, limit=3))) or "no files"
+        like = ", ".join(map(repr, sort_by_likeness(name, other_files, limit=3))) or "no files"
         fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
         placed.append(document.place(fault))
     return build_error(placed, code="missing_export")

@@ -269,8 +269,10 @@ class ElasticLine(Block):
     def between(cls, data: Values) -> Iterator[Fault]:
         """Find a window with one end."""
         if ("from" in data) != ("to" in data):
-            given, missing = ("from", "to") if "from" in data else ("to", "from")
-            yield Fault.of("protocol.half_window", (given,), given=given, missing=missing)
+            given_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
+            yield Fault.of(
+                "protocol.half_window", (given_key,), given=given_key, missing=missing_key
+            )
 
 
 class CurveBlock(Block):

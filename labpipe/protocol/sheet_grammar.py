@@ -422,8 +422,10 @@ def _format_entry(key: str, value: object) -> str:
         {key: value}, sort_keys=False, allow_unicode=not has_rare_breaks, width=float("inf")
     )
     text = _NULL_VALUE.sub(r"\1   # to be filled in", text)
-    first, _, rest = text.partition("\n")
-    is_text_block = isinstance(value, str) and rest  # a comment would become part of the text
+    first_line, _, other_lines = text.partition("\n")
+    is_text_block = (
+        isinstance(value, str) and other_lines
+    )  # a comment would become part of the text
     if value is None or key not in _COMMENTS or is_text_block:
         return text
-    return f"{first:<27} # {_COMMENTS[key]}\n{rest}"
+    return f"{first_line:<27} # {_COMMENTS[key]}\n{other_lines}"

@@ -199,7 +199,7 @@ def _plot(
     result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = 350, **look: Any
 ) -> None:
     """Draw a thinned line of force against displacement, in SI, in the display units."""
-    rows = find_extremes(y, bins=bins)
+    rows = find_extremes(y, n_bins=bins)
     x_unit, y_unit = find_units(result.display, "displacement", "force")
     axes.plot(x[rows] * x_unit.factor, y[rows] * y_unit.factor, **look)
 
@@ -506,7 +506,7 @@ def _with_half(value: float, interval: Interval, factor: float) -> str:
 def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
-    rows = find_extremes(values, bins=900)
+    rows = find_extremes(values, n_bins=900)
     axes.plot(time[rows] * find_unit(result.display, "time").factor, values[rows], **look)
     axes.margins(x=0.01)
 

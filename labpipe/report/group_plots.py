@@ -17,7 +17,15 @@ from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
 from labpipe.records.result import Status
 from labpipe.report.issues import write_sentence
 from labpipe.report.page_facts import PageTest, PageTests, make_key
-from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis, simplify_line
+from labpipe.report.plot_records import (
+    Axis,
+    LegendEntry,
+    Line,
+    Plot,
+    clip_range,
+    make_axis,
+    simplify_line,
+)
 from labpipe.report.wording import (
     Scale,
     find_display,
@@ -258,7 +266,7 @@ def _line(
 ) -> Line:
     """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
-    rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
+    rows = simplify_line(branch.displacement, force, max_points=points, tolerance=_MAX_OFFSET_SHARE)
     x, y = branch.displacement[rows] * view.x_unit.factor, force[rows] * view.y_unit.factor
     return Line(look, x, y, test)
 
@@ -343,7 +351,7 @@ def make_band_lines(
 def _band_rows(band: Band, values: Floats) -> Ints:
     """Find the points with which a band or a mean is drawn."""
     return simplify_line(
-        band.displacement, values, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, values, max_points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
@@ -369,26 +377,26 @@ def make_mean_lines(
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[Key]:
+def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[LegendEntry]:
     """Make the key of a plot: its tests if they are few, else its spools; then the other signs."""
-    group, looks = view.group, {line.look.partition(" ")[0] for line in lines}
+    group, looks = view.group, {line.css_class.partition(" ")[0] for line in lines}
     spools = {sample.specimen.spool for sample in group.samples}
     is_few = len(group.samples) <= _MAX_DETAILED_SAMPLES
     if is_few and (view.tests is not None or len(spools) == 1):  # the page shows or hides each
         keys = [
-            Key(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
+            LegendEntry(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
             for sample in group.samples
         ]
     else:
         keys = [
-            Key(f"curve {colour}", f"spool {spool}", "class", colour)
+            LegendEntry(f"curve {colour}", f"spool {spool}", "class", colour)
             for spool, colour in {
                 sample.specimen.spool: view.colour(sample) for sample in group.samples
             }.items()
         ]
     labels = {"mean": mean, **_KEY_LABELS}
     return keys + [
-        Key(look, label, "class", look) for look, label in labels.items() if look in looks
+        LegendEntry(look, label, "class", look) for look, label in labels.items() if look in looks
     ]
 
 
@@ -423,7 +431,7 @@ def _shape_plot(view: _GroupView) -> Plot | None:
         return None
     unit, width = view.x_unit.unit, _SMALL_PLOT[0]
     x_axis = make_axis("Along the specimen", unit, [line.x for line in lines])
-    y_axis = make_axis("Deflection", unit, [line.y for line in lines], room=0.06)
+    y_axis = make_axis("Deflection", unit, [line.y for line in lines], margin=0.06)
     ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
     height = min(max(round(width * ratio), min_height), max_height)
     scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
@@ -521,11 +529,11 @@ def _number_plots(group: Group) -> Iterator[Plot]:
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
             places = np.full(2, scale.factor * (np.nan if limit is None else limit))
             lines.append(Line("limit", places, np.array([0.5, 0.5 - len(names)])))
-        values = [line.x for line in lines if not line.look.startswith("interval")]
+        values = [line.x for line in lines if not line.css_class.startswith("interval")]
         x = make_clipped_axis(write_label(number.name), scale, lines, values)
         y = Axis("", "", 0.5 - len(names), 0.5, tuple(names))
-        looks = {line.look.partition(" ")[0] for line in lines}
-        keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
+        looks = {line.css_class.partition(" ")[0] for line in lines}
+        keys = [LegendEntry(look, label) for look, label in _DOT_LABELS.items() if look in looks]
         title = f"Each sample's numbers, with 95 % intervals: {group.name}."
         caption = f"In the tables only: {others}." if others else ""
         size = (262, 20 + 11 * len(names))

@@ -65,9 +65,9 @@ from labpipe.report.page_tables import (
     make_test_rows,
 )
 from labpipe.report.plot_records import (
-    Strip,
+    MeanStrip,
     clip_range,
-    make_strip,
+    make_mean_strip,
     simplify_line,
     write_sparkline,
 )
@@ -293,7 +293,7 @@ class KeyRow(NamedTuple):
     name: str
     stem: str
     n: int
-    strip: Strip | None
+    strip: MeanStrip | None
     cells: tuple[Cell, ...]
     spark: str
 
@@ -366,7 +366,7 @@ def _key_rows(
         strip = None
         if has_heads and number_and_mean is not None:
             interval = _find_interval(*number_and_mean)[0].interval
-            strip = make_strip(strip_ends, interval, number_and_mean[1].mean)
+            strip = make_mean_strip(strip_ends, interval, number_and_mean[1].mean)
         cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
         rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
     return rows
@@ -412,7 +412,7 @@ def _spark(group: Group) -> str:
         if first is None:
             return ""
         x, y = first.displacement, first.force
-    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
 
 
@@ -713,15 +713,15 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)
-    wanted = [
+    figures_to_save = [
         drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in list_group_figures(group)
     ]
-    wanted += list_family_figures(campaign)
-    wanted += list_bounds_figures(campaign)
+    figures_to_save += list_family_figures(campaign)
+    figures_to_save += list_bounds_figures(campaign)
     return save_pages(
-        wanted,
+        figures_to_save,
         folder,
         png="png" in extras.formats,
         pdf="pdf" in extras.formats,

@@ -236,8 +236,12 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
-    wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
+    display_unit = display.get(_QUANTITIES.get(unit, ""))
+    return (
+        Scale(1.0, unit)
+        if display_unit is None
+        else Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
+    )
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -391,8 +395,8 @@ def make_number_writer(
 
     Examples
     --------
-    >>> shown = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
-    >>> shown(0.052284), shown(0.046271)
+    >>> write = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> write(0.052284), write(0.046271)
     ('52.3', '46.3')
     """
     place = find_last_place(value, interval, factor, digits)
@@ -426,8 +430,8 @@ def _round_together(numbers: Iterable[float], place: int) -> list[str]:
 
 def round_to_place(number: float, place: int) -> str:
     """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
-    near = round(number, -place)
-    return f"{near + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
+    rounded = round(number, -place)
+    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
 
 
 def write_with_interval(

@@ -157,8 +157,8 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
-        wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
-        names.append(make_link_name(wanted, target.group))
+        link_name = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
+        names.append(make_link_name(link_name, target.group))
         dataset = target.write_array(
             names[-1], clock.time, list_datasets(Clock)["time"], clock.unit
         )

@@ -158,7 +158,9 @@ def build_result_entry(result: Result) -> dict[str, object]:
 
 
 def _inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
-    return [{"role": one.role, "file": one.file, "sha256": one.sha256} for one in inputs]
+    return [
+        {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
+    ]
 
 
 def check_summary(result: TestResult, path: Path) -> None:

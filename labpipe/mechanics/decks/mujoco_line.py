@@ -62,7 +62,7 @@ def write_line_deck(
     hinges, sentences = make_space_hinges(chain)
     every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
     base = next((boundary for boundary in every if _is_base(boundary)), None)
-    held = [boundary for boundary in every if boundary is not base]
+    other_boundaries = [boundary for boundary in every if boundary is not base]
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
@@ -72,9 +72,9 @@ def write_line_deck(
         "worldbody": [
             '    <site name="space" />',
             *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
-            *_mocap_bodies(held, strings),
+            *_mocap_bodies(other_boundaries, strings),
         ],
-        "equality": _equalities(held, 2.0 * chain.unit_time),
+        "equality": _equalities(other_boundaries, 2.0 * chain.unit_time),
         "tendon": [*write_tendons(chain, hinges), *_strings(strings)],
         "actuator": _loads(loads),
     }

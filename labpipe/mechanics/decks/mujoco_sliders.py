@@ -437,15 +437,15 @@ def write_node(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
     node : number of the body; 0 is the base, which has no hinges
     """
     h = chain.spacing
-    reach = 0.5 * h if node in (0, chain.nodes) else h
+    capsule_length = 0.5 * h if node in (0, chain.nodes) else h
     for name, axis, stiffness in hinges.axes if node else ():
         yield (
             f'      <joint name="{name}_{node}" axis="{axis}" '
             f'stiffness="{stiffness / h:{_DIGITS}}" />'
         )
     yield (
-        f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
-        f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
+        f'      <geom fromto="0 0 0 {capsule_length:{_DIGITS}} 0 0" '
+        f'mass="{chain.mass_per_length * capsule_length:{_DIGITS}}" />'
     )
 
 

@@ -19,7 +19,7 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixedLaw:
-    """A moment-curvature law with partly isotropic hardening, for moments as the input.
+    """A law of a wire with partly isotropic hardening, which computes curvature from moment.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ class MixedLaw:
         Shape (stations, 1 + n): the curvature, then the history of the sliders, see
         `SliderResponse`.
         """
-        rests = make_unbent_rests(self.sliders, n_stations)
-        return np.concatenate([np.zeros((n_stations, 1)), rests], axis=1)
+        slider_history = make_unbent_rests(self.sliders, n_stations)
+        return np.concatenate([np.zeros((n_stations, 1)), slider_history], axis=1)
 
     def respond(self, moment: Floats, history: Floats) -> Response:
         """Compute the curvatures under new moments.

@@ -191,9 +191,9 @@ def find_wire(name: str, sheet: Path, *, where: str) -> WireSpec:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     if name in specs:
         return specs[name]
-    near = ", ".join(sort_by_likeness(name, list(specs)))
+    similar_names = ", ".join(sort_by_likeness(name, list(specs)))
     raise UsageError.about(
-        "mechanics.studies.no_such_wire", where, sheet=sheet, near=near, name=name
+        "mechanics.studies.no_such_wire", where, sheet=sheet, near=similar_names, name=name
     )
 
 
