@@ -1,4 +1,4 @@
-"""Query the results of a campaign by an SQL condition; write a table, CSV or JSON."""
+"""Query the results of a campaign by an SQL condition; write a table, CSV, JSON or a workbook."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
+from pathlib import Path
 from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.statistics.lots import PEAK_OVER_LIMIT
+from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
     "test": "tests.test",
@@ -43,6 +45,8 @@ COLUMNS: Final = {
     "run": "tests.run",
 }
 """SQL expression of each column. Dimensions, labels and answers of the tests are more columns."""
+_MAX_SHEET_ROWS: Final = 1_048_575
+"""Largest number of rows of a worksheet below its heading."""
 _ALLOWED_ACTIONS: Final = frozenset(
     {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 )
@@ -205,3 +209,31 @@ def escape_controls(text: str) -> str:
 def _quote_formula(value: object) -> object:
     """Put an apostrophe before text that a spreadsheet would evaluate."""
     return f"'{value}" if isinstance(value, str) and _FORMULA_START.match(value) else value
+
+
+def write_workbook(answer: QueryResult, path: Path) -> None:
+    """Write rows as a workbook.
+
+    Parameters
+    ----------
+    answer : the rows
+    path : of the file; an existing file is replaced at the end
+
+    Raises
+    ------
+    UsageError
+        If there are too many rows for a worksheet.
+    StoreError
+        If the file cannot be written.
+    """
+    from xlsxwriter import Workbook
+
+    if len(answer.rows) > _MAX_SHEET_ROWS:
+        raise UsageError.about("campaign.too_many_rows", path, limit=_MAX_SHEET_ROWS)
+    # Text is text, even with a leading =.
+    options = {"strings_to_formulas": False, "strings_to_urls": False, "constant_memory": True}
+    with replacing(path) as temporary, Workbook(str(temporary), options) as book:
+        sheet = book.add_worksheet("results")
+        for number, row in enumerate((answer.columns, *answer.rows)):
+            cells = [escape_controls(value) if isinstance(value, str) else value for value in row]
+            sheet.write_row(number, 0, cells)

@@ -17,7 +17,7 @@ from labpipe.campaign.decisions import (
     import_decision_file,
 )
 from labpipe.campaign.executors import parse_executor
-from labpipe.campaign.queries import escape_controls, query_results, write_answer
+from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
     RunSummary,
@@ -84,11 +84,15 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    if options.out == "xlsx" and options.file is None:
+        raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         _print_notes(overview)
         answer = query_results(sync.catalog, options.where)
-    if options.file is not None:
+    if options.out == "xlsx":
+        write_workbook(answer, options.file)
+    elif options.file is not None:
         with (
             replacing(options.file) as part,
             part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,

@@ -34,7 +34,7 @@ from labpipe.report.comparisons import (
 )
 from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
-from labpipe.report.group_plots import make_group_plots
+from labpipe.report.group_plots import find_first_loading, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
 from labpipe.report.lot_tables import make_lot_table, make_verdict_table
 from labpipe.report.page_facts import (
@@ -68,6 +68,8 @@ from labpipe.report.plot_records import (
     MeanStrip,
     clip_range,
     make_mean_strip,
+    simplify_line,
+    write_sparkline,
 )
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import (
@@ -181,9 +183,15 @@ def _first_screen(
     campaign: Campaign, names: Sequence[str], tests: PageTests, letterhead: Letterhead
 ) -> dict[str, Any]:
     """Return the contents of the first screen: answers, then numbers, then open decisions."""
-    max_answers, max_groups, max_decisions = 8, 12, 4  # more are folded
+    max_answers, max_decisions, min_groups = 8, 4, 3
+    screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes = find_causes(campaign)
     open_ones, answer_rows = find_open_decisions(causes, tests), make_answers(campaign)
+    folds = {
+        "answers": min(len(answer_rows), max_answers),
+        "decisions": min(len(open_ones), max_decisions),
+    }
+    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
     samples = list_samples(campaign)
     recorded = name_roles(samples)
     return {
@@ -193,9 +201,9 @@ def _first_screen(
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
         "lots": make_lot_table(campaign, names),
         "answers": answer_rows,
-        "blocks": make_key_blocks(campaign, names),
+        "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
-        "folds": {"answers": max_answers, "groups": max_groups, "decisions": max_decisions},
+        "folds": folds,
         "causes": [(cause, make_cause_table(cause)) for cause in causes],
     }
 
@@ -273,6 +281,7 @@ class KeyRow(NamedTuple):
     n : number of samples
     strip : drawing of the first number with its interval; None without a mean
     cells : of its first numbers
+    spark : its curve as a path; empty without a curve
     """
 
     name: str
@@ -280,6 +289,7 @@ class KeyRow(NamedTuple):
     n: int
     strip: MeanStrip | None
     cells: tuple[Cell, ...]
+    spark: str
 
 
 class KeyBlock(NamedTuple):
@@ -352,7 +362,7 @@ def _key_rows(
             interval = _find_interval(*number_and_mean)[0].interval
             strip = make_mean_strip(strip_ends, interval, number_and_mean[1].mean)
         cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
-        rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells))
+        rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
     return rows
 
 
@@ -385,6 +395,29 @@ def _find_interval(number: GroupNumber, mean: MeanInterval) -> tuple[MeanInterva
     if mean.interval is None and len(number.values) == 1:
         return next(iter(number.values.values())), "one test: uncertainty of its measurement"
     return mean, ""
+
+
+def _spark(group: Group) -> str:
+    """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
+    x, y = group.band.displacement, group.band.mean
+    if group.band.n < 2 or not len(x):
+        curves = (find_first_loading(sample) for sample in group.samples)
+        first = next((curve for curve in curves if curve is not None), None)
+        if first is None:
+            return ""
+        x, y = first.displacement, first.force
+    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    return write_sparkline(x[rows], y[rows])
+
+
+def _limit_rows(blocks: Iterable[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
+    """Return each block with the number of its groups that the page shows before it is unfolded."""
+    limited = []
+    for block in blocks:
+        count = min(len(block.rows), max(max_rows, 0))
+        limited.append((block, count))
+        max_rows -= count + 1
+    return limited
 
 
 class OpenDecision(NamedTuple):

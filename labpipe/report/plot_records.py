@@ -283,6 +283,12 @@ def make_mean_strip(
     return MeanStrip(convert_to_pixel(mean) if isfinite(mean) else None, bar, dots)
 
 
+def write_sparkline(x: Floats, y: Floats) -> str:
+    """Write a small curve without axes as a path of SVG that fills its frame."""
+    axes = make_axis("", "", [x], room=0.0), make_axis("", "", [y], room=0.05)
+    return Line("", x, y).write_path(*axes)
+
+
 _Segment: TypeAlias = tuple[float, int, int, int]
 """Negative distance of the furthest sample from the line through the first and the last sample of a
 segment; indices of the first, the furthest and the last sample."""

@@ -8,14 +8,17 @@ import string
 from collections.abc import Iterator
 from pathlib import Path
 
+import openpyxl
 import pytest
 
 from labpipe.campaign.catalog import Catalog, new_catalog
 from labpipe.campaign.catalog_rows import OK, Entry, FileState, ResultRow, TestRow, as_json
 from labpipe.campaign.queries import (
     QueryResult,
+    escape_controls,
     query_results,
     write_answer,
+    write_workbook,
 )
 from labpipe.errors import UsageError
 
@@ -132,3 +135,25 @@ def test_formulas_in_csv_are_quoted(cell: str) -> None:
     write_answer(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
+
+
+def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:
+    write_workbook(query_results(catalog, ""), tmp_path / "out.xlsx")
+    sheet = openpyxl.load_workbook(tmp_path / "out.xlsx")["results"]
+    rows = list(sheet.iter_rows())
+    assert ("s", "=odd\\x07") in [(cell.data_type, cell.value) for cell in rows[0]]
+    place = [cell.value for cell in rows[0]].index("cured")
+    cell = rows[3][place]
+    assert (cell.data_type, str(cell.value)[:5]) == ("s", "=1+1 ")
+    assert cell.value == escape_controls(NASTY.replace("\x00", ""))
+    assert [row[7].value for row in rows[1:]] == [1.5, None, 2.5, None]
+
+
+def test_too_many_rows_for_a_worksheet_are_refused(
+    catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
+    message = "expected 3 rows at most, found more. Select fewer with --where, or use"
+    with pytest.raises(UsageError, match=message):
+        write_workbook(query_results(catalog, ""), tmp_path / "out.xlsx")
+    assert not (tmp_path / "out.xlsx").exists()

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import openpyxl
 import pytest
 
 from labpipe.campaign.reporting import WrittenReport
@@ -88,12 +89,16 @@ def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
 
 
 def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
-    for form in ("csv", "json", "table"):
+    ran = run("campaign", "query", kept.raw, "--out", "xlsx")
+    assert ran.status == BAD_INPUT
+    assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
+    for form in ("csv", "xlsx", "json", "table"):
         file = tmp_path / f"out.{form}"
         assert run("campaign", "query", kept.raw, "--out", form, "--file", file).status == DONE
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
+    assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
     assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
     shown = run("campaign", "query", kept.raw, "--out", "csv").out
     assert list(csv.DictReader(io.StringIO(shown))) == rows
@@ -228,6 +233,7 @@ def test_bad_input(
     }
     commands: list[tuple[object, ...]] = [
         ("campaign", "query", place, "--where", "forse > 1"),
+        ("campaign", "query", place, "--out", "xlsx"),
         ("campaign", "replay", place, "--failed", "disk_full"),
         ("campaign", "run", place, "--executor", "cloud"),
         *(("campaign", action, "nowhere") for action in ("run", "status", "query", "rebuild")),
