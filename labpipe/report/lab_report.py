@@ -406,7 +406,7 @@ def _spark(group: Group) -> str:
         if first is None:
             return ""
         x, y = first.displacement, first.force
-    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
 
 
