@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from labpipe.messages import format_sentence
+from labpipe.records.arrays import Floats
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group
 from labpipe.records.result import TestResult
-from labpipe.report import figure_page, wording
+from labpipe.report import plot_records as plots
+from labpipe.report import wording
+from labpipe.report.figure_page import GREY, read_looks
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot
 from labpipe.statistics.means import sort_causes, summarise_budget
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-_ROW_HEIGHT_MM = 6.0
-"""Height of the row of one bar, with the gap below it."""
-_FRAME_HEIGHT_MM = 26.0
-"""Height of the axis and the heading of a panel."""
 MAX_BARS = 20
 """Largest number of bars in a panel."""
 SMALL_CAUSES = "causes under 2 % in every bar"
@@ -42,8 +40,8 @@ class BudgetBar(NamedTuple):
     text: str = ""
 
 
-def draw_budget(result: TestResult) -> Figure:
-    """Draw the uncertainty budgets of a test: shares of the variance, one bar per number.
+def make_budget_page(result: TestResult) -> Page:
+    """Make the page of the uncertainty budgets of a test: a bar of shares for each number.
 
     Parameters
     ----------
@@ -54,6 +52,7 @@ def draw_budget(result: TestResult) -> Figure:
     -------
     A page; without any bar, a page that gives the reason.
     """
+    row_mm, frame_mm = 6.0, 26.0
     numbers = [
         number
         for number in result.results
@@ -61,39 +60,20 @@ def draw_budget(result: TestResult) -> Figure:
         and wording.is_main(number.name)
         and wording.is_first_cycle(number.name)
     ][:MAX_BARS]
-    if not numbers:
-        return figure_page.make_reason_page(result, format_sentence("report.no_budget"))
-    page = figure_page.make_page(
-        height_mm=_FRAME_HEIGHT_MM + _ROW_HEIGHT_MM * len(numbers),
-        width_mm=figure_page.DOUBLE_COLUMN,
-    )
     bars = []
     for number in numbers:
         scale = wording.find_display_unit(number.name, number.unit, result.display)
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
-        bars.append(
-            BudgetBar(
-                _write_bar_label(number.name), shares, write_half_width(number.interval, scale)
-            )
-        )
-    plot_bars(bars, page.subplots())
+        half_width = write_half_width(number.interval, scale)
+        bars.append(BudgetBar(_write_bar_label(number.name), shares, half_width))
+    panel = make_bar_plot(bars)
+    if not bars:
+        panel = plots.make_empty_plot(format_sentence("report.no_budget"))
     has_cycles = any("." in number.name for number in numbers)
-    cycle = "Numbers per cycle: first cycle only." if has_cycles else ""
-    note = " ".join(filter(None, (cycle, wording.write_footnote(result))))
-    return _set_side_margins(figure_page.add_title(page, wording.write_title(result), note))
-
-
-def _set_side_margins(page: Figure) -> Figure:
-    """Widen the side margins, since texts may be wider in another font; return the page."""
-    left_margin, right_margin = 0.06, 0.03  # as shares of the width of the page
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    engine = page.get_layout_engine()
-    if isinstance(engine, ConstrainedLayoutEngine):
-        _, bottom, _, height = engine.get()["rect"]
-        engine.set(rect=(left_margin, bottom, 1.0 - left_margin - right_margin, height))
-    return page
+    note = "Numbers per cycle: first cycle only." if has_cycles else ""
+    height = frame_mm + row_mm * len(bars)
+    return plots.make_test_page(result, "uncertainty-budget", [panel], note, height=height)
 
 
 def _write_bar_label(name: str) -> str:
@@ -117,63 +97,56 @@ def write_half_width(interval: Interval | None, scale: wording.Scale) -> str:
     return f"\u00b1 {text} {wording.typeset_unit(scale.unit)}".strip()
 
 
-def plot_bars(bars: Sequence[BudgetBar], axes: Axes) -> None:
-    """Draw bars, the first on top; hatch the causes that all tests of a rig share.
+def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
+    """Make the plot of bars, the first on top; causes that all tests of a rig share are hatched.
 
     Parameters
     ----------
     bars : a bar without shares leaves its row empty
-    axes : to draw on
     """
-    min_labelled_share = 0.10  # a smaller part is too narrow for its number
-    bar_height = 0.74  # as a share of the height of its row
-    from matplotlib.patches import Rectangle
-
     sorted_shares = sort_shares([bar.shares for bar in bars])
-    for cause in list_drawn_causes(sorted_shares):
-        figure_page.add_key(axes, cause, is_area=True, **_make_bar_style(cause))
-    if any(IS_COMMON.get(cause, False) for cause in list_drawn_causes(sorted_shares)):
-        figure_page.add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED_STYLE)
-    outside_axes = axes.get_yaxis_transform()
+    causes = list_drawn_causes(sorted_shares)
+    lines = [_make_bar(cause, np.zeros(0), label=cause) for cause in causes]
+    if any(IS_COMMON.get(cause, False) for cause in causes):
+        lines.append(plots.key("common_cause", is_closed=True))
+    labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
     for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
-        start = 0.0
-        for cause, share in shares.items():
-            corner = 100 * start, row - bar_height / 2
-            axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_make_bar_style(cause)))
-            if share >= min_labelled_share:
-                _write_share(axes, 100 * (start + share / 2), row, share, cause)
-            start += share
-        axes.text(1.01, row, bar.text, transform=outside_axes, va="center")
-        axes.text(-0.01, row, bar.name, transform=outside_axes, va="center", ha="right")
-    if any(bar.text for bar in bars):
-        axes.text(1.01, -0.8, "95 %", transform=outside_axes, color=figure_page.GREY, va="center")
-    axes.set_yticks([])
-    axes.set_ylim(len(bars) - 0.5, -0.5)
-    axes.set_xlim(0.0, 100.0)
-    axes.spines["left"].set_visible(False)
-    axes.set_xlabel("Share of the variance (%)")
+        labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
+        ends = np.cumsum([0.0, *shares.values()])
+        for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
+            lines.append(_make_bar(cause, np.array([start, stop]), row))
+            labels += _label_share(cause, start, stop, row)
+    rows = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
+    share = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
+    return Plot(share, rows, lines, labels=labels)
 
 
-def _write_share(axes: Axes, x: float, y: float, share: float, cause: str) -> None:
-    """Write a share on its part of the bar, with a plain background if the part is hatched."""
+def _make_bar(cause: str, ends: Floats, row: int = 0, **settings: Any) -> Line:
+    half_height = 0.37
+    look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
+    colour, middle = find_cause_colour(cause), np.full(len(ends), -float(row))
+    settings = {"label": "", "facecolor": colour, **settings}
+    return plots.area(look, ends, middle - half_height, middle + half_height, **settings)
+
+
+def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
+    """Yield the share of a cause, with a plain background if its part of the bar is hatched."""
+    min_labelled_share = 0.10  # a smaller part is too narrow for its number
     max_dark_brightness = 0.45  # on a darker part, white text is easier to read than black
-    from matplotlib.colors import to_rgb
-
+    if stop - start < min_labelled_share:
+        return
     colour = find_cause_colour(cause)
-    red, green, blue = to_rgb(colour)
+    red, green, blue = (int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < max_dark_brightness
-    is_hatched = IS_COMMON.get(cause, False)
-    label = axes.text(
-        x, y, f"{100 * share:.0f}", ha="center", va="center",
-        color="white" if is_dark else "black",
-        bbox={"facecolor": colour, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
-    )  # fmt: skip
-    label.set_in_layout(False)  # it lies on its bar and needs no space of its own
+    settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
+    if IS_COMMON.get(cause, False):
+        settings["bbox"] = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
+    yield Label(f"{100 * (stop - start):.0f}", (start + stop) / 2, -row, settings=settings)
 
 
 def find_cause_colour(cause: str) -> str:
     """Return the colour of a cause in all figures; light grey for an unknown cause."""
-    colour: str = figure_page.read_look("colours_of_causes").get(cause, "#ededed")
+    colour: str = read_looks()["colours_of_causes"].get(cause, "#ededed")
     return colour
 
 
@@ -214,16 +187,6 @@ def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
     causes = {cause for shares in bar_shares for cause in shares}
     last = [SMALL_CAUSES] if SMALL_CAUSES in causes else []
     return [*sort_causes(causes - {SMALL_CAUSES}), *last]
-
-
-_HATCHED_STYLE: dict[str, Any] = {
-    "facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": "////"
-}  # fmt: skip
-
-
-def _make_bar_style(cause: str) -> dict[str, Any]:
-    hatch = _HATCHED_STYLE["hatch"] if IS_COMMON.get(cause, False) else None
-    return {**_HATCHED_STYLE, "facecolor": find_cause_colour(cause), "hatch": hatch}
 
 
 def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from math import isnan, nan
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -12,16 +12,11 @@ from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
-from labpipe.report.figure_page import (
-    DOUBLE_COLUMN,
-    add_title,
-    make_page,
-    read_look,
-)
+from labpipe.report import plot_records as plots
 from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
-from labpipe.report.plot_records import split_doubtful
-from labpipe.report.wire_figures import CURVATURE, LENGTH, MOMENT, STIFFNESS, set_log_axes
+from labpipe.report.plot_records import Axis, Page, Plot, line
+from labpipe.report.wire_figures import FORCE, LENGTH, MOMENT, STIFFNESS, make_curvature_axis
 from labpipe.report.wording import (
     Scale,
     find_display,
@@ -29,10 +24,6 @@ from labpipe.report.wording import (
     write_number,
     write_with_interval,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def has_bundles(campaign: Campaign) -> bool:
@@ -108,13 +99,13 @@ def _make_row(stiffness: BoundedStiffness, scale: Scale) -> tuple[Cell, ...]:
 
 
 BUNDLE_FIGURE = "bundle"
-"""File name of the figure of `draw_bundle`, without the extension."""
+"""File name of the figure of `make_bundle_page`, without the extension."""
 LOOP_FIGURE = "bundle-loop"
-"""File name of the figure of `draw_loop`, without the extension."""
+"""File name of the figure of `make_loop_page`, without the extension."""
 
 
-def draw_bundle(model: BundleModel) -> Figure:
-    """Draw (a) the section of a bundle and (b) the bounds of its bending moment over curvature.
+def make_bundle_page(model: BundleModel) -> Page:
+    """Make the page of (a) the section of a bundle, (b) the bounds of its moment over curvature.
 
     Parameters
     ----------
@@ -125,85 +116,70 @@ def draw_bundle(model: BundleModel) -> Figure:
     A page. In (a), two lines through the neutral point show the directions of the largest and the
     smallest stiffness; the bundle is bent upwards, along y. Both axes of (b) are logarithmic.
     """
-    page = make_page(height_mm=84.0, width_mm=DOUBLE_COLUMN)
-    section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
-    _plot_section(model, section)
-    _plot_moment_bounds(model, moments)
-    section.set_title("Section", loc="left")
-    moments.set_title("First loading, bent along y", loc="left")
-    return add_title(page, _write_title(model), _describe_bounds(model))
+    panels = [_make_section_plot(model), _make_moment_plot(model)]
+    title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
+    if model.packing_fraction is not None:
+        bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
+        title += f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+    limitations = [
+        note.message.replace("N mm^2", STIFFNESS.unit)
+        for note in model.notes
+        if note.code in ("copper_yields", "insulation_doubtful")
+    ]
+    sentences = [describe_stiffness(model), *(f"{t[0].upper()}{t[1:]}." for t in limitations)]
+    return Page(BUNDLE_FIGURE, title, panels, " ".join(sentences), 84.0, widths=(0.8, 1.0))
 
 
-def _plot_section(model: BundleModel, axes: Axes) -> None:
-    """Draw the wires and the bore of the conduit to scale, and the principal directions."""
-    margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
-    from matplotlib.patches import Circle
-
-    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
-    layout, wires = model.layout, model.bundle.wires
-    centres = LENGTH.factor * np.column_stack([layout.x, layout.y])
-    for centre, diameter, kind in zip(centres, layout.diameter, layout.kind, strict=True):
-        look = {"facecolor": colours[int(kind) % len(colours)], "label": wires[int(kind)].type}
-        radius = LENGTH.factor * diameter / 2.0
-        axes.add_patch(Circle(tuple(centre), radius, edgecolor="black", linewidth=0.5, **look))
-    bore = model.bundle.conduit_bore or 0.0
-    if bore:
-        x, y = (LENGTH.factor * coordinate for coordinate in model.middle)
-        radius = LENGTH.factor * bore / 2.0
-        axes.add_patch(Circle((x, y), radius, **read_look("bore_of_conduit")))
-    outer_radius = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    _plot_principal_directions(model, axes)
-    axes.set_aspect("equal")
-    axes.set_xlim(-margin_factor * outer_radius, margin_factor * outer_radius)
-    axes.set_ylim(-margin_factor * outer_radius, margin_factor * outer_radius)
-    axes.set(xlabel=LENGTH.label("x"), ylabel=LENGTH.label("y, direction of bending"))
-
-
-def _plot_principal_directions(model: BundleModel, axes: Axes) -> None:
-    """Draw the directions of the largest and the smallest stiffness through the neutral point.
+def _make_section_plot(model: BundleModel) -> Plot:
+    """Make the panel of the wires and the bore of the conduit, and the principal directions.
 
     If the stiffness is equal in all directions, the lines are along y and x.
     """
-    x, y = (LENGTH.factor * coordinate for coordinate in model.neutral)
-    half_length = 1.06 * LENGTH.factor * model.layout.radius
-    angle = model.principal_angle
-    stiffest, flexible = read_look("stiffest_direction"), read_look("most_flexible_direction")
+    margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
+    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
+    layout, bore, angle = model.layout, model.bundle.conduit_bore or 0.0, model.principal_angle
+    lines = []
+    for kind in range(len(model.bundle.wires)):
+        rows = layout.kind == kind
+        look = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
+        radius = layout.diameter[rows] / 2.0
+        lines.append(
+            plots.circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **look)
+        )
+    if bore:
+        lines.append(plots.circles("bore_of_conduit", *model.middle, bore / 2.0))
+    looks: dict[str, dict[str, Any]] = {"stiffest_direction": {}, "most_flexible_direction": {}}
     if _is_isotropic(model):
-        angle = math.pi / 2.0
-        stiffest["label"], flexible["label"] = "y and x: equal in all directions", ""
-    for direction, look in ((angle, stiffest), (angle + math.pi / 2.0, flexible)):
-        dx, dy = half_length * math.cos(direction), half_length * math.sin(direction)
-        axes.plot([x - dx, x + dx], [y - dy, y + dy], **look)
-    axes.plot([x], [y], "k+", markersize=7.0, zorder=5)
+        label, angle = "y and x: equal in all directions", math.pi / 2.0
+        looks = {"stiffest_direction": {"label": label}, "most_flexible_direction": {"label": ""}}
+    for look_name, settings in looks.items():
+        reach = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
+        x, y = np.array(model.neutral)[:, None] + reach * np.array([-1.0, 1.0])
+        lines.append(line(look_name, x, y, **settings))
+        angle += math.pi / 2.0
+    lines.append(line("neutral_point", *model.neutral))
+    edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
+    x_axis, y_axis = (Axis(name, LENGTH, -edge, edge) for name in ("x", "y, direction of bending"))
+    return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
 
 
-def _plot_moment_bounds(model: BundleModel, axes: Axes) -> None:
-    """Draw the moments of slipping and of sticking wires, on logarithmic axes."""
-    is_positive = model.curvature > 0.0
-    x = CURVATURE.factor * model.curvature[is_positive]
-    slip, stick = (
-        MOMENT.factor * moment[is_positive] for moment in (model.moment_slip, model.moment_stick)
+def _make_moment_plot(model: BundleModel) -> Plot:
+    """Make the panel of the moments of slipping and of sticking wires, on logarithmic axes."""
+    use = model.curvature > 0.0
+    x, slip, stick = (
+        values[use] for values in (model.curvature, model.moment_slip, model.moment_stick)
     )
-    axes.fill_between(x, slip, stick, color="#dedede", linewidth=0)
-    for moment, look_name, is_doubtful in (
-        (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
-        (slip, "wires_slip", model.is_doubtful[is_positive]),
+    lines = [plots.area("between_bounds", x, slip, stick)]
+    for moment, look, is_doubtful in (
+        (stick, "wires_stick", model.is_doubtful_stick[use]),
+        (slip, "wires_slip", model.is_doubtful[use]),
     ):
-        for is_in_part, opacity in split_doubtful(~is_doubtful):
-            axes.plot(x[is_in_part], moment[is_in_part], **read_look(look_name, alpha=opacity))
+        for part, opacity in plots.split_doubtful(~is_doubtful):
+            lines.append(line(look, x[part], moment[part], alpha=opacity))
     for stiffness in (model.low, model.high):
-        moment = MOMENT.factor * stiffness * model.curvature[is_positive]
-        axes.plot(x, moment, **read_look("bundle_without_yielding"))
-    set_log_axes(axes, x)
-    axes.set_ylabel(MOMENT.label("Bending moment"))
-
-
-def _write_title(model: BundleModel) -> str:
-    text = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
-    if model.packing_fraction is None:
-        return text
-    bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
-    return f"{text}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+        lines.append(line("bundle_without_yielding", x, stiffness * x))
+    y = Axis("Bending moment", MOMENT, is_log=True)
+    return Plot(make_curvature_axis(x), y, lines, "First loading, bent along y")
 
 
 def describe_stiffness(model: BundleModel) -> str:
@@ -224,44 +200,35 @@ def describe_stiffness(model: BundleModel) -> str:
     )
 
 
-def _describe_bounds(model: BundleModel) -> str:
-    limitations = [
-        note.message.replace("N mm^2", "N\u00b7mm\u00b2")
-        for note in model.notes
-        if note.code in ("copper_yields", "insulation_doubtful")
-    ]
-    return " ".join(
-        [describe_stiffness(model), *(f"{text[0].upper()}{text[1:]}." for text in limitations)]
-    )
-
-
 def _is_isotropic(model: BundleModel) -> bool:
     relative_tolerance = 1e-6
     smallest, largest = model.principal
     return largest - smallest <= relative_tolerance * largest
 
 
-def draw_loop(name: str, fit: FrictionFit) -> Figure:
-    """Draw the fitted force (a) and the predicted force (b) together with the measured force.
+def make_loop_page(name: str, fit: FrictionFit) -> Page:
+    """Make the page of the fitted force (a) and the predicted force (b), with the measured force.
 
     Parameters
     ----------
     name : name of the test
     fit : fit of the friction between the wires
     """
-    page = make_page(height_mm=82.0, width_mm=DOUBLE_COLUMN)
-    panels = page.subplots(1, 2, sharex=True, sharey=True)
-    for axes, is_drawn, label, colour, heading, error in (
-        (panels[0], ~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
-        (panels[1], fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
+    x, y = Axis("Deflection", LENGTH), Axis("Force at the tip", FORCE)
+    panels = []
+    for rows, label, colour, heading, error in (
+        (~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
+        (fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
     ):
-        deflection = LENGTH.factor * fit.loop.deflection[is_drawn]
-        axes.plot(deflection, fit.loop.force[is_drawn], **read_look("measured_cycles"))
-        axes.plot(deflection, fit.predicted[is_drawn], color=colour, linewidth=1.4, label=label)
-        axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
-        axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
-        axes.set_title(f"{heading}, error {_format_percent(error)} of the peak", loc="left")
-    return add_title(page, f"{name}  ·  friction between the wires", describe_friction(fit))
+        deflection = fit.loop.deflection[rows]
+        lines = [
+            line("measured_cycles", deflection, fit.loop.force[rows]),
+            line("modelled_cycles", deflection, fit.predicted[rows], color=colour, label=label),
+            plots.level("zero", 0.0),
+        ]
+        panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
+    title = f"{name}  ·  friction between the wires"
+    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), 82.0, shared="xy")
 
 
 def describe_friction(fit: FrictionFit) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, average_blocks
+from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     CalibratedParameter,
@@ -21,7 +20,7 @@ from labpipe.records.wire_calibration import (
     Prediction,
     Profile,
 )
-from labpipe.report import figure_page
+from labpipe.report import plot_records as plots
 from labpipe.report.calibration_summary import (
     DEFLECTION,
     DISPLAYS,
@@ -36,86 +35,18 @@ from labpipe.report.calibration_summary import (
     write_parameter,
     write_percent,
 )
+from labpipe.report.figure_page import choose_dash, split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.plot_records import find_extremes, split_doubtful
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line, thinned_line
 from labpipe.report.wording import write_count
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+MAX_PANELS = 6
+"""Panels on a page of wires and lengths, or of external curves."""
+_HEADROOM = 1.08
+"""Top of an axis, of the largest value."""
 
 
-def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
-    """Draw the shapes of a sample at several deflections, with one scale on both axes.
-
-    Parameters
-    ----------
-    name : of the sample with its length, such as ``A2, 85 mm``
-    shapes : one for each deflection; if there is none, the page says so
-    """
-    frame_mm = 14.0  # of the panel, for tick labels and axis labels
-    min_aspect, max_aspect = 0.35, 1.1
-    title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
-    if not shapes:
-        return figure_page.make_empty_page(title, "There is no shape to draw.")
-    low, high = _bounds(shapes)
-    width, height = (high - low).tolist()
-    share = min(max(height / width, min_aspect), max_aspect)
-    page = figure_page.make_page(height_mm=frame_mm + (figure_page.WIDTH - frame_mm) * share)
-    _plot_shapes(shapes, page.subplots())
-    return figure_page.add_title(
-        page, title, "Markers are on the surface of the wire; the curves are its axis."
-    )
-
-
-def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
-    """Draw shapes with one scale on both axes, each labelled with its deflection at its end."""
-    for shape in shapes:
-        looks = ("shape_markers", "shape_fit", "shape_model")
-        for points, look in zip(_lines(shape), looks, strict=True):
-            if len(points):
-                axes.plot(*(DEFLECTION.factor * points.T), **figure_page.read_look(look))
-        _label_end(shape, axes)
-    low, high = _bounds(shapes)
-    axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.set_xlabel(DEFLECTION.label("Along the undeformed wire, x"))
-    axes.set_ylabel(DEFLECTION.label("Towards the pull, y"))
-
-
-def _label_end(shape: BentShape, axes: Axes) -> None:
-    """Write the deflection beside the end furthest from the clamp."""
-    ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
-    if not ends:
-        return
-    end_place = DEFLECTION.factor * np.max(ends, axis=0)
-    axes.annotate(
-        write_length(shape.deflection), (float(end_place[0]), float(end_place[1])), (5, 0),
-        textcoords="offset points", va="center",
-    )  # fmt: skip
-
-
-def _bounds(shapes: Sequence[BentShape]) -> tuple[Floats, Floats]:
-    """Return the lower and upper corner of all shapes and the clamp with a margin, mm."""
-    margin = 0.06
-    points = np.concatenate([_finite_rows(line) for shape in shapes for line in _lines(shape)])
-    points = DEFLECTION.factor * np.concatenate([points, np.zeros((1, 2))])
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = margin * max(float(np.max(high - low)), 1.0)
-    return low - room, high + np.array([2.5 * room, room])
-
-
-def _lines(shape: BentShape) -> tuple[Floats, Floats, Floats]:
-    return shape.markers, shape.fit, shape.model
-
-
-def _finite_rows(points: Floats) -> Floats:
-    rows: Floats = points[np.isfinite(points).all(axis=1)]
-    return rows
-
-
-def list_calibration_figures(report: CalibrationReport) -> Iterator[figure_page.FigureToSave]:
+def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
     """List the figures of a calibration.
 
     Parameters
@@ -128,67 +59,144 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[figure_page.
     ``external-curves``, ``external-curves-2`` and so on if external curves are compared;
     ``shapes-1`` and so on, one for each sample with shapes.
     """
-    draw = partial(draw_calibration, report.calibration, predictions=report.predictions)
-    yield figure_page.FigureToSave("calibration", draw)
-    for number, groups in enumerate(figure_page.split_pages(report.groups, MAX_PANELS), start=1):
-        yield figure_page.FigureToSave(f"validation-{number}", partial(draw_validation, groups))
+    yield make_calibration_page(report.calibration, predictions=report.predictions)
+    for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
+        yield make_validation_page(f"validation-{number}", groups)
     for number, panels in enumerate(group_external_curves(report), start=1):
         name = "external-curves" if number == 1 else f"external-curves-{number}"
-        yield figure_page.FigureToSave(name, partial(draw_external_curves, panels))
+        yield make_external_page(name, panels)
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield figure_page.FigureToSave(f"shapes-{number}", partial(draw_bent_shapes, name, shapes))
+        yield make_bent_shapes_page(f"shapes-{number}", name, shapes)
+
+
+def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[BentShape]) -> Page:
+    """Make the page of the shapes of a sample at several deflections, with one scale on both axes.
+
+    Parameters
+    ----------
+    name : of the files
+    sample : its name with its length, such as ``A2, 85 mm``
+    shapes : one for each deflection; if there is none, the page says so
+    """
+    frame_mm, margin = 14.0, 0.06  # of the panel, for tick labels; of the larger side
+    min_aspect, max_aspect = 0.35, 1.1
+    title = f"{sample}  \u00b7  shapes at {len(shapes)} deflections of the tip"
+    if not shapes:
+        panels = [plots.make_empty_plot("There is no shape to draw.")]
+        return Page(name, title, panels, height=40.0, width=plots.SINGLE_COLUMN)
+    lines, labels, places = [], [], [np.zeros((1, 2))]
+    for shape in shapes:
+        parts = {"shape_markers": shape.markers, "shape_fit": shape.fit, "shape_model": shape.model}
+        lines += [line(look, *points.T) for look, points in parts.items() if len(points)]
+        finite = [points[np.isfinite(points).all(axis=1)] for points in parts.values()]
+        places += finite
+        ends = [points[-1] for points in finite if len(points)]
+        if ends:  # the deflection stands beside the end furthest from the clamp
+            x, y = np.max(ends, axis=0).tolist()
+            labels.append(Label(write_length(shape.deflection), x, y, (5.0, 0.0)))
+    points = np.concatenate(places)
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = margin * max(float(np.max(high - low)), 1.0 / DEFLECTION.factor)
+    (left, bottom), (right, top) = low - room, high + np.array([2.5 * room, room])
+    x_axis = Axis("Along the undeformed wire, x", DEFLECTION, left, right)
+    y_axis = Axis("Towards the pull, y", DEFLECTION, bottom, top)
+    share = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
+    height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * share
+    note = "Markers are on the surface of the wire; the curves are its axis."
+    panels = [Plot(x_axis, y_axis, lines, labels=labels, is_to_scale=True)]
+    return Page(name, title, panels, note, height, plots.SINGLE_COLUMN)
 
 
 MIN_RESIDUAL_BLOCKS = 25
 """Least number of blocks over which residuals are averaged."""
+_DEFLECTIONS = Axis("Tip deflection", DEFLECTION, low=0.0)
 
 
-def _plot_loadings(
-    calibration: Calibration, axes: Axes, predictions: Mapping[float, Prediction]
-) -> None:
-    """Draw the first loadings of all samples, and the model with its band for each length."""
-    looks = _choose_length_looks(calibration)
-    for curve in calibration.curves:
-        count = sum(other.length == curve.length for other in calibration.curves)
-        label = f"measured, {write_length(curve.length)} ({count})"
-        force = FORCE.factor * curve.force
-        _plot_thinned(axes, curve.deflection, force, looks[curve.length], label=label)
-    for length in looks:
-        deepest = max(
-            (curve for curve in calibration.curves if curve.length == length),
-            key=lambda curve: float(np.max(curve.deflection)),
-        )
+def make_calibration_page(
+    calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
+) -> Page:
+    """Make the page of a calibration, to be printed upright on A4.
+
+    Parameters
+    ----------
+    calibration : of one wire
+    predictions : of the model by length of the tests (m), for its band; None for no band
+
+    Returns
+    -------
+    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with the
+    own factor of each sample, (d) to (f) the profiles of the parameters, and in words the values
+    and verdicts.
+    """
+    heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; for headings and labels
+    panels = [
+        _make_loading_plot(calibration, predictions or {}),
+        make_residual_plot(calibration, "residuals"),
+        make_residual_plot(
+            calibration, "residuals with each sample's own factor", has_own_factor=True
+        ),
+        *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
+    ]
+    numbers = [
+        f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
+        for name, value, interval, unit, verdict in map(write_parameter, calibration.parameters)
+    ]
+    about = "Residuals: points faint, means of neighbouring points as lines."
+    about += "" if predictions else " The band of the model is not drawn."
+    count = write_count(calibration.n_samples, "sample")
+    return Page(
+        "calibration",
+        f"{calibration.wire}  ·  calibration of the wire model  ·  {count}",
+        panels,
+        "\n".join([*numbers, *describe_calibration(calibration), about]),
+        sum(heights) + frame_mm * len(heights),
+        layout="aaaaaa;bbbccc;ddeeff",
+        heights=heights,
+    )
+
+
+def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
+    """Choose a colour and a dash for each length of the samples, which also differ in grey."""
+    colours = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
+    lengths = sorted({curve.length for curve in calibration.curves})
+    return {
+        length: {"color": colours[number % len(colours)], "linestyle": choose_dash(number)}
+        for number, length in enumerate(lengths)
+    }
+
+
+def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Prediction]) -> Plot:
+    """Make the panel of the first loadings, and of the model with its band for each length."""
+    lines, labels = [], []
+    for length, look in _choose_length_looks(calibration).items():
+        curves = [curve for curve in calibration.curves if curve.length == length]
+        label = f"measured, {write_length(length)} ({len(curves)})"
+        for curve in curves:
+            x, y = curve.deflection, curve.force
+            lines.append(thinned_line("measured_loading", x, y, n_bins=120, label=label, **look))
+        deepest = max(curves, key=lambda curve: float(np.max(curve.deflection)))
         order = np.argsort(deepest.deflection)
         deflection, force = deepest.deflection[order], deepest.model[order]
-        _plot_force(axes, deflection, force, "model_of_sample")
-        end = DEFLECTION.factor * deflection[-1], FORCE.factor * force[-1]
-        axes.annotate(
-            write_length(length), end, (3, 0), textcoords="offset points",
-            va="center", annotation_clip=False,
-        )  # fmt: skip
+        lines.append(line("model_of_sample", deflection, force))
+        labels.append(Label(write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
         if length in predictions:
             model = predictions[length]
             use = model.deflection <= deflection[-1]
-            edges = model.lower_mean[use], model.upper_mean[use]
-            _fill_force(axes, model.deflection[use], edges, "band_of_mean_sample")
-    _set_force_axes(axes)
+            x, low, high = model.deflection[use], model.lower_mean[use], model.upper_mean[use]
+            lines.append(plots.area("band_of_mean_sample", x, low, high))
+    y_axis = Axis("Force", FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
+    return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
 
 
-def _set_force_axes(axes: Axes, *, lowest: float = math.inf, headroom: float = 1.0) -> None:
-    """Start both axes at zero, or that of force below at the lowest force; label both."""
-    low, high = axes.get_ylim()
-    bottom = min(0.0, low if math.isinf(lowest) else lowest)
-    axes.set(xlim=(0.0, axes.get_xlim()[1]), ylim=(bottom, headroom * high))
-    axes.set(xlabel=DEFLECTION.label("Tip deflection"), ylabel=FORCE.label("Force"))
-
-
-def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool = False) -> None:
-    """Draw the measured force less the force of the model against deflection.
+def make_residual_plot(
+    calibration: Calibration, heading: str, *, has_own_factor: bool = False
+) -> Plot:
+    """Make the panel of the measured force less the force of the model against deflection.
 
     Parameters
     ----------
     calibration : its curves are drawn
-    axes : to draw on
+    heading : of the panel
     has_own_factor : multiply the model by the factor of each sample first; the residuals are then
         noise and an error of the shape of the curve
 
@@ -197,62 +205,23 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
     Every point is drawn faint. A line shows the means of blocks of neighbouring points: at least
     `MIN_RESIDUAL_BLOCKS`, if there are as many points.
     """
-    looks = _choose_length_looks(calibration)
-    axes.axhline(0.0, color="black", linewidth=0.6, zorder=1)
+    looks, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
     for curve in calibration.curves:
-        factor = curve.sample_factor if has_own_factor else 1.0
-        residual, look = (
-            SMALL_FORCE.factor * (curve.force - factor * curve.model),
-            looks[curve.length],
-        )
-        _plot_thinned(axes, curve.deflection, residual, look, alpha=0.2, linewidth=0.4)
-        x = DEFLECTION.factor * average_blocks(curve.deflection, MIN_RESIDUAL_BLOCKS)
-        means = average_blocks(residual, MIN_RESIDUAL_BLOCKS)
-        axes.plot(x, means, linewidth=0.9, zorder=3, **look._asdict())
-    axes.set_xlim(left=0.0)
-    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
-    axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
+        factor, look = curve.sample_factor if has_own_factor else 1.0, looks[curve.length]
+        x, y = curve.deflection, curve.force - factor * curve.model
+        means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
+        lines.append(thinned_line("residual", x, y, n_bins=120, **look))
+        lines.append(line("mean_residual", *means, **look))
+    return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", SMALL_FORCE), lines, heading)
 
 
-def _choose_length_looks(calibration: Calibration) -> dict[float, figure_page.Look]:
-    """Choose a colour and a dash for each length of the samples, which also differ in grey."""
-    colours = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
-    lengths = sorted({curve.length for curve in calibration.curves})
-    return {
-        length: figure_page.Look(colours[number % len(colours)], figure_page.choose_dash(number))
-        for number, length in enumerate(lengths)
-    }
-
-
-def _plot_force(axes: Axes, deflection: Floats, force: Floats, look: str, **settings: Any) -> None:
-    x, y = DEFLECTION.factor * deflection, FORCE.factor * force
-    axes.plot(x, y, **figure_page.read_look(look, **settings))
-
-
-def _fill_force(
-    axes: Axes, deflection: Floats, edges: tuple[Floats, Floats], look: str, **settings: Any
-) -> None:
-    lower, upper = (FORCE.factor * edge for edge in edges)
-    axes.fill_between(
-        DEFLECTION.factor * deflection, lower, upper, **figure_page.read_look(look, **settings)
-    )
-
-
-def _plot_thinned(
-    axes: Axes, deflection: Floats, values: Floats, look: figure_page.Look, **more: Any
-) -> None:
-    rows = find_extremes(values, n_bins=120)
-    style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
-    axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
-
-
-def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
-    """Draw the deviance of a parameter against its value on a logarithmic axis.
+def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot:
+    """Make the panel of the deviance of a parameter against its value on a logarithmic axis.
 
     Parameters
     ----------
     parameter : if it was not fitted, the panel says so
-    axes : to draw on
+    heading : of the panel
 
     Notes
     -----
@@ -260,61 +229,48 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     open interval ends with the panel. A triangle is the value, an open triangle another solution.
     If there is a prior, its deviance from its own centre is drawn, too.
     """
+    normal_quantile = 1.959963984540054
     if not parameter.profiles:
-        figure_page.write_reason(axes, typeset(parameter.explanation), line_length=30)
-        return
-    axis = DISPLAYS[parameter.name]
+        return Plot(Axis(), Axis(), heading=heading, reason=typeset(parameter.explanation))
     low, high = find_panel_range(parameter)
-    axes.set_xscale("log")
-    _draw_interval(parameter, axes, (low, high))
-    minima = sorted(_minimum(profile)[0] for profile in parameter.profiles)
+    lines, last = [], len(parameter.intervals) - 1
+    for number, part in enumerate(parameter.intervals):
+        start = low if number == 0 and parameter.is_open_below else part.lower
+        stop = high if number == last and parameter.is_open_above else part.upper
+        lines.append(plots.span("interval_of_parameter", start, stop))
+    minima = sorted(_find_minimum(profile)[0] for profile in parameter.profiles)
     borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
     for profile in parameter.profiles:
-        side = minima.index(_minimum(profile)[0])
-        _draw_solution(profile, axes, axis.scale.factor, (borders[side], borders[side + 1]))
-    axes.plot(axis.scale.factor * parameter.value, 0.0, **figure_page.read_look("best_value"))
-    _draw_prior(parameter, axes, (low, high))
-    axes.set_xlim(axis.scale.factor * low, axis.scale.factor * high)
-    axes.set_ylim(0.0, _panel_top(parameter))
-    axes.set_xlabel(axis.label)
-    _set_ticks(axes)
+        best, height = _find_minimum(profile)
+        side = minima.index(best)
+        lines.append(line("profile", *interpolate_profile(profile)))
+        lines.append(line("profile_point", profile.value, profile.deviance))
+        lines.append(line("threshold", [borders[side], best], profile.threshold_below))
+        lines.append(line("threshold", [best, borders[side + 1]], profile.threshold_above))
+        if height > 0.0:
+            lines.append(line("best_value", best, height, markerfacecolor="white"))
+    lines.append(line("best_value", parameter.value, 0.0))
+    if parameter.conflict is not None:
+        values: Floats = np.geomspace(low, high, 200)
+        error = np.log(parameter.conflict.factor) / normal_quantile
+        away = np.log(values / parameter.conflict.centre) / error
+        lines.append(line("prior", values, away**2))
+    shown = DISPLAYS[parameter.name]
+    value = Axis(shown.symbol, shown.scale, low, high, is_log=True)
+    return Plot(value, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
 
 
-def _panel_top(parameter: CalibratedParameter) -> float:
+def _find_panel_top(parameter: CalibratedParameter) -> float:
     """Return the deviance at the top of a panel."""
     height_over_threshold = 2.6
     ends = [max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles]
     return height_over_threshold * max(ends)
 
 
-def _minimum(profile: Profile) -> tuple[float, float]:
+def _find_minimum(profile: Profile) -> tuple[float, float]:
     """Return value and deviance of the solution from which a profile was traced."""
     number = int(np.argmin(profile.deviance))
     return float(profile.value[number]), float(profile.deviance[number])
-
-
-def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
-    factor, last = DISPLAYS[parameter.name].scale.factor, len(parameter.intervals) - 1
-    for number, part in enumerate(parameter.intervals):
-        low = ends[0] if number == 0 and parameter.is_open_below else part.lower
-        high = ends[1] if number == last and parameter.is_open_above else part.upper
-        axes.axvspan(factor * low, factor * high, **figure_page.read_look("interval_of_parameter"))
-
-
-def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
-    """Draw one profile, its thresholds, and a triangle if it is not the best solution."""
-    values, deviance = interpolate_profile(profile)
-    best, height = _minimum(profile)
-    axes.plot(factor * values, deviance, **figure_page.read_look("profile"))
-    axes.plot(factor * profile.value, profile.deviance, **figure_page.read_look("profile_point"))
-    thresholds = profile.threshold_below, profile.threshold_above
-    for end, threshold in zip(ends, thresholds, strict=True):
-        x = np.sort([factor * end, factor * best])
-        axes.plot(x, [threshold] * 2, **figure_page.read_look("threshold"))
-    if height > 0.0:
-        axes.plot(
-            factor * best, height, **figure_page.read_look("best_value", markerfacecolor="white")
-        )
 
 
 def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
@@ -330,7 +286,7 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     interval that the profiles reach, and the centre of the prior.
     """
     margin_share = 0.12  # beside the shown values, of their logarithmic range
-    top, profiles = _panel_top(parameter), parameter.profiles
+    top, profiles = _find_panel_top(parameter), parameter.profiles
     shown = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
     shown.append(parameter.value)
     first = min(profile.value[0] for profile in profiles)
@@ -357,131 +313,62 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
     logarithm of the value: for a normal parameter that root is a straight line.
     """
     fine_points = 200
-    logs, (least, height) = np.log(profile.value), _minimum(profile)
+    logs, (least, height) = np.log(profile.value), _find_minimum(profile)
     side = np.sign(logs - np.log(least))
     fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
     root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
     return np.exp(fine), root**2 + height
 
 
-def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
-    """Draw the deviance of the prior: its squared distance in standard deviations."""
-    normal_quantile = 1.959963984540054
-    if parameter.conflict is None:
-        return
-    values: Floats = np.geomspace(*ends, 200)
-    error = np.log(parameter.conflict.factor) / normal_quantile
-    away = np.log(values / parameter.conflict.centre) / error
-    x = DISPLAYS[parameter.name].scale.factor * values
-    axes.plot(x, away**2, **figure_page.read_look("prior"))
-
-
-def _set_ticks(axes: Axes) -> None:
-    linear_below, few_decades_above = 6.0, 500.0  # ratio of the ends of an axis
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-
-    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    low, high = axes.get_xlim()
-    figure_page.label_log_axis(axes.xaxis)
-    if high < linear_below * low:
-        axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.xaxis.set_minor_locator(NullLocator())
-    elif high > few_decades_above * low:
-        axes.xaxis.set_major_locator(LogLocator(numticks=4))
-        axes.xaxis.set_minor_locator(NullLocator())
-
-
-def draw_calibration(
-    calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
-) -> Figure:
-    """Draw a calibration on one page, to be printed upright on A4.
+def make_validation_page(name: str, groups: Sequence[ValidationGroup]) -> Page:
+    """Make the page of measured and modelled force against deflection, a panel per group.
 
     Parameters
     ----------
-    calibration : of one wire
-    predictions : of the model by length of the tests (m), for its band; None for no band
-
-    Returns
-    -------
-    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with the
-    own factor of each sample, (d) to (f) the profiles of the parameters, and in words the values
-    and verdicts.
+    name : of the files
+    groups : 1 to `MAX_PANELS`, each of one wire and one length
     """
-    panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; for headings and labels
-    height = sum(panel_heights) + frame_mm * len(panel_heights)
-    page = figure_page.make_page(height_mm=height, width_mm=figure_page.DOUBLE_COLUMN)
-    panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
-    _plot_loadings(calibration, panels["a"], predictions or {})
-    plot_residuals(calibration, panels["b"])
-    plot_residuals(calibration, panels["c"], has_own_factor=True)
-    for letter, parameter in zip("def", calibration.parameters, strict=True):
-        plot_profile(parameter, panels[letter])
-    panels["d"].set_ylabel("Deviance")
-    for letter, heading in zip("abcdef", _HEADINGS, strict=True):
-        panels[letter].set_title(heading, loc="left")
-    numbers = [
-        f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
-        for name, value, interval, unit, verdict in map(write_parameter, calibration.parameters)
+    row_mm, columns = 66.0, 2
+    height, panels = row_mm * math.ceil(len(groups) / columns), list(map(_make_group_plot, groups))
+    return Page(name, "Measured and predicted first loadings", panels, _note(groups), height)
+
+
+def _make_group_plot(group: ValidationGroup) -> Plot:
+    """Make the panel of samples, mean and model with their bands; describe the agreement.
+
+    The model is lighter where it is doubtful.
+    """
+    samples = group.samples.values()
+    lines = [
+        thinned_line("measured_sample", sample.displacement, sample.force, n_bins=100)
+        for sample in samples
     ]
-    about = "Residuals: points faint, means of neighbouring points as lines."
-    about += "" if predictions else " The band of the model is not drawn."
-    note = "\n".join([*numbers, *describe_calibration(calibration), about])
-    count = write_count(calibration.n_samples, "sample")
-    return figure_page.add_title(
-        page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note
+    lines += _plot_measured(group.band)
+    model = group.prediction
+    for part, opacity in plots.split_doubtful(group.is_sure):
+        if model is None:
+            break
+        x, low, high = (values[part] for values in (model.deflection, model.lower, model.upper))
+        lines.append(line("model", x, model.force[part], alpha=opacity))
+        lines.append(plots.area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
+        lines += [line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
+    text = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
+    use = "calibrated" if group.is_calibrated else "predicted"
+    heading = f"{group.wire}, {write_length(group.length)}: {use}"
+    measured = [group.band.mean, *(sample.force for sample in samples)]
+    return Plot(_DEFLECTIONS, _make_force_axis(lines, measured), lines, heading, [text])
+
+
+def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: float = 1.08) -> Axis:
+    """Make the axis of force from zero, or the lowest force of some, to above all lines."""
+    bottom, top = (
+        extreme(np.concatenate([values[np.isfinite(values)], np.zeros(1)]))
+        for extreme, values in (
+            (np.min, np.concatenate([np.zeros(0), *low])),
+            (np.max, np.concatenate([part.y for part in lines])),
+        )
     )
-
-
-_HEADINGS = (
-    "first loadings", "residuals", "residuals with each sample's own factor", "friction",
-    "insulation", "copper",
-)  # fmt: skip
-
-
-MAX_PANELS = 6
-"""Panels on a page of wires and lengths, or of external curves."""
-_N_COLUMNS = 2
-_HEADROOM = 1.08
-"""Top of an axis, of the largest value."""
-
-
-def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
-    """Draw measured and modelled force against deflection, a panel per group.
-
-    Parameters
-    ----------
-    groups : 1 to 6, each of one wire and one length
-
-    Raises
-    ------
-    ValueError
-        If there is no group, or more than `MAX_PANELS`.
-    """
-    figure_page.require_room(len(groups), MAX_PANELS, "groups")
-    row_mm = 66.0
-    height = row_mm * math.ceil(len(groups) / _N_COLUMNS)
-    page = figure_page.make_page(height_mm=height, width_mm=figure_page.DOUBLE_COLUMN)
-    panels = figure_page.make_panels(page, len(groups), columns=_N_COLUMNS)
-    for group, axes in zip(groups, panels, strict=True):
-        _plot_group(group, axes)
-        use = "calibrated" if group.is_calibrated else "predicted"
-        axes.set_title(f"{group.wire}, {write_length(group.length)}: {use}", loc="left")
-    return figure_page.add_title(page, "Measured and predicted first loadings", _note(groups))
-
-
-def _plot_group(group: ValidationGroup, axes: Axes) -> None:
-    """Draw samples, their mean with its band, the model with its band; describe the agreement."""
-    for sample in group.samples.values():
-        rows = find_extremes(sample.force, n_bins=100)
-        _plot_force(axes, sample.displacement[rows], sample.force[rows], "measured_sample")
-    _draw_measured(group.band, axes)
-    if group.prediction is not None:
-        _draw_prediction(group.prediction, group.is_sure, axes)
-    axes.text(
-        0.03, 0.98, _wrap(describe_agreement(group)), transform=axes.transAxes, va="top", zorder=6,
-        linespacing=1.25,
-    )  # fmt: skip
-    _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
+    return Axis("Force", FORCE, float(bottom), headroom * float(top))
 
 
 def describe_agreement(group: ValidationGroup) -> list[str]:
@@ -505,34 +392,15 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
     return lines
 
 
-def _draw_measured(band: Band, axes: Axes) -> None:
-    """Draw the mean of the samples and its 95 % band, if any."""
-    _plot_force(axes, band.displacement, band.mean, "mean_of_samples")
+def _plot_measured(band: Band) -> list[Line]:
+    """Plot the mean of the samples and its 95 % band, if any."""
+    lines = [line("mean_of_samples", band.displacement, band.mean)]
     if np.isfinite(band.lower).any():
-        _fill_force(axes, band.displacement, (band.lower, band.upper), "band_of_mean")
+        lines.append(plots.area("band_of_mean", band.displacement, band.lower, band.upper))
+    return lines
 
 
 _BAND_OPACITY = 0.5
-
-
-def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None:
-    """Draw the model and its band, lighter where they are doubtful."""
-    for part, opacity in split_doubtful(is_sure):
-        deflection = prediction.deflection[part]
-        edges = prediction.lower[part], prediction.upper[part]
-        _plot_force(axes, deflection, prediction.force[part], "model", alpha=opacity)
-        _fill_force(axes, deflection, edges, "band_of_model", alpha=_BAND_OPACITY * opacity)
-        for edge in edges:
-            _plot_force(axes, deflection, edge, "edge_of_band", alpha=opacity)
-
-
-def _lowest(group: ValidationGroup) -> float:
-    """Return the lowest force of the mean and the samples, in the display unit."""
-    forces: list[Floats] = [group.band.mean, *(sample.force for sample in group.samples.values())]
-    finite = [force[np.isfinite(force)] for force in forces]
-    return FORCE.factor * min(
-        (float(values.min()) for values in finite if len(values)), default=0.0
-    )
 
 
 def _note(groups: Sequence[ValidationGroup]) -> str:
@@ -543,9 +411,12 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
     counts = sorted({group.mean_of for group in groups if group.prediction is not None})
     for number in counts:
         what = "one more sample" if number == 1 else f"the mean of {number} samples"
-        of = ""
-        if len(counts) > 1:
-            of = f" ({', '.join(_names(groups, number))})"
+        names = [
+            f"{group.wire} {write_length(group.length)}"
+            for group in groups
+            if group.mean_of == number and group.prediction is not None
+        ]
+        of = f" ({', '.join(names)})" if len(counts) > 1 else ""
         lines.append(f"Blue band: model, for {what}{of}.")
     if not all(group.is_sure.all() for group in groups):
         lines.append(format_sentence("report.doubtful_model"))
@@ -558,18 +429,8 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
     return " ".join([*lines, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
 
 
-def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
-    return [
-        f"{group.wire} {write_length(group.length)}"
-        for group in groups
-        if group.mean_of == mean_of and group.prediction is not None
-    ]
-
-
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
-_FREE_KEY_ROWS = 4
-"""Rows of a key that fit above most curves without more room."""
 
 
 class ExternalPanel(NamedTuple):
@@ -618,79 +479,55 @@ def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPa
         ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
         for key, curves in comparisons.items()
     ]
-    return figure_page.split_pages(panels, MAX_PANELS)
+    return split_pages(panels, MAX_PANELS)
 
 
-def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
-    """Draw external curves, tests and model, a panel per wire, length and kind of load.
+def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
+    """Make the page of external curves, tests and model, a panel per wire, length and load.
 
     Parameters
     ----------
-    panels : 1 to 6
-
-    Raises
-    ------
-    ValueError
-        If there is no panel, or more than `MAX_PANELS`.
+    name : of the files
+    panels : 1 to `MAX_PANELS`
     """
-    row_mm = 70.0
-    figure_page.require_room(len(panels), MAX_PANELS, "panels")
-    rows = math.ceil(len(panels) / _N_COLUMNS)
-    row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
-    page = figure_page.make_page(height_mm=row * rows, width_mm=figure_page.DOUBLE_COLUMN)
-    drawn = figure_page.make_panels(page, len(panels), columns=_N_COLUMNS)
-    for panel, axes in zip(panels, drawn, strict=True):
-        _plot_external(panel, axes)
-        load = ", load normal to the axis" if panel.is_normal else ""
-        axes.set_title(f"{panel.wire}, {write_length(panel.length)}{load}", loc="left")
-    return figure_page.add_title(page, "External curves, tests and model", _external_note(panels))
+    row_mm, free_key_rows, columns = 70.0, 4, 2  # of a key above most curves
+    key_rows = [sum(1 + label.count("\n") for label in _label_curves(panel)) for panel in panels]
+    extra_rows = [max(0, rows - free_key_rows) for rows in key_rows]
+    height = (row_mm + 4.0 * max(extra_rows)) * math.ceil(len(panels) / columns)
+    drawn = [
+        _make_external_plot(panel, _HEADROOM + 0.06 * extra)
+        for panel, extra in zip(panels, extra_rows, strict=True)
+    ]
+    return Page(name, "External curves, tests and model", drawn, _external_note(panels), height)
 
 
-def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
-    """Draw the mean of the tests and the model with their bands, and external curves on top.
+def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
+    """Make the panel of tests and model with their bands, and external curves on top.
 
-    The text in the panel gives the RMSE of each external curve to the tests and to the model.
+    The key in the panel gives the RMSE of each external curve to the tests and to the model.
     """
-    from matplotlib.legend import Legend
-
-    if panel.group is not None:
-        _draw_measured(panel.group.band, axes)
+    lines = [] if panel.group is None else _plot_measured(panel.group.band)
     model = panel.prediction
     if model is not None:
-        _plot_force(axes, model.deflection, model.force, "model")
-        edges = model.lower_mean, model.upper_mean
-        _fill_force(axes, model.deflection, edges, "band_of_model", alpha=_BAND_OPACITY)
-    lines = [
-        _draw_comparison(comparison, number, axes)
-        for number, comparison in enumerate(panel.comparisons)
-    ]
-    extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
-    _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
-    labels = [_wrap(describe_match(comparison)) for comparison in panel.comparisons]
-    # `axes.legend` would take the labels of the other lines out of the key of the page
-    key = Legend(axes, lines, labels, loc="upper left", handlelength=2.2, borderaxespad=0.4)
-    axes.add_artist(key)
+        edges = model.deflection, model.lower_mean, model.upper_mean
+        lines.append(line("model", model.deflection, model.force))
+        lines.append(plots.area("band_of_model", *edges, alpha=_BAND_OPACITY))
+    for number, comparison in enumerate(panel.comparisons):
+        curve = comparison.curve
+        look: dict[str, Any] = {
+            "color": _COLOURS[number % len(_COLOURS)],
+            "marker": _MARKS[number % len(_MARKS)],
+            "markevery": max(1, len(curve.force) // 14),
+        }
+        lines.append(line("external_curve", curve.deflection, curve.force, **look))
+    load = ", load normal to the axis" if panel.is_normal else ""
+    heading = f"{panel.wire}, {write_length(panel.length)}{load}"
+    force = _make_force_axis(lines, [part.y for part in lines], headroom)
+    return Plot(_DEFLECTIONS, force, lines, heading, inner_key=_label_curves(panel))
 
 
-def _key_rows(panel: ExternalPanel) -> int:
-    """Count the lines of text in the key of a panel."""
-    labels = (_wrap(describe_match(comparison)) for comparison in panel.comparisons)
-    return sum(1 + label.count("\n") for label in labels)
-
-
-def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
-    curve = comparison.curve
-    (line,) = axes.plot(
-        DEFLECTION.factor * curve.deflection,
-        FORCE.factor * curve.force,
-        color=_COLOURS[number % len(_COLOURS)],
-        linewidth=0.9,
-        marker=_MARKS[number % len(_MARKS)],
-        markersize=3.0,
-        markevery=max(1, len(curve.force) // 14),
-        zorder=6,
-    )
-    return line
+def _label_curves(panel: ExternalPanel) -> list[str]:
+    return [_wrap(describe_match(comparison)) for comparison in panel.comparisons]
 
 
 def _wrap(texts: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Pages of figures: their style, size, title, key and footnote, and their files."""
+"""Draw pages of plots with matplotlib in the style of labpipe, and write their files."""
 
 from __future__ import annotations
 
@@ -7,35 +7,32 @@ import math
 import textwrap
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from labpipe.errors import StoreError
-from labpipe.report.wording import replace_unprintable, shorten, write_footnote, write_title
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, split_at_gaps
+from labpipe.report.wording import replace_unprintable, shorten
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
+    from matplotlib.axis import Axis as DrawnAxis
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
-
-    from labpipe.records.result import TestResult
-
 
 T = TypeVar("T")
 
 _STYLE, _JOURNAL = (Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal"))
-DOUBLE_COLUMN = 180.0
-WIDTH = 120.0
-"""Width of a page, mm: 9 pt become 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
+N_COLOURS = 8
+"""Number of colours for spools, groups and wires."""
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _EDGE = 0.012
 """Left edge of texts, as a share of the width of the page."""
@@ -46,307 +43,20 @@ _DASHES: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-class Look(NamedTuple):
-    """Colour and dash of the lines of a spool, a wire, a length or a group."""
-
-    color: str
-    linestyle: Any
-
-
-def read_look(name: str, **more: Any) -> dict[str, Any]:
-    """Read the look of a line, an area or a mark.
-
-    Parameters
-    ----------
-    name : in ``looks.toml``
-    more : further settings of matplotlib; they replace those of the file
-
-    Raises
-    ------
-    KeyError
-        If the file has no such look.
-    """
-    return {**_read_looks()[name], **more}
-
-
-@cache
-def _read_looks() -> dict[str, dict[str, Any]]:
-    looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
-    for look in looks.values():
-        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
-            offset, lengths = look["linestyle"]
-            look["linestyle"] = (offset, tuple(lengths))
-    return looks
-
-
-@contextmanager
-def style(changes: Mapping[str, Any] | None = None, *, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in the style of labpipe inside this block, without global changes.
-
-    Parameters
-    ----------
-    changes : settings of matplotlib on top of the style
-    is_journal : serif letters and colours of journals, instead of the look of the page
-
-    Notes
-    -----
-    Matplotlib's warning about a letter that is missing from all fonts is suppressed: the figure
-    shows a box instead; summary, page and workbook have the letter.
-    """
-    import matplotlib as mpl
-
-    settings: Any = dict(changes or {})
-    with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
-        if is_journal:
-            mpl.rcParams.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
-        mpl.rcParams.update(settings)
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
-        yield
-
-
-def make_page(*, height_mm: float, width_mm: float = WIDTH) -> Figure:
-    """Make an empty figure.
-
-    Parameters
-    ----------
-    height_mm, width_mm : size of the panels on paper, mm; `add_title` adds room for texts
-
-    Returns
-    -------
-    A figure without axes.
-    """
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
-
-
-def add_title(page: Figure, title: str, note: str = "", *, columns: int = 0) -> Figure:
-    """Add the title, a footnote and a key of all labelled artists to a page.
-
-    Parameters
-    ----------
-    page : with everything drawn
-    title : one line
-    note : footnote, broken into lines here; may be empty
-    columns : of the key; 0 for as many as fit
-
-    Returns
-    -------
-    The same page, higher by key and footnote. Several panels with a heading have letters; panels
-    with a legend of their own are not in the key.
-    """
-    import matplotlib as mpl
-
-    size: float = mpl.rcParams["font.size"]
-    line_mm, key_line_mm = 0.52 * size, 0.6 * size
-    characters_per_mm = 0.72  # of the width of the page, in a footnote
-    width, height = (side * _MM_PER_INCH for side in page.get_size_inches().tolist())
-    _letter_panels(page.axes)
-    keys = _labelled_artists(page.axes)
-    columns = columns or _key_columns(list(map(_width_mm, keys)), width - 2.0)
-    rows = math.ceil(len(keys) / columns)
-    letters = int(characters_per_mm * width)
-    notes = [row for line in note.split("\n") for row in textwrap.wrap(line, letters)]
-    height += key_line_mm * rows + line_mm * len(notes)
-    page.set_size_inches(width / _MM_PER_INCH, height / _MM_PER_INCH)
-    line = line_mm / height
-    page.text(_EDGE, 1 - 0.3 * line, title, va="top", color=GREY)
-    if notes:
-        page.text(_EDGE, 0.3 * line, "\n".join(notes), va="bottom", color=GREY)
-    if keys:
-        page.legend(
-            list(keys.values()), list(keys), loc="upper left", ncols=columns, borderpad=0,
-            borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
-        )  # fmt: skip
-    low = line * (0.4 + len(notes)) if notes else 0.0
-    high = 1 - 1.3 * line - rows * key_line_mm / height
-    pad = 1.2 / _MM_PER_INCH
-    page.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
-    return page
-
-
-def make_empty_page(title: str, reason: str, note: str = "", *, width_mm: float = WIDTH) -> Figure:
-    """Make a page that gives the reason why it shows nothing."""
-    page = make_page(height_mm=40.0, width_mm=width_mm)
-    write_reason(page.subplots(), reason)
-    return add_title(page, title, note)
-
-
-def make_reason_page(result: TestResult, reason: str) -> Figure:
-    """Make the page of a test that gives the reason why it shows nothing."""
-    title, note = write_title(result), write_footnote(result)
-    return make_empty_page(title, reason, note, width_mm=DOUBLE_COLUMN)
-
-
-def _labelled_artists(panels: Iterable[Axes]) -> dict[str, Any]:
-    """Return the first artist of each label, in the order of drawing."""
-    keys: dict[str, Any] = {}
-    for axes in panels:
-        if axes.get_legend() is None:
-            for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                keys.setdefault(label, artist)
-    return keys
-
-
-def _letter_panels(panels: Iterable[Axes]) -> None:
-    named = [axes for axes in panels if axes.get_title(loc="left")]
-    for letter, axes in zip("abcdefghijkl", named if len(named) > 1 else (), strict=False):
-        axes.set_title(f"({letter}) {axes.get_title(loc='left')}", loc="left")
-
-
-def _width_mm(text: str) -> float:
-    """Return the width of a label of the key on paper, mm."""
-    import matplotlib as mpl
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
-    font = FontProperties(size=mpl.rcParams["legend.fontsize"])
-    points, *_ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
-    return points / _POINTS_PER_INCH * _MM_PER_INCH
-
-
-def _key_columns(lengths: Sequence[float], room: float) -> int:
-    """Return the number of columns of a key that fit beside each other into a room, mm."""
-    handle_mm = 11.8  # sample of a line with its gaps
-    widths = [handle_mm + length for length in lengths]
-    if sum(widths) <= room:
-        return max(len(widths), 1)
-    max_columns = max(int(room / max(widths)), 1)
-    return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
-
-
-def finish_layout(page: Figure) -> None:
-    """Lay out a page and fix its layout; shorten its texts and replace unprintable characters.
-
-    Parameters
-    ----------
-    page : drawn; its texts are measured for SVG, so that a PNG has the same layout
-    """
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    FigureCanvasSVG(page)
-    _fit_texts(page)
-    engine = page.get_layout_engine()
-    if engine is not None:
-        engine.execute(page)
-    page.set_layout_engine("none")
-
-
-def fix_fonts(page: Figure) -> Figure:
-    """Fix the fonts of a page so that it looks the same outside the current style.
-
-    Parameters
-    ----------
-    page : laid out
-
-    Returns
-    -------
-    The same page, with the names of installed fonts, and an image for notebooks.
-    """
-    import matplotlib as mpl
-    from matplotlib.font_manager import fontManager
-    from matplotlib.text import Text
-
-    installed = {font.name for font in fontManager.ttflist}
-    settings: Any = mpl.rcParams
-    families = settings["font.family"]
-    preferred_fonts = [font for family in families for font in settings[f"font.{family}"]]
-    fonts = [font for font in preferred_fonts if font in installed]
-    for text in page.findobj(Text):
-        text.set_fontfamily(fonts)
-    page.set_dpi(120)
-    vars(page)["_repr_png_"] = partial(_as_png, page)
-    return page
-
-
-def _as_png(page: Figure) -> bytes:
-    image = BytesIO()
-    with style():
-        page.savefig(image, format="png", dpi="figure")
-    return image.getvalue()
-
-
-def _fit_texts(page: Figure) -> None:
-    """Shorten long texts, which would leave no room for panels, and make all printable."""
-    max_tick_length, max_line_length = 40, 150
-    from matplotlib.ticker import FixedLocator
-
-    for axis in _axis_objects(page):
-        if isinstance(axis.get_major_locator(), FixedLocator):
-            labels = [label.get_text() for label in axis.get_ticklabels()]
-            fitting = [_shorten_lines(word, max_tick_length) for word in labels]
-            if fitting != labels:
-                axis.set_ticks(axis.get_majorticklocs(), fitting)
-    for text in _texts(page):
-        fitted = _shorten_lines(text.get_text(), max_line_length)
-        if fitted != text.get_text():  # setting a text repeats its layout
-            text.set_text(fitted)
-
-
-def _shorten_lines(text: str, max_length: int) -> str:
-    return "\n".join(shorten(line, max_length) for line in replace_unprintable(text).split("\n"))
-
-
-def _axis_objects(page: Figure) -> Iterator[Axis]:
-    for axes in page.axes:
-        yield from (axes.xaxis, axes.yaxis)
-
-
-def _texts(page: Figure) -> Iterator[Text]:
-    """Yield all texts except tick labels, which matplotlib makes on demand."""
-    from matplotlib.legend import Legend
-    from matplotlib.text import Text
-
-    yield from (axis.label for axis in _axis_objects(page))
-    for holder in (page, *page.axes):
-        for child in holder.get_children():
-            if isinstance(child, Text):
-                yield child
-            elif isinstance(child, Legend):
-                yield from child.get_texts()
-
-
-def write_reason(axes: Axes, sentence: str, line_length: int = 60) -> None:
-    """Write into an empty panel the reason why it is empty."""
-    axes.set_axis_off()
-    text = textwrap.fill(sentence, line_length)
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
-
-
-def add_key(axes: Axes, label: str, *, is_area: bool = False, **look: Any) -> None:
-    """Add an entry to the key without drawing anything."""
-    draw: Any = axes.fill if is_area else axes.plot
-    draw([], [], label=label, **look)
-
-
-def label_log_axis(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers.
-
-    Parameters
-    ----------
-    axis : logarithmic, with its limits set; up to a ratio of 500 it has ticks at 1, 2 and 5 of
-        each decade, else at 1
-    """
-    few_decades_ratio = 500.0
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    steps = (1.0, 2.0, 5.0) if high < few_decades_ratio * low else (1.0,)
-    axis.set_major_locator(LogLocator(subs=steps))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
-
-
-def list_style_colours() -> list[str]:
-    """List the colours of the current style."""
-    import matplotlib as mpl
-
-    colours: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-    return colours
+def choose_dash(number: int) -> Any:
+    """Return the dash of a line by its number, from 0; the dashes repeat."""
+    return _DASHES[number % len(_DASHES)]
+
+
+def choose_line_look(number: int) -> dict[str, Any]:
+    """Choose colour and dash of a line by its number, from 0; none of the first 48 are equal."""
+    # one more step of the dash whenever the colours repeat
+    dash = choose_dash(number + number // N_COLOURS)
+    return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
 
 
 def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
-    """Return equally spaced colours of the colour map of the current style.
+    """Return equally spaced colours of the colour map.
 
     Parameters
     ----------
@@ -356,41 +66,293 @@ def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
     import matplotlib as mpl
     from matplotlib.colors import to_hex
 
-    colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
-    return [to_hex(colour_map(end * place)) for place in np.linspace(0, 1, count)]
+    return [to_hex(mpl.colormaps["viridis"](end * place)) for place in np.linspace(0, 1, count)]
 
 
-def choose_line_looks(count: int) -> list[Look]:
-    """Choose a colour and a dash for each line; no two lines have the same pair."""
-    colours = list_style_colours()
-    return [
-        # one more step of the dash whenever the colours repeat, so that no pair repeats
-        Look(colours[number % len(colours)], choose_dash(number + number // len(colours)))
-        for number in range(count)
-    ]
+@cache
+def read_looks() -> dict[str, dict[str, Any]]:
+    """Read the looks of lines, areas and marks from ``looks.toml``."""
+    looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
+    for look in looks.values():
+        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
+            offset, lengths = look["linestyle"]
+            look["linestyle"] = (offset, tuple(lengths))
+    return looks
 
 
-def choose_dash(number: int) -> Any:
-    """Return the dash of a line by its number, from 0; the dashes repeat."""
-    return _DASHES[number % len(_DASHES)]
+def _find_settings(look: str) -> dict[str, Any]:
+    """Return the settings of a look, such as ``curve c2`` with the number of a colour."""
+    kind, _, colour = look.partition(" ")
+    settings = dict(read_looks()[kind])
+    if colour:
+        number = int(colour[1:])
+        settings["color"] = f"C{number}"
+        if kind in {"curve", "mean"}:
+            settings["linestyle"] = choose_dash(number)
+    return settings if "facecolor" in settings else {"color": "black", **settings}
 
 
-def make_panels(page: Figure, count: int, *, columns: int, sharey: bool = False) -> list[Axes]:
-    """Make panels row by row.
+@contextmanager
+def style(*, is_journal: bool = False) -> Iterator[None]:
+    """Draw and save in the style of labpipe inside this block, without global changes.
 
     Parameters
     ----------
-    page : empty
-    count : of panels, at least one
-    columns : largest number of panels in a row
-    sharey : use one vertical axis for all
+    is_journal : serif letters and colours of journals, instead of the look of the page
+
+    Notes
+    -----
+    Matplotlib's warning about a letter that is missing from all fonts is suppressed: the figure
+    shows a box instead; summary, page and workbook have the letter.
     """
-    columns = min(columns, count)
-    rows = math.ceil(count / columns)
-    panels = page.subplots(rows, columns, squeeze=False, sharey=sharey).ravel()
-    for spare in panels[count:]:
-        spare.set_axis_off()
-    return list(panels[:count])
+    import matplotlib as mpl
+
+    with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
+        if is_journal:
+            mpl.rcParams.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
+        yield
+
+
+def draw_page(page: Page) -> Figure:
+    """Draw a page in the current style.
+
+    Parameters
+    ----------
+    page : with at least one plot
+
+    Returns
+    -------
+    The figure, laid out for SVG. A page without a plot that has a heading has no letters.
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    figure = Figure(figsize=(page.width / _MM_PER_INCH, page.height / _MM_PER_INCH))
+    letters = "abcdefghijkl"[: len(page.plots)]
+    columns = min(page.columns, len(letters))
+    starts = range(0, len(letters), columns)
+    rows = [letters[start : start + columns].ljust(columns, ".") for start in starts]
+    panels = figure.subplot_mosaic(
+        page.layout or ";".join(rows), sharex="x" in page.shared, sharey="y" in page.shared,
+        width_ratios=page.widths or None, height_ratios=page.heights or None,
+    )  # fmt: skip
+    has_letters = sum(bool(plot.heading) for plot in page.plots) > 1
+    for letter, plot in zip(letters, page.plots, strict=True):
+        draw_plot(plot, panels[letter], page.colours)
+        start = f"({letter}) " if has_letters and plot.heading else ""
+        panels[letter].set_title(start + plot.heading, loc="left", linespacing=1.25)
+    if page.colours is not None:
+        bar = figure.colorbar(_map_colours(page.colours), ax=[panels[letters[columns - 1]]])
+        bar.set_label(page.colours.label)
+        _set_ticks(bar.ax.yaxis, page.colours)
+    for axes in panels.values() if page.shared else ():
+        axes.label_outer()
+    figure.align_ylabels()
+    _add_texts(figure, page)
+    FigureCanvasSVG(figure)  # texts are measured for SVG, so that a PNG has the same layout
+    max_line_length = 150
+    for text in figure.findobj(Text):
+        lines = replace_unprintable(text.get_text()).split("\n")
+        fitted = "\n".join(shorten(line, max_line_length) for line in lines)
+        if fitted != text.get_text():  # setting a text repeats its layout
+            text.set_text(fitted)
+    figure.get_layout_engine().execute(figure)  # type: ignore[union-attr]
+    figure.set_layout_engine("none")
+    return figure
+
+
+def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
+    """Draw the lines of a plot, its axes, its labels and its key.
+
+    Parameters
+    ----------
+    plot : panel of a page
+    axes : to draw on
+    colours : of lines that are coloured by values
+    """
+    from matplotlib.legend import Legend
+
+    if plot.reason:
+        axes.set_axis_off()
+        text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.4 else 30)
+        axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)
+        return
+    for way, axis in (("x", plot.x), ("y", plot.y)):
+        axes.set(**{f"{way}label": axis.label, f"{way}scale": "log" if axis.is_log else "linear"})
+    artists = [_draw_line(line, plot, axes, colours) for line in plot.lines]
+    for entry in plot.legend:
+        settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
+        (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
+    axes.autoscale_view()
+    for axis, drawn in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
+        low, high = (None if math.isnan(end) else end for end in axis.ends)
+        set_limits = axes.set_xlim if drawn is axes.xaxis else axes.set_ylim
+        set_limits(low, high, auto=plot.is_to_scale)  # one scale may extend the limits
+        _set_ticks(drawn, axis)
+    axes.spines[:].set_zorder(10)  # no area covers the frame
+    if not plot.has_frame:
+        axes.set_axis_off()
+    if plot.is_to_scale:
+        axes.set_aspect("equal", adjustable="datalim")
+    for label in plot.labels:
+        _draw_label(label, plot, axes)
+    if plot.inner_key:
+        # `axes.legend` would take the labels of the other lines out of the key of the page
+        shown = artists[-len(plot.inner_key) :]
+        axes.add_artist(Legend(axes, shown, plot.inner_key, loc="upper left", borderaxespad=0.4))
+
+
+def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    settings = {"label": "", **_find_settings(line.look), **line.settings}
+    x, y = plot.x.scale.factor * line.x, plot.y.scale.factor * line.y
+    is_wide, is_high = (bool(np.isinf(ends).any()) for ends in (x, y))
+    if line.values is not None and colours is not None:
+        points = np.column_stack([x, y])
+        parts = np.stack([points[:-1], points[1:]], axis=1)
+        settings.pop("color")  # it would replace those of the values
+        coloured = LineCollection(list(parts), capstyle="round", **settings)
+        mapped = _map_colours(colours)
+        coloured.set(cmap=mapped.cmap, norm=mapped.norm)
+        coloured.set_array(colours.scale.factor * np.minimum(line.values[:-1], line.values[1:]))
+        return axes.add_collection(coloured)
+    if line.is_closed:
+        if is_high:
+            return axes.axvspan(x[0], x[1], **settings)
+        return axes.add_collection(PolyCollection(split_at_gaps(x, y), **settings))
+    if is_wide:
+        return axes.axhline(y[0], **settings)
+    return axes.axvline(x[0], **settings) if is_high else axes.plot(x, y, **settings)[0]
+
+
+def _map_colours(axis: Axis) -> Any:
+    """Return the colours of values; below the low end red."""
+    import matplotlib as mpl
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    colour_map = mpl.colormaps["viridis"].with_extremes(under="#d62728")
+    return ScalarMappable(LogNorm(*axis.ends), colour_map)
+
+
+def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
+    """Write a label; an infinite coordinate is at the end of the axis."""
+    at = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
+    place = [float(value > 0) if math.isinf(value) else factor * value for value, factor in at]
+    x_frame, y_frame = ("axes fraction" if math.isinf(value) else "data" for value, _ in at)
+    axes.annotate(
+        label.text, (place[0], place[1]), label.offset, (x_frame, y_frame), "offset points",
+        annotation_clip=False, **{"va": "center", "zorder": 6, **label.settings},
+    )  # fmt: skip
+
+
+def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
+    """Set the ticks of an axis: its rows, or round numbers at steps that suit its ends."""
+    max_steps, linear_below, few_decades_below = 6, 6.0, 500.0
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+    low, high = drawn.get_view_interval()
+    if axis.row_names:
+        names = [shorten(name, 40) for name in axis.row_names]
+        drawn.set_ticks(range(0, -len(names), -1), names)
+        drawn.set_tick_params(length=0)
+    elif not axis.is_log:
+        drawn.set_major_locator(MaxNLocator(max_steps))
+    else:
+        drawn.set_major_formatter("{x:g}")
+        drawn.set_minor_formatter(NullFormatter())
+        if high < linear_below * low:
+            drawn.set_major_locator(MaxNLocator(max_steps))
+            drawn.set_minor_locator(NullLocator())
+        else:
+            steps = (1.0, 2.0, 5.0) if high < few_decades_below * low else (1.0,)
+            drawn.set_major_locator(LogLocator(subs=steps))
+
+
+def _add_texts(figure: Figure, page: Page) -> None:
+    """Add title, footnote and a key of all labelled artists; the figure becomes higher by them."""
+    import matplotlib as mpl
+
+    size: float = mpl.rcParams["font.size"]
+    line_mm, key_line_mm = 0.52 * size, 0.6 * size
+    characters_per_mm = 0.72  # of the width of the page, in a footnote
+    keys: dict[str, Any] = {}
+    for axes in figure.axes:
+        for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            keys.setdefault(label, artist)
+    columns = page.key_columns or _count_key_columns(list(keys), page.width - 2.0)
+    rows = math.ceil(len(keys) / columns)
+    letters = int(characters_per_mm * page.width)
+    notes = [row for line in page.note.split("\n") for row in textwrap.wrap(line, letters)]
+    height = page.height + key_line_mm * rows + line_mm * len(notes)
+    figure.set_size_inches(page.width / _MM_PER_INCH, height / _MM_PER_INCH)
+    line = line_mm / height
+    figure.text(_EDGE, 1 - 0.3 * line, page.title, va="top", color=GREY)
+    if notes:
+        figure.text(_EDGE, 0.3 * line, "\n".join(notes), va="bottom", color=GREY)
+    if keys:
+        figure.legend(
+            list(keys.values()), list(keys), loc="upper left", ncols=columns, borderpad=0,
+            borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
+        )  # fmt: skip
+    low = line * (0.4 + len(notes)) if notes else 0.0
+    high = 1 - 1.3 * line - rows * key_line_mm / height
+    pad = 1.2 / _MM_PER_INCH
+    figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
+
+
+def _count_key_columns(labels: Sequence[str], room: float) -> int:
+    """Return the number of columns of a key that fit beside each other into a room, mm."""
+    handle_mm = 11.8  # sample of a line with its gaps
+    import matplotlib as mpl
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=mpl.rcParams["legend.fontsize"])
+    points = [text_to_path.get_text_width_height_descent(text, font, False)[0] for text in labels]
+    widths = [handle_mm + width / _POINTS_PER_INCH * _MM_PER_INCH for width in points]
+    if sum(widths) <= room:
+        return max(len(widths), 1)
+    max_columns = max(int(room / max(widths)), 1)
+    return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
+
+
+def draw_for_notebook(page: Page) -> Figure:
+    """Draw a page that looks the same outside the current style.
+
+    Parameters
+    ----------
+    page : drawn in the current style
+
+    Returns
+    -------
+    The figure, with the names of installed fonts, and an image for notebooks.
+    """
+    import matplotlib as mpl
+    from matplotlib.font_manager import fontManager
+    from matplotlib.text import Text
+
+    figure = draw_page(page)
+    installed = {font.name for font in fontManager.ttflist}
+    settings: Any = mpl.rcParams
+    families = settings["font.family"]
+    preferred_fonts = [font for family in families for font in settings[f"font.{family}"]]
+    fonts = [font for font in preferred_fonts if font in installed]
+    for text in figure.findobj(Text):
+        text.set_fontfamily(fonts)
+    figure.set_dpi(120)
+    vars(figure)["_repr_png_"] = partial(_as_png, figure)
+    return figure
+
+
+def _as_png(figure: Figure) -> bytes:
+    image = BytesIO()
+    with style():
+        figure.savefig(image, format="png", dpi="figure")
+    return image.getvalue()
 
 
 def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
@@ -398,42 +360,12 @@ def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
     return [items[start : start + max_items] for start in range(0, len(items), max_items)]
 
 
-def require_room(count: int, max_count: int, what: str) -> None:
-    """Raise an error if a page would be empty or overfull.
-
-    Raises
-    ------
-    ValueError
-        If `count` is not from 1 to `max_count`.
-    """
-    if not 1 <= count <= max_count:
-        message = f"{what}: expected 1 to {max_count} on a page, found {count}"
-        raise ValueError(message)
-
-
 FORMATS = ("svg", "png", "pdf")
 """Formats of the figures of a report; SVG is always written."""
 
 
-class FigureToSave(NamedTuple):
-    """A figure before it is drawn.
-
-    Parameters
-    ----------
-    name : of its files, without the ending
-    draw : returns the figure
-    caption : how to read it; description in its files
-    alt : alternative text; title in its files
-    """
-
-    name: str
-    draw: Callable[[], Figure]
-    caption: str = ""
-    alt: str = ""
-
-
 def save_pages(
-    wanted: Iterable[FigureToSave],
+    pages: Iterable[Page],
     folder: Path,
     *,
     say: Callable[[str], None] = lambda _: None,
@@ -447,7 +379,7 @@ def save_pages(
 
     Parameters
     ----------
-    wanted : each figure is drawn and released before the next
+    pages : each figure is drawn and released before the next
     folder : made if it does not exist
     say : called with the name of each figure before it is drawn
     run : key of the run of the figures, written to SVG and PNG; may be empty
@@ -471,21 +403,15 @@ def save_pages(
     with writing(folder, "figures"), style(is_journal=is_journal):
         folder.mkdir(parents=True, exist_ok=True)
         files = []
-        for figure in wanted:
-            say(figure.name)
-            files += save_page(figure, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
+        for page in pages:
+            say(page.name)
+            files += _save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
         return files
 
 
-def list_pngs(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
-    """List the PNG files of figures in a folder, which an earlier run may have left.
-
-    Parameters
-    ----------
-    wanted : figures, not drawn here
-    folder : of the figures
-    """
-    return [f"{folder}/{figure.name}.png" for figure in wanted]
+def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
+    """List the PNG files of figures in a folder, which an earlier run may have left."""
+    return [f"{folder}/{page.name}.png" for page in pages]
 
 
 @contextmanager
@@ -508,49 +434,28 @@ def writing(path: Path, what: str) -> Iterator[None]:
         raise StoreError.about("report.cannot_write", path, "", what=what, error=error) from error
 
 
-def save_page(
-    wanted: FigureToSave, folder: Path, *, run: str, dpi: int | None, is_pdf: bool
-) -> list[Path]:
-    """Draw and lay out one figure in the current style and write it in each format.
-
-    Parameters
-    ----------
-    wanted : figure with its caption and alternative text
-    folder : exists
-    run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
-    dpi : of the PNG; None for no PNG
-    is_pdf : write a PDF, too
-
-    Returns
-    -------
-    The files: SVG, PNG, PDF.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    """
+def _save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: bool) -> list[Path]:
+    """Draw a page in the current style and write it in each format; return the files."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    page = wanted.draw()
-    finish_layout(page)
-    svg, png, pdf = (folder / f"{wanted.name}.{ending}" for ending in FORMATS)
-    title, description = replace_unprintable(wanted.alt), replace_unprintable(wanted.caption)
+    figure = draw_page(page)
+    svg, png, pdf = (folder / f"{page.name}.{ending}" for ending in FORMATS)
+    title, description = replace_unprintable(page.alt), replace_unprintable(page.caption)
     texts = {"Title": title, "Description": description, "Identifier": run}
     metadata = {"Date": None, **{name: text for name, text in texts.items() if text}}
-    vector: Any = FigureCanvasSVG(page)
+    vector: Any = FigureCanvasSVG(figure)
     vector.print_svg(str(svg), metadata=metadata)
     files = [svg]
     if dpi is not None:
-        page.set_dpi(dpi)
-        pixels: Any = FigureCanvasAgg(page)
+        figure.set_dpi(dpi)
+        pixels: Any = FigureCanvasAgg(figure)
         metadata = {"Software": None, "run": run or None}
         pixels.print_png(str(png), metadata=metadata, pil_kwargs={"compress_level": 3})
         files.append(png)
     if is_pdf:
-        paper: Any = FigureCanvasPdf(page)
+        paper: Any = FigureCanvasPdf(figure)
         paper.print_pdf(
             str(pdf), metadata={"CreationDate": None, "Title": title, "Subject": description}
         )
@@ -558,12 +463,12 @@ def save_page(
     return files
 
 
-def encode_figure(page: Figure) -> str:
-    """Lay out a figure in the current style and write it as a ``data:`` address for a page.
+def encode_figure(page: Page) -> str:
+    """Draw a page in the current style and write it as a ``data:`` address for an HTML page.
 
     Parameters
     ----------
-    page : drawn
+    page : of a test
 
     Returns
     -------
@@ -571,8 +476,7 @@ def encode_figure(page: Figure) -> str:
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    finish_layout(page)
     file = BytesIO()
-    vector: Any = FigureCanvasSVG(page)
+    vector: Any = FigureCanvasSVG(draw_page(page))
     vector.print_svg(file, metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"

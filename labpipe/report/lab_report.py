@@ -708,7 +708,7 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
         return []
     names = make_stems(group.name for group in campaign.groups)
     figures_to_save = [
-        drawing._replace(name=f"{stem}-{drawing.name}")
+        replace(drawing, name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in list_group_figures(group)
     ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,38 +14,19 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Direction, PointFlag, Shape
-from labpipe.records.recording import RigidBody
 from labpipe.records.result import TestResult
-from labpipe.report.figure_page import (
-    DOUBLE_COLUMN,
-    GREY,
-    add_key,
-    add_title,
-    make_page,
-    make_reason_page,
-    sample_colour_map,
-    write_reason,
-)
-from labpipe.report.plot_records import find_extremes, thin_flags
-from labpipe.report.wording import (
-    explain_missing,
-    find_unit,
-    write_footnote,
-    write_title,
-)
+from labpipe.report import plot_records as plots
+from labpipe.report.figure_page import sample_colour_map
+from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line
+from labpipe.report.wording import Scale, explain_missing, find_unit
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
-_LOOKS = {
-    PointFlag.MEASURED: ("o", True),
-    PointFlag.RELABELLED: ("s", True),
-    PointFlag.FILLED: ("o", False),
-    PointFlag.CONSTRUCTED: ("D", False),
+_MARKS: dict[PointFlag, Any] = {
+    PointFlag.MEASURED: {"marker": "o"},
+    PointFlag.RELABELLED: {"marker": "s"},
+    PointFlag.FILLED: {"marker": "o", "markerfacecolor": "white"},
+    PointFlag.CONSTRUCTED: {"marker": "D", "markerfacecolor": "white"},
 }
-"""Sign of a marker, and whether it is filled, by how its position was obtained."""
+"""Sign of a marker by how its position was obtained."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +45,34 @@ class Steps:
     name: str
 
 
-def draw_wire_shapes(result: TestResult) -> Figure:
-    """Draw shapes in the plane of bending, or in two planes if the curve has no loading branch."""
+def make_wire_shapes_page(result: TestResult) -> Page:
+    """Make the page of shapes in the plane of bending; in two planes without a loading branch."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        return make_reason_page(result, explain_missing(result, "shape"))
-    steps = choose_frames(result, shape)
-    planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    length, *sides = (np.ptp(_limits(shape, steps, axis)) for axis in (0, *planes))
-    heights = [panel_width_mm * float(side / length) for side in sides]
-    height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
-    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
-    panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for axes, plane in zip(panels, planes, strict=True):
-        plot_shapes(result, axes, plane=plane)
-        if len(planes) > 1:
-            axes.set_title(f"x-{'xyz'[plane]} view", loc="left")
-    note = " ".join(filter(None, (_describe_offset(result, shape), write_footnote(result))))
-    return add_title(page, write_title(result), note)
+        missing = plots.make_empty_plot(explain_missing(result, "shape"))
+        return plots.make_test_page(result, "wire-shapes", [missing], height=40.0)
+    steps, unit = choose_frames(result, shape), find_unit(result.display, "displacement")
+    names = "xy" if _find_first_loading(result) is not None else "xyz"
+    length, *sides = [_make_axis(shape, steps, unit, name) for name in names]
+    panels = [
+        Plot(
+            length,
+            side,
+            list(plot_shapes(shape, steps, unit, plane="xyz".index(side.name))),
+            f"x-{side.name} view" if len(sides) > 1 else "",
+            is_to_scale=True,
+        )
+        for side in sides
+    ]
+    heights = [
+        panel_width_mm * (side.high - side.low) / (length.high - length.low) for side in sides
+    ]
+    height = sum(heights) + frame_mm + gap_mm * (len(sides) - 1)
+    note = _describe_offset(result, shape)
+    return plots.make_test_page(
+        result, "wire-shapes", panels, note, height=height, heights=heights, columns=1
+    )
 
 
 def choose_frames(result: TestResult, shape: Shape) -> Steps:
@@ -144,16 +135,17 @@ def _is_clamped(shape: Shape) -> bool:
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
 
 
-def _limits(shape: Shape, steps: Steps, axis: int) -> tuple[float, float]:
-    """Return the ends of an axis, m, around everything drawn, with a margin."""
+def _make_axis(shape: Shape, steps: Steps, unit: Scale, name: str) -> Axis:
+    """Make an axis around everything drawn, with a margin."""
     margin = 0.04
     min_aspect = 0.1  # height of a panel over the length of the specimen
-    curves = [_fitted_curve(shape, int(frame))[axis] for frame in steps.frames]
-    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves])
+    way = "xyz".index(name)
+    curves = [_fitted_curve(shape, int(frame))[way] for frame in steps.frames]
+    drawn = np.concatenate([shape.positions[steps.frames, :, way].ravel(), *curves])
     drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
-    middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
+    middle, half = float(drawn.max() + drawn.min()) / 2, float(np.ptp(drawn)) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
-    return float(middle - half), float(middle + half)
+    return Axis(name, unit, middle - half, middle + half)
 
 
 def _describe_offset(result: TestResult, shape: Shape) -> str:
@@ -168,41 +160,32 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
     return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
 
 
-def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
-    """Draw markers and fitted curves at equal steps of the tip, with one scale on both axes.
+def plot_shapes(shape: Shape, steps: Steps, unit: Scale, *, plane: int) -> Iterator[Line]:
+    """Yield markers and fitted curves at equal steps of the tip.
 
     Parameters
     ----------
-    result : with a shape; without one, nothing is drawn
-    axes : to draw on
+    shape, steps : the frames that are drawn
+    unit : of displacements, for the key
     plane : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
-    shape = result.shape
-    if shape is None:
-        return
-    steps = choose_frames(result, shape)
-    unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
-    for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
-        x, y = _fitted_curve(shape, int(frame))[[0, plane]] * unit.factor
-        axes.plot(x, y, color=colour, linewidth=0.9, zorder=1)
-        for flag in _LOOKS:
+    for frame, level, colour in zip(steps.frames.tolist(), steps.levels, colours, strict=True):
+        yield line("fitted_curve", *_fitted_curve(shape, frame)[[0, plane]], color=colour)
+        for flag, mark in _MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
-                x, y = shape.positions[frame][rows][:, [0, plane]].T * unit.factor
-                axes.plot(x, y, color=colour, **_marker_style(flag, colour))
-        level = f"{steps.levels[at] * unit.factor:g} {unit.unit}"
-        label = level if at else f"{steps.name} {level}"
-        add_key(axes, label, color=colour, linewidth=1.6)
+                x, y = shape.positions[frame][rows][:, [0, plane]].T
+                yield line("marker", x, y, color=colour, **mark)
+        text = f"{level * unit.factor:g} {unit.unit}"
+        label = f"{steps.name} {text}" if frame == steps.frames[0] else text
+        yield key("fitted_curve", label=label, color=colour, linewidth=1.6)
     present = set(np.unique(shape.flags[steps.frames]))
-    for flag in [flag for flag in _LOOKS if flag in present]:
-        add_key(axes, flag.name.lower(), color=GREY, **_marker_style(flag, GREY))
+    for flag, mark in _MARKS.items():
+        if flag in present:
+            yield key("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:
-        add_key(axes, "fitted curve", color=GREY, linewidth=0.9)
-    axes.set_xlim(*(end * unit.factor for end in _limits(shape, steps, 0)))
-    axes.set_ylim(*(end * unit.factor for end in _limits(shape, steps, plane)))
-    axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set(xlabel=unit.label("x"), ylabel=unit.label("xyz"[plane]))
+        yield key("fitted_curve", label="fitted curve")
 
 
 def _fitted_curve(shape: Shape, frame: int) -> Floats:
@@ -211,12 +194,6 @@ def _fitted_curve(shape: Shape, frame: int) -> Floats:
     along = np.linspace(0, 1, 81 if terms else 0)
     curve: Floats = shape.coefficients[frame] @ along[None, :] ** np.arange(terms)[:, None]
     return curve
-
-
-def _marker_style(flag: PointFlag, colour: str) -> dict[str, Any]:
-    sign, full = _LOOKS[flag]
-    face = colour if full else "white"
-    return {"marker": sign, "linestyle": "", "markersize": 3.4, "markerfacecolor": face}
 
 
 FLAG_COLOURS = {
@@ -234,26 +211,25 @@ _PIXEL_BINS = 900
 """Bins in time, about one per pixel."""
 
 
-def draw_marker_quality(result: TestResult) -> Figure:
-    """Draw a row per marker against time, and below them the error of each rigid body."""
+def make_marker_quality_page(result: TestResult) -> Page:
+    """Make the page of a row per marker against time, and below them the error of each body."""
     row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
-    rows = 0 if result.shape is None else int(_are_markers(result.shape).sum())
-    upper = max(rows * row_mm, lower_mm)
-    page = make_page(width_mm=DOUBLE_COLUMN, height_mm=upper + lower_mm + frames_mm)
-    flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, lower_mm])
-    plot_flags(result, flags)
-    plot_tracking(result, lower)
-    lower.set_xlabel(find_unit(result.display, "time").label("Time"))
-    return add_title(page, write_title(result), write_footnote(result))
+    time = Axis("Time", find_unit(result.display, "time"))
+    flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
+    heights = [max(row_mm * len(flags.y.row_names), lower_mm), lower_mm]
+    return plots.make_test_page(
+        result, "marker-quality", [flags, tracking], columns=1, shared="x",
+        height=sum(heights) + frames_mm, heights=heights,
+    )  # fmt: skip
 
 
-def plot_flags(result: TestResult, axes: Axes) -> None:
-    """Draw a row per marker, coloured by how its position was obtained.
+def make_flag_plot(result: TestResult, time: Axis) -> Plot:
+    """Make the panel of a row per marker, coloured by how its position was obtained.
 
     Parameters
     ----------
-    result : with a shape; constructed points have no row
-    axes : to draw on; without a shape, a sentence says so
+    result : constructed points have no row; without a shape, a sentence says so
+    time : horizontal axis
 
     Notes
     -----
@@ -261,77 +237,58 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     """
     shape = result.shape
     if shape is None or not len(shape.time):
-        write_reason(axes, explain_missing(result, "shape"))
-        return
-    from matplotlib.collections import PolyCollection
-
-    mine = _are_markers(shape)
-    names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, n_bins=_PIXEL_BINS)
+        return Plot(time, Axis(), reason=explain_missing(result, "shape"))
+    is_marker = ~(shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
+    names = tuple(name for name, drawn in zip(shape.names, is_marker, strict=True) if drawn)
+    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
-    edges *= find_unit(result.display, "time").factor
-    for flag, colour in FLAG_COLOURS.items():
-        if (flags == flag).any():
-            bars = list(_bar_corners(flags == flag, edges))
-            look: dict[str, Any] = {"color": colour, "linewidth": 0, "label": flag.name.lower()}
-            axes.add_collection(PolyCollection(bars, **look))
-    axes.autoscale_view()
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.margins(x=0.01)
+    bars = [
+        _make_bars(flags == flag, edges, label=flag.name.lower(), color=colour)
+        for flag, colour in FLAG_COLOURS.items()
+        if (flags == flag).any()
+    ]
+    return Plot(time, Axis(low=0.5 - len(names), high=0.5, row_names=names), bars)
 
 
-def plot_tracking(result: TestResult, axes: Axes) -> None:
-    """Draw the mean marker error of each rigid body, or the number of visible markers.
-
-    Parameters
-    ----------
-    result : its first recording with marker tracks is drawn
-    axes : to draw on; without marker tracks, a sentence says so
-    """
-    tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
-    if tracks is None or not len(tracks.time):
-        write_reason(axes, explain_missing(result, "take"))
-        return
-    time = tracks.time * find_unit(result.display, "time").factor
-    bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
-    if bodies:
-        _plot_errors(result, axes, time, bodies)
-    else:
-        visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-        rows = find_extremes(visible, n_bins=_PIXEL_BINS)
-        axes.plot(time[rows], visible[rows], drawstyle="steps-post")
-        axes.set_ylabel("Visible markers")
-        axes.set_ylim(0, len(tracks.names) + 0.5)
-        axes.locator_params(axis="y", integer=True)
-    axes.margins(x=0.01)
-
-
-def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[RigidBody]) -> None:
-    y_unit = find_unit(result.display, "displacement")
-    for body in bodies:
-        error = body.error * y_unit.factor
-        rows = find_extremes(error, n_bins=_PIXEL_BINS)
-        axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
-    axes.set_ylabel(y_unit.label("Body error"))
-    axes.set_ylim(bottom=0.0)
-
-
-def _are_markers(shape: Shape) -> NDArray[np.bool_]:
-    constructed: NDArray[np.bool_] = (shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
-    return ~constructed
-
-
-def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:
-    """Return the corners of a bar for each run of columns, row by row, shape (bars, 4, 2)."""
+def _make_bars(inside: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
+    """Make a bar for each run of columns, row by row."""
     half_row = 0.36
     rows, steps = np.nonzero(np.diff(inside.T.astype(np.int8), axis=1, prepend=0, append=0))
     left, right = edges[steps[::2]], edges[steps[1::2]]
-    low, high = rows[::2] - half_row, rows[::2] + half_row
-    corners = ((left, low), (left, high), (right, high), (right, low))
-    return np.stack([np.column_stack(corner) for corner in corners], axis=1)
+    low, high = -rows[::2] - half_row, -rows[::2] + half_row
+    x, y = (
+        plots.join_with_gaps(left, left, right, right),
+        plots.join_with_gaps(low, high, high, low),
+    )
+    return line("flag", x, y, is_closed=True, **settings)
+
+
+def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
+    """Make the panel of the mean marker error of each body, or of the number of visible markers.
+
+    The first recording with marker tracks is drawn; without any, a sentence says so.
+    """
+    tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
+    if tracks is None or not len(tracks.time):
+        return Plot(time, Axis(), reason=explain_missing(result, "take"))
+    errors = [
+        plots.thinned_line(
+            "body_error",
+            tracks.time,
+            body.error,
+            n_bins=_PIXEL_BINS,
+            label=body.name,
+            color=f"C{at}",
+        )
+        for at, body in enumerate(tracks.bodies)
+        if np.isfinite(body.error).any()
+    ]
+    if errors:
+        scale = find_unit(result.display, "displacement")
+        return Plot(time, Axis("Body error", scale, low=0.0), errors)
+    visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
+    counts = plots.thinned_line("visible_markers", tracks.time, visible, n_bins=_PIXEL_BINS)
+    return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [counts])
 
 
 def read_centre_offset(result: TestResult) -> float:

@@ -1,26 +1,31 @@
 """Describe plots independently of how they are drawn, and thin their lines.
 
-The template ``plots.html`` draws a `Plot` as SVG on the page of a report; `group_figures` draws it
-with matplotlib for a file. On the page, the coordinates of a line are integers from 0 to 65535
-between the ends of an axis. The script of the page computes the values of a line from them.
+A plot is data: axes and lines in SI units, with the names of their looks. The template
+``plots.html`` draws a `Plot` as SVG on the page of a report; `figure_page` draws a `Page` of plots
+with matplotlib for a file. On the page of a report, the coordinates of a line are integers from 0
+to 65535 between the ends of an axis. The script of the page computes the values from them.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import floor, inf, isfinite, log10
-from typing import NamedTuple, TypeAlias
+from math import floor, inf, isfinite, log10, nan
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
+from labpipe.records.result import TestResult
+from labpipe.report.wording import Scale, write_footnote, write_title
 
 GRID_SIZE = 65535
 """Width and height of the area of a plot on the page, in 16-bit coordinates."""
+NUMBER = Scale(1.0, "")
+"""Scale of a number without a unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,22 +34,30 @@ class Axis:
 
     Parameters
     ----------
-    name, unit : typeset name and unit of the quantity; the unit of a pure number is empty
-    low, high : values at the ends of the axis, in `unit`
+    name : typeset name of the quantity
+    scale : unit in which it is shown
+    low, high : values at the ends of the axis, SI; NaN to include all that is drawn
     row_names : names of the rows at 0, -1, -2 and so on, instead of numbers. Files show them; the
         page does not
+    is_log : whether the axis is logarithmic; not on the page of a report
     """
 
-    name: str
-    unit: str
-    low: float
-    high: float
+    name: str = ""
+    scale: Scale = NUMBER
+    low: float = nan
+    high: float = nan
     row_names: tuple[str, ...] = ()
+    is_log: bool = False
 
     @property
     def label(self) -> str:
         """Return name and unit, such as ``Force (N)``."""
-        return f"{self.name} ({self.unit})" if self.unit else self.name
+        return self.scale.label(self.name) if self.name and self.scale.unit else self.name
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the values at the ends in the unit of the axis."""
+        return self.scale.factor * self.low, self.scale.factor * self.high
 
     def find_ticks(self, max_steps: int) -> list[tuple[float, str]]:
         """Find round numbers for the ticks of the axis.
@@ -65,47 +78,47 @@ class Axis:
 
         Examples
         --------
-        >>> [text for _, text in Axis("Force", "N", -0.4, 10.4).find_ticks(6)]
+        >>> [text for _, text in Axis("Force", Scale(1.0, "N"), -0.4, 10.4).find_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
-        round_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
         rounding = 1e-12  # in steps
         if self.row_names:
             return []
-        span = self.high - self.low
-        power = 10.0 ** floor(log10(span / max_steps))
-        step = next(
-            power * round_step
-            for round_step in round_steps
-            if power * round_step * max_steps >= span
-        )
-        first_number = int(np.ceil(self.low / step - rounding))
-        last_number = int(np.floor(self.high / step + rounding))
+        low, high = self.ends
+        power = 10.0 ** floor(log10((high - low) / max_steps))
+        steps = (power * size for size in (1.0, 2.0, 2.5, 5.0, 10.0))
+        step = next(step for step in steps if step * max_steps >= high - low)
+        first, last = np.ceil(low / step - rounding), np.floor(high / step + rounding)
         return [
-            ((number * step - self.low) / span, f"{number * step:.6g}".replace("-", "\u2212"))
-            for number in range(first_number, last_number + 1)
+            ((number * step - low) / (high - low), f"{number * step:.6g}".replace("-", "\u2212"))
+            for number in range(int(first), int(last) + 1)
         ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """One line of a plot.
+    """One line, area or row of points of a plot.
 
     Parameters
     ----------
-    css_class : class on the page, such as ``curve c2`` with the number of the colour
-    x, y : shape (n,), in the units of the axes; NaN interrupts the line
+    look : name in ``looks.toml`` and class on the page, such as ``curve`` or ``curve c2`` with the
+        number of a colour
+    x, y : shape (n,), SI; NaN interrupts the line, an infinite value is at the end of the axis
     test : number of the test on the page; None if the line does not belong to a single test
     group : stem of the file names of the group; empty if the plot shows a single group
-    is_closed : whether the area within the line is filled
+    is_closed : whether each part is the outline of an area
+    settings : of matplotlib, on top of the look
+    values : shape (n,), SI, that colour the line by the scale of the page; None for one colour
     """
 
-    css_class: str
+    look: str
     x: Floats
     y: Floats
     test: int | None = None
     group: str = ""
     is_closed: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    values: Floats | None = None
 
     def write_path(self, x: Axis, y: Axis) -> str:
         """Write the line as an SVG path in integer coordinates, interrupted at gaps.
@@ -117,29 +130,31 @@ class Line:
 
         Examples
         --------
-        >>> axis = Axis("", "", 0.0, 65535.0)
-        >>> line = Line("curve", np.array([0.0, 9.0, 10.0]), np.array([5.0, 5.0, 9.0]))
-        >>> line.write_path(axis, axis)
+        >>> axis = Axis("", NUMBER, 0.0, 65535.0)
+        >>> line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
-        is_finite = np.isfinite(self.x) & np.isfinite(self.y)
-        x_grid = _convert_to_grid(self.x, x)
-        y_grid = GRID_SIZE - _convert_to_grid(self.y, y)
-        edges = np.flatnonzero(
-            np.diff(np.concatenate([[False], is_finite, [False]]).astype(np.int8))
+        end = "z" if self.is_closed else ""
+        segments = split_at_gaps(
+            _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
         )
-        segments = [
-            _write_segment(x_grid[start:stop], y_grid[start:stop])
-            for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        ]
-        return "".join(segments) + ("z" if self.is_closed and segments else "")
+        return "".join(_write_segment(*segment.T) + end for segment in segments)
+
+
+_GAP = np.full((1, 2), nan)
+
+
+def split_at_gaps(x: Floats, y: Floats) -> list[Floats]:
+    """Split a line at NaN into its parts, shape (points, 2) each."""
+    points = np.column_stack([x, y])
+    is_missing = np.isnan(points).any(axis=1)
+    parts = np.split(points, np.flatnonzero(np.diff(is_missing)) + 1)
+    return [part for part in parts if len(part) and not np.isnan(part).any()]
 
 
 def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
-    scaled: Floats = np.rint(
-        GRID_SIZE * (np.nan_to_num(values) - axis.low) / (axis.high - axis.low)
-    )
-    return np.clip(scaled, -GRID_SIZE, 2 * GRID_SIZE)
+    share: Floats = GRID_SIZE * (values - axis.low) / (axis.high - axis.low)
+    return np.clip(np.rint(share), -GRID_SIZE, 2 * GRID_SIZE)
 
 
 def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
@@ -150,20 +165,97 @@ def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
     return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
+def line(
+    look: str, x: ArrayLike, y: ArrayLike, *, is_closed: bool = False, **settings: Any
+) -> Line:
+    """Make a line of a figure; a number for `x` or `y` holds for all of its points."""
+    x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    return Line(look, x.ravel(), y.ravel(), is_closed=is_closed, settings=settings)
+
+
+def thinned_line(look: str, x: Floats, y: Floats, *, n_bins: int = 350, **settings: Any) -> Line:
+    """Make a line of a figure from the extremes of `y` in bins of samples."""
+    rows = find_extremes(y, n_bins=n_bins)
+    return line(look, x[rows], y[rows], **settings)
+
+
+def level(look: str, y: float, **settings: Any) -> Line:
+    """Make a horizontal line across the plot."""
+    return line(look, [-inf, inf], y, **settings)
+
+
+def position(look: str, x: float, **settings: Any) -> Line:
+    """Make a vertical line across the plot."""
+    return line(look, x, [-inf, inf], **settings)
+
+
+def area(look: str, x: Floats, low: Floats, high: Floats, **settings: Any) -> Line:
+    """Make the area between two curves, with a gap wherever one of them is NaN."""
+    lower, upper = split_at_gaps(x, low + 0.0 * high), split_at_gaps(x, high + 0.0 * low)
+    parts = [
+        edge
+        for below, above in zip(lower, upper, strict=True)
+        for edge in (below, above[::-1], _GAP)
+    ]
+    return line(look, *np.concatenate([_GAP, *parts]).T, is_closed=True, **settings)
+
+
+def span(look: str, low: float, high: float, **settings: Any) -> Line:
+    """Make the area between two values of the horizontal axis over the height of the plot."""
+    outline = [low, high, high, low], [-inf, -inf, inf, inf]
+    return line(look, *outline, is_closed=True, **settings)
+
+
+def circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
+    """Make the areas of circles."""
+    turn = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
+    centre_x, centre_y, size = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
+    outlines = centre_x + size * np.cos(turn), centre_y + size * np.sin(turn)
+    return line(look, *outlines, is_closed=True, **settings)
+
+
+def key(look: str, **settings: Any) -> Line:
+    """Make an entry of the key without drawing anything."""
+    return line(look, [], [], **settings)
+
+
+def join_with_gaps(*columns: ArrayLike) -> Floats:
+    """Join columns row by row with NaN after each row, which interrupts a line."""
+    return np.column_stack([*columns, np.full(np.size(columns[0]), nan)]).ravel()
+
+
+class Label(NamedTuple):
+    """A text in a plot of a figure.
+
+    Parameters
+    ----------
+    text : may have several lines
+    x, y : place, SI; an infinite value is at the end of the axis
+    offset : from the place, points
+    settings : of matplotlib
+    """
+
+    text: str
+    x: float
+    y: float
+    offset: tuple[float, float] = (0.0, 0.0)
+    settings: Mapping[str, Any] = {}
+
+
 @dataclass(frozen=True, slots=True)
 class LegendEntry:
     """Entry of the legend of a plot.
 
     Parameters
     ----------
-    css_class : class of the line that is drawn in the entry
+    look : of the line that is drawn in the entry
     label : text of the entry
     attribute : attribute by which the page finds the lines that the entry shows and hides: ``t``
         (test), ``class`` or ``group``; empty if the entry does not switch lines
     value : value of this attribute
     """
 
-    css_class: str
+    look: str
     label: str
     attribute: str = ""
     value: str = ""
@@ -171,54 +263,122 @@ class LegendEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plot:
-    """A plot on the page, or a panel of a figure in a file.
+    """A plot on the page of a report, or a panel of a figure.
 
     Parameters
     ----------
-    kind : ``curves`` (force over displacement), ``means`` (mean curves of groups), ``moment``
-        (moment over curvature), ``numbers`` (one dot per result), ``scaled`` (force over peak
-        force) or ``shapes`` (shapes of specimens)
+    x, y : axes
+    lines : in the order of drawing; the last is on top
+    heading : of the panel, for a figure of several panels
+    labels : texts in the panel of a figure
+    legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
+    reason : why a figure shows nothing here; empty if it shows something
+    inner_key : labels of the last lines, whose key is inside the panel, not on the page
+    is_to_scale : whether both axes have one scale in a figure
+    has_frame : whether a figure shows axes and labels
+    kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),
+        ``moment`` (moment over curvature), ``numbers`` (one dot per result), ``scaled`` (force over
+        peak force) or ``shapes`` (shapes of specimens)
     group : stem of the file names of the group; empty if the plot shows several groups
     title : alternative text
     caption : explanation below the plot on the page
-    x, y : axes
-    lines : in the order of drawing; the last is on top
-    legend : entries of the legend
     size : width and height of the area between the axes, points
-    heading : heading of the panel, for a figure of several panels
     """
 
-    kind: str
-    group: str
-    title: str
-    caption: str
     x: Axis
     y: Axis
-    lines: Sequence[Line]
-    legend: Sequence[LegendEntry] = field(default=())
-    size: tuple[int, int] = (640, 280)
+    lines: Sequence[Line] = ()
     heading: str = ""
+    labels: Sequence[Label] = ()
+    legend: Sequence[LegendEntry] = ()
+    reason: str = ""
+    inner_key: Sequence[str] = ()
+    is_to_scale: bool = False
+    has_frame: bool = True
+    kind: str = ""
+    group: str = ""
+    title: str = ""
+    caption: str = ""
+    size: tuple[int, int] = (640, 280)
 
 
-def make_axis(name: str, unit: str, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:
+SINGLE_COLUMN, DOUBLE_COLUMN = 120.0, 180.0
+"""Widths of pages, mm: 9 pt on the narrow one become 6.7 pt in a column of 90 mm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Page:
+    """A figure: plots with a title, a footnote and a common key.
+
+    Parameters
+    ----------
+    name : of its files, without the ending
+    title : one line
+    plots : panels, row by row
+    note : footnote; may be empty
+    height, width : of the panels on paper, mm; texts have more room
+    columns : largest number of panels side by side
+    layout : of the panels ``a``, ``b`` and so on, row by row, instead of `columns`
+    widths, heights : of columns and rows in proportion to each other; equal if empty
+    shared : axes that all panels have in common: ``x``, ``y``, ``xy`` or none
+    key_columns : columns of the key; 0 for as many as fit
+    colours : axis of the colours of lines; None if no line is coloured by values
+    caption, alt : description and alternative text in its files
+    """
+
+    name: str
+    title: str
+    plots: Sequence[Plot]
+    note: str = ""
+    height: float = 80.0
+    width: float = DOUBLE_COLUMN
+    columns: int = 2
+    layout: str = ""
+    widths: Sequence[float] = ()
+    heights: Sequence[float] = ()
+    shared: str = ""
+    key_columns: int = 0
+    colours: Axis | None = None
+    caption: str = ""
+    alt: str = ""
+
+
+def make_empty_plot(reason: str) -> Plot:
+    """Make a plot that gives the reason why it shows nothing."""
+    return Plot(Axis(), Axis(), reason=reason)
+
+
+def make_test_page(
+    result: TestResult, name: str, plots: Sequence[Plot], note: str = "", **settings: Any
+) -> Page:
+    """Make a page of a test.
+
+    Parameters
+    ----------
+    result : of the test, in the title and the footnote
+    name, plots : of the page
+    note : start of the footnote
+    settings : size and layout of the page
+    """
+    whole_note = " ".join(filter(None, [note, write_footnote(result)]))
+    return Page(name, write_title(result), plots, whole_note, **settings)
+
+
+def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:
     """Make an axis that shows all values, with a margin at both ends.
 
     Parameters
     ----------
-    name, unit : typeset name and unit of the quantity
-    values : arrays in `unit`; values that are not finite are ignored. Without finite values, the
-        axis shows 0 to 1
+    name, scale : typeset name and unit of the quantity
+    values : arrays in SI; values that are not finite are ignored. Without finite values, the axis
+        shows 0 to 1
     margin : margin at each end, as a share of the range of the values
     """
-    limits = [
-        limit
-        for array in values
-        if (finite := array[np.isfinite(array)]).size
-        for limit in (float(finite.min()), float(finite.max()))
-    ] or [0.0, 1.0]
-    low, high = min(limits), max(limits)
-    span = (high - low) or abs(high) or 1.0
-    return Axis(name, unit, low - margin * span, high + margin * span)
+    joined = np.concatenate([np.zeros(0), *values])
+    finite = joined[np.isfinite(joined)] if np.isfinite(joined).any() else np.array([0.0, 1.0])
+    low, high = float(finite.min()), float(finite.max())
+    room = margin * ((high - low) or abs(high) or 1.0)
+    return Axis(name, scale, low - room, high + room)
 
 
 def clip_range(
@@ -285,7 +445,7 @@ def make_mean_strip(
 
 def write_sparkline(x: Floats, y: Floats) -> str:
     """Write a small curve without axes as a path of SVG that fills its frame."""
-    axes = make_axis("", "", [x], margin=0.0), make_axis("", "", [y], margin=0.05)
+    axes = make_axis("", NUMBER, [x], margin=0.0), make_axis("", NUMBER, [y], margin=0.05)
     return Line("", x, y).write_path(*axes)
 
 

@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
+from labpipe.report.figure_page import draw_page, style
 from labpipe.report.page_tables import Cell, Table
+from labpipe.report.plot_records import Page
 
 MAX_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001
@@ -65,11 +67,12 @@ def figure_words(page: Figure) -> Iterator[str]:
             yield from _drawn(axes)
 
 
-def all_words(pages: Mapping[str, Figure]) -> Iterator[str]:
+def all_words(pages: Mapping[str, Page]) -> Iterator[str]:
     """Words of named figures."""
     for name, page in pages.items():
         yield f"[{name}]"
-        yield from figure_words(page)
+        with style():
+            yield from figure_words(draw_page(page))
 
 
 def without_digits(text: str) -> str:

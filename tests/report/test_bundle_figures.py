@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.figure import Figure
 
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.records.curve import Interval
@@ -15,20 +13,19 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
-    draw_bundle,
-    draw_loop,
     has_bundles,
     make_bounds_table,
+    make_bundle_page,
+    make_loop_page,
 )
-from labpipe.report.figure_page import style
 from labpipe.report.harness_figures import (
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
-    draw_harness,
-    draw_sweep,
-    plot_view,
+    make_harness_page,
+    make_sweep_page,
+    make_view,
 )
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
@@ -97,18 +94,13 @@ SWEEP = DrawnSweep(
 )
 
 
-def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
-    axes = Figure().subplots()
-    line = plot_view(HARNESS, 0, 2, axes)
-    assert isinstance(line, LineCollection)
-    ends = np.array(line.get_segments())
-    assert ends[0, 0] == pytest.approx([0.0, 0.0])
-    assert ends[-1, 1] == pytest.approx([100.0, 100.0])
-    assert np.asarray(line.get_array()) == pytest.approx(np.full(10, 100.0))
-    (band,) = (part for part in axes.collections if isinstance(part, PolyCollection))
-    corners = np.vstack([path.vertices for path in band.get_paths()])
-    assert corners.min(axis=0) == pytest.approx([-4.0, -4.0])
-    assert corners.max(axis=0) == pytest.approx([104.0, 104.0])
+def test_a_view_has_the_line_with_its_radius() -> None:
+    lines = {line.look: line for line in make_view(HARNESS, "side").lines}
+    shown, band = lines["harness_line"], lines["harness_band"]
+    assert (shown.x[0], shown.y[0], shown.x[-1], shown.y[-1]) == pytest.approx((0.0, 0.0, 0.1, 0.1))
+    assert shown.values == pytest.approx(np.full(11, 0.1))
+    assert [np.nanmin(band.x), np.nanmax(band.x)] == pytest.approx([-0.004, 0.104])
+    assert [np.nanmin(band.y), np.nanmax(band.y)] == pytest.approx([-0.004, 0.104])
 
 
 def test_table_of_places(approved: Approve) -> None:
@@ -130,14 +122,13 @@ def test_table_of_places(approved: Approve) -> None:
 
 def test_words(approved: Approve) -> None:
     plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
-    with style():
-        pages = {
-            "bundle": draw_bundle(MIXED),
-            "bundle of one wire": draw_bundle(ALIKE),
-            "cycles of a bundle": draw_loop("TWB-1", FIT),
-            "harness": draw_harness(HARNESS),
-            "harness without a band": draw_harness(plain),
-            "sweep": draw_sweep(SWEEP),
-            "sweep without a band": draw_sweep(replace(SWEEP, radius_band=None)),
-        }
+    pages = {
+        "bundle": make_bundle_page(MIXED),
+        "bundle of one wire": make_bundle_page(ALIKE),
+        "cycles of a bundle": make_loop_page("TWB-1", FIT),
+        "harness": make_harness_page(HARNESS),
+        "harness without a band": make_harness_page(plain),
+        "sweep": make_sweep_page(SWEEP),
+        "sweep without a band": make_sweep_page(replace(SWEEP, radius_band=None)),
+    }
     approved(all_words(pages))

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import ExternalCurveComparison
 from labpipe.report.calibration_figures import (
-    draw_bent_shapes,
-    draw_calibration,
-    draw_external_curves,
-    draw_validation,
     group_external_curves,
-    plot_profile,
-    plot_residuals,
+    make_bent_shapes_page,
+    make_calibration_page,
+    make_external_page,
+    make_profile_plot,
+    make_residual_plot,
+    make_validation_page,
 )
 from labpipe.report.calibration_summary import (
     BentShape,
@@ -29,7 +26,7 @@ from labpipe.report.calibration_summary import (
     write_parameter,
 )
 from labpipe.report.calibration_workbook import make_sheets
-from labpipe.report.figure_page import style
+from labpipe.report.figure_page import draw_page, style
 from labpipe.report.workbook_file import Sheet
 from tests.approved import Approve
 from tests.builders.external_curves import external_comparison, third_group, unmodelled, untested
@@ -45,12 +42,6 @@ from tests.report.builders_calibrations import (
 from tests.report.figure_words import all_words, without_digits
 
 
-@pytest.fixture(autouse=True)
-def _in_style() -> Iterator[None]:
-    with style({"text.parse_math": False}):
-        yield
-
-
 def compared(*comparisons: ExternalCurveComparison) -> CalibrationReport:
     return CalibrationReport(usual(), (third_group(),), comparisons=comparisons)
 
@@ -59,41 +50,30 @@ REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
 LOST = replace(group(), prediction=None, errors=None, reason=REASON)
 
 
-def panel() -> Axes:
-    return Figure().subplots()
-
-
 def test_residuals_with_and_without_the_factors_of_samples() -> None:
     calibration = usual()
-    plain, own = panel(), panel()
-    plot_residuals(calibration, plain)
-    plot_residuals(calibration, own, has_own_factor=True)
+    plain = make_residual_plot(calibration, "").lines
+    own = make_residual_plot(calibration, "", has_own_factor=True).lines
     curve = calibration.curves[0]
-    left = 1e3 * (curve.force - curve.model)
-    np.testing.assert_allclose(np.asarray(plain.lines[1].get_ydata()), left)
-    means = left.reshape(30, 3).mean(axis=1)
-    np.testing.assert_allclose(np.asarray(plain.lines[2].get_ydata()), means)
-    scaled = 1e3 * (curve.force - curve.sample_factor * curve.model)
-    np.testing.assert_allclose(np.asarray(own.lines[1].get_ydata()), scaled)
+    left = curve.force - curve.model
+    np.testing.assert_allclose(plain[1].y, left)
+    np.testing.assert_allclose(plain[2].y, left.reshape(30, 3).mean(axis=1))
+    np.testing.assert_allclose(own[1].y, curve.force - curve.sample_factor * curve.model)
 
 
 def test_profile_with_thresholds_value_and_interval() -> None:
-    parameter, axes = usual().parameter("insulation_modulus"), panel()
+    parameter = usual().parameter("insulation_modulus")
     (profile,) = parameter.profiles
     assert parameter.interval is not None
-    plot_profile(parameter, axes)
-    curve, dots, below, above, value = axes.lines
-    np.testing.assert_allclose(np.asarray(dots.get_xdata()), 1e-6 * profile.value)
-    np.testing.assert_allclose(np.asarray(dots.get_ydata()), profile.deviance)
-    assert set(np.asarray(below.get_ydata())) == {profile.threshold_below}
-    assert set(np.asarray(above.get_ydata())) == {profile.threshold_above}
-    assert np.asarray(value.get_xdata())[0] == pytest.approx(1e-6 * parameter.value)
-    assert np.min(np.asarray(curve.get_ydata())) == pytest.approx(0.0, abs=1e-12)
-    (grey,) = axes.patches
-    left, right = grey.get_extents().transformed(axes.transData.inverted()).intervalx
-    assert [1e6 * left, 1e6 * right] == pytest.approx(
-        [parameter.interval.lower, parameter.interval.upper]
-    )
+    grey, curve, dots, below, above, value = make_profile_plot(parameter).lines
+    np.testing.assert_allclose(dots.x, profile.value)
+    np.testing.assert_allclose(dots.y, profile.deviance)
+    assert set(below.y) == {profile.threshold_below}
+    assert set(above.y) == {profile.threshold_above}
+    assert value.x[0] == pytest.approx(parameter.value)
+    assert np.min(curve.y) == pytest.approx(0.0, abs=1e-12)
+    ends = [parameter.interval.lower, parameter.interval.upper]
+    assert [grey.x.min(), grey.x.max()] == pytest.approx(ends)
 
 
 def test_words_of_agreement(approved: Approve) -> None:
@@ -108,7 +88,7 @@ def test_words_of_agreement(approved: Approve) -> None:
         "no model": (unmodelled(), external_comparison("_fe")),
     }
     pages = {
-        name: draw_external_curves(panels)
+        name: make_external_page("figure", panels)
         for name, curves in compared_curves.items()
         for panels in group_external_curves(compared(*curves))
     }
@@ -119,7 +99,7 @@ def test_words_of_agreement(approved: Approve) -> None:
         "other bands": [group(), other, LOST],
         "no prediction": [LOST],
     }
-    fitted = {name: draw_validation(shown) for name, shown in groups.items()}
+    fitted = {name: make_validation_page("figure", shown) for name, shown in groups.items()}
     approved([*all_words(pages), *map(without_digits, all_words(fitted))])
 
 
@@ -127,12 +107,14 @@ def test_words_of_card_and_shapes(approved: Approve) -> None:
     nothing = np.zeros((0, 2))
     bare = BentShape(0.01, np.full((3, 2), np.nan), nothing, nothing)
     pages = {
-        "six shapes": draw_bent_shapes("A2, 85 mm", shapes()["A2, 85 mm"]),
-        "markers alone": draw_bent_shapes("A2", [bare]),
-        "no shape": draw_bent_shapes("A2", []),
+        "six shapes": make_bent_shapes_page("figure", "A2, 85 mm", shapes()["A2, 85 mm"]),
+        "markers alone": make_bent_shapes_page("figure", "A2", [bare]),
+        "no shape": make_bent_shapes_page("figure", "A2", []),
     }
-    card = draw_calibration(usual(), predictions={0.085: predicted()})
-    prior = draw_calibration(troubled())
+    known = {0.085: predicted()}
+    cards = make_calibration_page(usual(), predictions=known), make_calibration_page(troubled())
+    with style():
+        card, prior = map(draw_page, cards)
     keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
     headings = [axes.get_title(loc="left") for axes in card.axes[:6]]
     approved([*all_words(pages), "[card]", *headings, *keys])

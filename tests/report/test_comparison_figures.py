@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
+import numpy as np
+import pytest
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, MeanInterval
 from labpipe.records.quality import Reason
-from labpipe.report.budget_figures import draw_budget
+from labpipe.report.budget_figures import make_budget_page
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
@@ -20,8 +20,8 @@ from labpipe.report.comparisons import (
     list_single_field_pairs,
     make_pair_table,
 )
-from labpipe.report.figure_page import style
 from labpipe.report.group_figures import list_family_figures
+from labpipe.report.plot_records import Page
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
@@ -37,12 +37,12 @@ from tests.store.builders_result import build_result
 TAPING = find_families(bundle_campaign(conduit_cases(), alone="taping"))[0]
 
 
-def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
-    """Where each piece begins, how long it is, and whether it is hatched."""
+def pieces(page: Page) -> list[tuple[float, float, bool]]:
+    """Where each piece of a bar begins and ends, and whether it is hatched."""
     return [
-        (round(child.get_x(), 6), round(child.get_width(), 6), bool(child.get_hatch()))
-        for child in axes.get_children()
-        if isinstance(child, Rectangle) and child is not axes.patch
+        (float(np.nanmin(line.x)), float(np.nanmax(line.x)), line.look == "common_cause")
+        for line in page.plots[0].lines
+        if np.isfinite(line.x).any()
     ]
 
 
@@ -52,8 +52,7 @@ def test_figures_of_families(approved: Approve) -> None:
     samples = [bundle_sample(bundle_of("7 B1"), 1), *three_of(bundle_of("7 B2"))]
     blank = [replace(sample, loading=()) for sample in three_of(bundle_of("7 B3"))]
     (lacking,) = list_family_figures(bundle_campaign([*samples, *blank]))
-    with style():
-        pages = {"taping": drawn[3].draw(), "a curve is missing": lacking.draw()}
+    pages = {"taping": drawn[3], "a curve is missing": lacking}
     words = [f"{figure.name}: {figure.caption} {figure.alt}" for figure in (*drawn, lacking)]
     approved([*words, *all_words(pages)])
 
@@ -64,13 +63,12 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
     later = replace(result.results[0], name="peak_force.2")
     clock = replace(result.results[0], name="clock_offset", unit="s")
     bare = replace(result, results=tuple(replace(result, budget=()) for result in result.results))
-    with style():
-        page = draw_budget(replace(result, results=(*result.results, later, clock)))
-        pages = {
-            "one test": page,
-            "no budget": draw_budget(bare),
-        }
-    assert pieces(page.axes[0]) == [(0.0, 36.0, False), (36.0, 64.0, True)]
+    page = make_budget_page(replace(result, results=(*result.results, later, clock)))
+    pages = {"one test": page, "no budget": make_budget_page(bare)}
+    assert pieces(page) == [
+        (0.0, pytest.approx(0.36), False),
+        (pytest.approx(0.36), pytest.approx(1.0), True),
+    ]
     approved(all_words(pages))
 
 

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
@@ -21,21 +19,20 @@ from labpipe.records.curve import (
 )
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, TestResult
-from labpipe.report.figure_page import style
 from labpipe.report.figures import (
-    draw_force_displacement,
-    draw_moment_curvature,
-    draw_stiffness_lines,
-    draw_timeline,
     is_as_recorded,
+    make_force_displacement_page,
+    make_moment_curvature_page,
+    make_stiffness_lines_page,
+    make_timeline_page,
 )
 from labpipe.report.marker_figures import (
-    FLAG_COLOURS,
     choose_frames,
-    draw_marker_quality,
-    draw_wire_shapes,
-    plot_flags,
+    make_flag_plot,
+    make_marker_quality_page,
+    make_wire_shapes_page,
 )
+from labpipe.report.plot_records import Axis
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.report.figure_words import all_words
@@ -131,51 +128,43 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
     marked = replace(fitted, slips=(replace(SLIP, decision=SlipDecision.MARKED),))
     slope = Result("stiffness_first", 2000.0, "N/m", Interval(1950.0, 2060.0))
     lawless = Bending(some_cloud(), None, Reason("no_law", "expected at least 24"))
-    with style():
-        pages = {
-            "few cycles": draw_force_displacement(result),
-            "many cycles": draw_force_displacement(build_result(half_cycle=1.0, cycles=35)),
-            "loading alone": draw_force_displacement(pulled),
-            "one cycle": draw_force_displacement(once),
-            "not filtered": draw_force_displacement(plain),
-            "corrected": draw_force_displacement(treated(change_travel=-1e-3)),
-            "no branches": draw_force_displacement(whole),
-            "no curve": draw_force_displacement(bare),
-            "fitted lines": draw_stiffness_lines(fitted),
-            "a slope": draw_stiffness_lines(replace(fitted, results=(*fitted.results, slope))),
-            "slip not repaired": draw_stiffness_lines(marked),
-            "plateau": draw_stiffness_lines(replace(kinked, results=(KINK, PLATEAU))),
-            "a kink": draw_stiffness_lines(kinked),
-            "no branch": draw_stiffness_lines(replace(fitted, curve=None)),
-            "timeline": draw_timeline(result),
-            "two events": draw_timeline(replace(result, aligned=aligned[0])),
-            "one clock": draw_timeline(replace(result, aligned=aligned[1])),
-            "no motion": draw_timeline(bare),
-            "moments": draw_moment_curvature(bent),
-            "no law": draw_moment_curvature(replace(bent, bending=lawless)),
-            "no moments": draw_moment_curvature(replace(bent, bending=None)),
-        }
+    pages = {
+        "few cycles": make_force_displacement_page(result),
+        "many cycles": make_force_displacement_page(build_result(half_cycle=1.0, cycles=35)),
+        "loading alone": make_force_displacement_page(pulled),
+        "one cycle": make_force_displacement_page(once),
+        "not filtered": make_force_displacement_page(plain),
+        "corrected": make_force_displacement_page(treated(change_travel=-1e-3)),
+        "no branches": make_force_displacement_page(whole),
+        "no curve": make_force_displacement_page(bare),
+        "fitted lines": make_stiffness_lines_page(fitted),
+        "a slope": make_stiffness_lines_page(replace(fitted, results=(*fitted.results, slope))),
+        "slip not repaired": make_stiffness_lines_page(marked),
+        "plateau": make_stiffness_lines_page(replace(kinked, results=(KINK, PLATEAU))),
+        "a kink": make_stiffness_lines_page(kinked),
+        "no branch": make_stiffness_lines_page(replace(fitted, curve=None)),
+        "timeline": make_timeline_page(result),
+        "two events": make_timeline_page(replace(result, aligned=aligned[0])),
+        "one clock": make_timeline_page(replace(result, aligned=aligned[1])),
+        "no motion": make_timeline_page(bare),
+        "moments": make_moment_curvature_page(bent),
+        "no law": make_moment_curvature_page(replace(bent, bending=lawless)),
+        "no moments": make_moment_curvature_page(replace(bent, bending=None)),
+    }
     approved(all_words(pages))
 
 
 def test_rows_are_the_markers_and_spans_their_flags(result: TestResult) -> None:
-    axes = Figure().subplots()
-    plot_flags(result, axes)
+    plot = make_flag_plot(result, Axis())
     assert result.shape is not None
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == [f"wire:Marker{number}" for number in range(1, 9)]
+    assert plot.y.row_names == tuple(f"wire:Marker{number}" for number in range(1, 9))
     flags = result.shape.flags[:, 5]  # Marker5: missing for a while
-    black = FLAG_COLOURS[PointFlag.MISSING]
-    (missing,) = (
-        path.get_extents()
-        for spans in axes.collections
-        if len(spans.get_facecolor()) and to_hex(np.asarray(spans.get_facecolor())[0]) == black
-        for path in spans.get_paths()
-    )
+    (missing,) = (line for line in plot.lines if line.settings["label"] == "missing")
     times = result.shape.time[flags == PointFlag.MISSING]
     # a column is 1/900 of the time drawn
-    assert [missing.x0, missing.x1] == pytest.approx([times[0], times[-1]], abs=0.07)
-    assert missing.y0 == pytest.approx(4 - 0.36)
+    ends = [np.nanmin(missing.x), np.nanmax(missing.x)]
+    assert ends == pytest.approx([times[0], times[-1]], abs=0.07)
+    assert np.nanmin(missing.y) == pytest.approx(-4 - 0.36)
 
 
 def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> None:
@@ -204,15 +193,14 @@ def test_words_of_markers(result: TestResult, approved: Approve) -> None:
         coefficients=np.empty((len(result.shape.time), 3, 0)),
     )
     all_seen = replace(result, shape=replace(result.shape, flags=measured))
-    with style():
-        pages = {
-            "quality": draw_marker_quality(result),
-            "all seen": draw_marker_quality(all_seen),
-            "no bodies": draw_marker_quality(replace(result, recordings={"markers": bodiless})),
-            "shapes": draw_wire_shapes(result),
-            "no take": draw_marker_quality(replace(result, shape=None, recordings={})),
-            "free take": draw_wire_shapes(replace(result, curve=None)),
-            "nothing seen": draw_wire_shapes(replace(result, shape=nowhere, curve=None)),
-            "no shape": draw_wire_shapes(replace(result, shape=None)),
-        }
+    pages = {
+        "quality": make_marker_quality_page(result),
+        "all seen": make_marker_quality_page(all_seen),
+        "no bodies": make_marker_quality_page(replace(result, recordings={"markers": bodiless})),
+        "shapes": make_wire_shapes_page(result),
+        "no take": make_marker_quality_page(replace(result, shape=None, recordings={})),
+        "free take": make_wire_shapes_page(replace(result, curve=None)),
+        "nothing seen": make_wire_shapes_page(replace(result, shape=nowhere, curve=None)),
+        "no shape": make_wire_shapes_page(replace(result, shape=None)),
+    }
     approved(all_words(pages))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from labpipe.records.curve import FittedLine
 from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
-from labpipe.report.figure_page import style
 from labpipe.report.group_figures import list_group_figures
 from labpipe.report.group_plots import make_file_plots
 from labpipe.report.page_facts import make_stems
+from labpipe.report.plot_records import Page
 from labpipe.statistics.mean_curves import reduce_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
@@ -46,19 +44,11 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
         "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
         "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
     )  # fmt: skip
-    dots = {
-        float(line.y[0]): line for line in plot.lines if not line.css_class.startswith("interval")
-    }
-    assert dots[0].css_class == "doubtful c0"
+    dots = {float(line.y[0]): line for line in plot.lines if not line.look.startswith("interval")}
+    assert dots[0].look == "doubtful c0"
     assert -5.0 not in dots  # it has no number
     assert number.mean is not None
-    assert dots[-8.0].x == pytest.approx(1e-3 * number.mean.chosen.mean)
-
-
-@pytest.fixture(autouse=True)
-def _in_style() -> Iterator[None]:
-    with style():
-        yield
+    assert dots[-8.0].x == pytest.approx(number.mean.chosen.mean)
 
 
 X = np.linspace(0.0, 0.08, 5)
@@ -103,6 +93,6 @@ def test_words(approved: Approve) -> None:
     approved(all_words(drawn))
 
 
-def figure(name: str, group: Group) -> Figure:
-    """Draw a figure of a group by its name."""
-    return next(drawing.draw() for drawing in list_group_figures(group) if drawing.name == name)
+def figure(name: str, group: Group) -> Page:
+    """Find a figure of a group by its name."""
+    return next(page for page in list_group_figures(group) if page.name == name)

@@ -76,9 +76,7 @@ def test_the_workbook_has_lots_and_verdicts(lot: Group, tmp_path: Path) -> None:
 
 def test_limits_are_drawn_in_curves_and_dots(lot: Group) -> None:
     plots = make_file_plots(lot)
-    (line,) = (line for line in plots["curves"][0].lines if line.css_class == "limit")
+    (line,) = (line for line in plots["curves"][0].lines if line.look == "limit")
     np.testing.assert_allclose(line.y, LIMIT)
-    places = [
-        line.x[0] for plot in plots["numbers"] for line in plot.lines if line.css_class == "limit"
-    ]
+    places = [line.x[0] for plot in plots["numbers"] for line in plot.lines if line.look == "limit"]
     assert sorted(places) == [1.0, LIMIT]

@@ -26,6 +26,7 @@ from labpipe.report.page_facts import (
 )
 from labpipe.report.page_tables import make_test_rows, name_page_file
 from labpipe.report.plot_records import GRID_SIZE, Axis, Line, Plot
+from labpipe.report.wording import Scale
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
@@ -131,7 +132,8 @@ def test_days_and_operators_of_some_tests() -> None:
         assert f"{describe_days(samples)} by {describe_operators(samples)}" == words
 
 
-X, Y = Axis("Displacement", "mm", 0.0, 10.0), Axis("Force", "N", -1.0, 9.0)
+MM = Scale(1.0, "mm")
+X, Y = Axis("Displacement", MM, 0.0, 10.0), Axis("Force", Scale(1.0, "N"), -1.0, 9.0)
 
 
 def points(path: str, x: Axis, y: Axis) -> list[Floats]:
@@ -156,7 +158,7 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
 def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
-    shares, texts = zip(*Axis("", "", low, high).find_ticks(6), strict=True)
+    shares, texts = zip(*Axis(low=low, high=high).find_ticks(6), strict=True)
     assert 3 <= len(shares) <= 7
     assert -1e-9 <= min(shares) <= max(shares) <= 1 + 1e-9
     values = np.array([float(text.replace("\u2212", "-")) for text in texts])
@@ -166,7 +168,7 @@ def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
 
 def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     line = Line("curve c0", np.array([0.0, 10.0]), np.array([0.0, 8.0]), test=3, group='a"b')
-    plot = Plot("curves", "g", "<b>", "", Axis('"mm" <', "mm", 0.0, 10.0), Y, [line])
+    plot = Plot(Axis('"mm" <', MM, 0.0, 10.0), Y, [line], kind="curves", title="<b>")
     template = '{% from "plots.html" import svg %}{{ svg(plot) }}'
     root = ElementTree.fromstring(fill_template(template, plot=plot))
     assert root.get("aria-label") == "<b>"
@@ -187,12 +189,12 @@ def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
 def test_curves_are_drawn_where_they_are() -> None:
     sample = build_sample("s1", "a")
     plot = panels(build_group("A", [sample], scaled=False))["curves"]
-    (line,) = (line for line in plot.lines if line.css_class == "curve c0")
+    (line,) = (line for line in plot.lines if line.look == "curve c0")
     assert len(line.x) <= 90
     curve = sample.loading[0]
-    force = np.interp(line.x / 1e3, curve.displacement, curve.force)
+    force = np.interp(line.x, curve.displacement, curve.force)
     np.testing.assert_allclose(line.y, force, atol=1e-9)
-    assert "mean" not in [line.css_class for line in plot.lines]
+    assert "mean" not in [line.look for line in plot.lines]
 
 
 def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
@@ -210,6 +212,6 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
     assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
     assert np.isnan(shapes.lines[0].x).sum() == 3
-    looks = [line.css_class for line in moment.lines]
+    looks = [line.look for line in moment.lines]
     assert looks == ["band c0", "band c1", "curve c0", "curve c1"]
     assert moment.lines[2].y[-1] == pytest.approx(0.02)

@@ -11,23 +11,16 @@ from typing import get_args
 from xml.etree import ElementTree as ET
 
 import pytest
-from matplotlib.figure import Figure
 
 from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.report.figure_page import (
-    FigureToSave,
-    add_title,
-    encode_figure,
-    make_page,
-    save_pages,
-    style,
-)
+from labpipe.report.figure_page import encode_figure, save_pages, style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
+from labpipe.report.plot_records import Axis, Page, Plot, line
 from labpipe.report.wire_figures import list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from tests.approved import Approve
@@ -38,15 +31,13 @@ from tests.store.builders_result import build_result
 RESULT = build_result(half_cycle=1.0)
 
 
-def page() -> Figure:
-    figure = make_page(width_mm=25.4, height_mm=25.4)
-    figure.subplots().plot([0.0, 1.0])
-    return add_title(figure, "title")
+LINE = Plot(Axis(), Axis(), [line("motion", [0.0, 1.0], [0.0, 1.0])])
+PAGE = Page("a", "title", [LINE], height=25.4, width=25.4)
 
 
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     """The SVG does not depend on the PNG; letters are lines, so that no font changes them."""
-    wanted = [FigureToSave("a", page, "How to\x07 read it.", "One & two")]
+    wanted = [replace(PAGE, caption="How to\x07 read it.", alt="One & two")]
     both = save_pages(wanted, tmp_path / "both", png=True)
     (alone,) = save_pages(wanted, tmp_path / "alone")
     assert [path.name for path in both] == ["a.svg", "a.png"]
@@ -63,7 +54,7 @@ def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
     text = "report: {style: journal}"
     assert not is_for_journal(RESULT)
     assert not is_for_journal(replace(RESULT, protocol_yaml=text))  # of no grammar
-    wanted = [FigureToSave("a", page)]
+    wanted = [PAGE]
     (plain,) = save_pages(wanted, tmp_path / "page")
     (serif,) = save_pages(wanted, tmp_path / "journal", is_journal=True)
     assert "DejaVuSans" in plain.read_text("utf-8")
@@ -72,7 +63,7 @@ def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
 
 def test_a_figure_is_its_own_address() -> None:
     with style():
-        head, _, data = encode_figure(page()).partition(",")
+        head, _, data = encode_figure(PAGE).partition(",")
     assert head == "data:image/svg+xml;base64"
     assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
 
@@ -109,6 +100,6 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()
     with pytest.raises(StoreError, match="Is a directory"):
-        save_pages([FigureToSave("a", page)], tmp_path, png=True)
+        save_pages([PAGE], tmp_path, png=True)
     assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
     approved(messages)

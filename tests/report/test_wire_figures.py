@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.patches import Annulus, Circle, Wedge
 from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 from python_calamine import CalamineWorkbook
 
 from labpipe.mechanics.wire.end_load_path import interpolate_end_load
+from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.report.figure_page import style
+from labpipe.report.plot_records import Line, split_at_gaps
 from labpipe.report.wire_figures import (
-    draw_cantilever,
-    draw_moment,
-    draw_sections,
-    draw_stiffness,
-    draw_wire_comparison,
-    make_strand_patches,
-    plot_section,
+    STIFFNESS,
+    make_cantilever_page,
+    make_comparison_page,
+    make_moment_page,
+    make_section_plot,
+    make_sections_page,
+    make_stiffness_page,
+    plot_strands,
 )
 from labpipe.report.wire_workbook import (
     choose_law_rows,
@@ -40,12 +40,6 @@ from tests.report.builders_wires import CUT, compressed_wire, troubled
 from tests.report.figure_words import all_words
 
 
-@pytest.fixture(autouse=True)
-def _in_style() -> Iterator[None]:
-    with style():
-        yield
-
-
 def scaled(table: WireTable, factor: float) -> WireTable:
     own = table.layout
     layout = replace(
@@ -55,33 +49,32 @@ def scaled(table: WireTable, factor: float) -> WireTable:
     return replace(table, layout=layout)
 
 
+def outlines(line: Line) -> list[Floats]:
+    """Outlines of the areas of a line, shape (points, 2) each."""
+    return split_at_gaps(line.x, line.y)
+
+
 def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
     table, areas = compressed_wire(), []
-    wedges = [patch for patch in make_strand_patches(table.layout) if isinstance(patch, Wedge)]
-    for wedge in wedges:
-        assert wedge.width is not None
-        ring = wedge.r**2 - (wedge.r - wedge.width) ** 2
-        areas.append(np.radians(wedge.theta2 - wedge.theta1) / 2.0 * ring)
-    assert areas == pytest.approx([0.35 / 7] * 7, rel=1e-9)
-    assert wedges[1].theta1 == pytest.approx(-30.0)
-    page = draw_sections([table])
-    assert page.texts[1].get_text().startswith("Compressed strands: sectors of rings with the ar")
+    for strand in (strand for line in plot_strands(table.layout) for strand in outlines(line)):
+        x, y = strand.T
+        areas.append(abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2.0)
+    assert areas == pytest.approx([0.35e-6 / 7] * 7, rel=2e-3)
+    page = make_sections_page("sections-1", [table])
+    assert page.note.startswith("Compressed strands: sectors of rings with the ar")
 
 
 def test_strands_wall_bore_and_bar_to_scale() -> None:
     table = wire_table("A3")
     layout = table.layout
-    circles = [patch for patch in make_strand_patches(layout) if isinstance(patch, Circle)]
-    assert [circle.radius for circle in circles] == pytest.approx([0.12] * 19)
-    centres = np.array([circle.center for circle in circles])
-    np.testing.assert_allclose(centres, 1e3 * np.column_stack([layout.x, layout.y]))
-    axes = Figure().subplots()
-    plot_section(table, axes)
-    (wall,) = (patch for patch in axes.patches if isinstance(patch, Annulus))
-    assert (wall.get_radii()[0], wall.get_width()) == pytest.approx((0.9, 0.3))
-    bore = next(patch for patch in axes.patches if isinstance(patch, Circle) and not patch.fill)
-    assert bore.radius == pytest.approx(0.6)
-    assert np.ptp(np.asarray(axes.lines[1].get_xdata())) == pytest.approx(0.5)
+    circles = [circle for line in plot_strands(layout) for circle in outlines(line)]
+    assert [np.ptp(circle[:, 0]) for circle in circles] == pytest.approx([0.24e-3] * 19, rel=1e-3)
+    centres = [circle[:-1].mean(axis=0) for circle in circles]
+    np.testing.assert_allclose(centres, np.column_stack([layout.x, layout.y]), atol=1e-9)
+    lines = {line.look: line for line in make_section_plot(table, 9e-4, STIFFNESS).lines}
+    sizes = {"insulation_wall": 1.8e-3, "bore": 1.2e-3, "scale_bar": 0.5e-3}
+    for look, size in sizes.items():
+        assert np.nanmax(lines[look].x) - np.nanmin(lines[look].x) == pytest.approx(size, rel=1e-3)
 
 
 def test_words(approved: Approve) -> None:
@@ -95,20 +88,20 @@ def test_words(approved: Approve) -> None:
     at_rest = replace(a3, tip_deflection=np.zeros(1), tip_force=np.zeros(1))
     near = replace(a1, slip_stiffness=0.9 * a1.stick_stiffness)
     pages = {
-        "stiffness": draw_stiffness(a3),
-        "limits near each other": draw_stiffness(near),
-        "a stiff wire": draw_stiffness(stiff),
-        "no slip": draw_stiffness(replace(a1, slip_onsets=np.array([np.inf]))),
-        "warnings": draw_stiffness(troubled()),
-        "moment": draw_moment(wire_table("C4")),
-        "cantilever": draw_cantilever(a3),
-        "cantilever at rest": draw_cantilever(at_rest),
-        "no cantilever": draw_cantilever(troubled()),
-        "comparison": draw_wire_comparison([a1, wire_table("A2"), a3]),
-        "comparison with a stiff wire": draw_wire_comparison([a1, stiff]),
-        "sections": draw_sections([a1, replace(a3, spec=mixed), stiff]),
-        "sections unlike in size": draw_sections([a1, scaled(a1, 5.0)]),
-        "section without core": draw_sections([replace(a1, layout=coreless)]),
+        "stiffness": make_stiffness_page(a3),
+        "limits near each other": make_stiffness_page(near),
+        "a stiff wire": make_stiffness_page(stiff),
+        "no slip": make_stiffness_page(replace(a1, slip_onsets=np.array([np.inf]))),
+        "warnings": make_stiffness_page(troubled()),
+        "moment": make_moment_page(wire_table("C4")),
+        "cantilever": make_cantilever_page(a3),
+        "cantilever at rest": make_cantilever_page(at_rest),
+        "no cantilever": make_cantilever_page(troubled()),
+        "comparison": make_comparison_page("figure", [a1, wire_table("A2"), a3]),
+        "comparison with a stiff wire": make_comparison_page("figure", [a1, stiff]),
+        "sections": make_sections_page("figure", [a1, replace(a3, spec=mixed), stiff]),
+        "sections unlike in size": make_sections_page("figure", [a1, scaled(a1, 5.0)]),
+        "section without core": make_sections_page("figure", [replace(a1, layout=coreless)]),
     }
     approved(all_words(pages))
 

@@ -44,8 +44,13 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import BUNDLE_FIGURE, LOOP_FIGURE, draw_bundle, draw_loop
-from labpipe.report.figure_page import FigureToSave, save_pages
+from labpipe.report.bundle_figures import (
+    BUNDLE_FIGURE,
+    LOOP_FIGURE,
+    make_bundle_page,
+    make_loop_page,
+)
+from labpipe.report.figure_page import save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import select_json
@@ -351,10 +356,9 @@ def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBun
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            pages = [FigureToSave(BUNDLE_FIGURE, partial(draw_bundle, modelled.model))]
+            pages = [make_bundle_page(modelled.model)]
             if modelled.friction is not None:
-                loop = partial(draw_loop, modelled.name, modelled.friction)
-                pages.append(FigureToSave(LOOP_FIGURE, loop))
+                pages.append(make_loop_page(modelled.name, modelled.friction))
             written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
