@@ -158,7 +158,12 @@ def draw_page(page: Page) -> Figure:
         fitted = "\n".join(shorten(line, max_line_length) for line in lines)
         if fitted != text.get_text():  # setting a text repeats its layout
             text.set_text(fitted)
-    figure.get_layout_engine().execute(figure)  # type: ignore[union-attr]
+    layout: Any = figure.get_layout_engine()
+    layout.execute(figure)
+    for letter, plot in zip(letters, page.plots, strict=True):
+        if plot.is_to_scale:  # each layout extends the limits so that they fill the panel
+            panels[letter].set_aspect("equal", adjustable="datalim")
+    layout.execute(figure)
     figure.set_layout_engine("none")
     return figure
 
@@ -176,7 +181,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
 
     if plot.reason:
         axes.set_axis_off()
-        text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.4 else 30)
+        text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.3 else 30)
         axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)
         return
     for way, axis in (("x", plot.x), ("y", plot.y)):
@@ -189,13 +194,11 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     for axis, drawn in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
         low, high = (None if math.isnan(end) else end for end in axis.ends)
         set_limits = axes.set_xlim if drawn is axes.xaxis else axes.set_ylim
-        set_limits(low, high, auto=plot.is_to_scale)  # one scale may extend the limits
+        set_limits(low, high, auto=True)  # one scale for both axes may extend them
         _set_ticks(drawn, axis)
     axes.spines[:].set_zorder(10)  # no area covers the frame
     if not plot.has_frame:
         axes.set_axis_off()
-    if plot.is_to_scale:
-        axes.set_aspect("equal", adjustable="datalim")
     for label in plot.labels:
         _draw_label(label, plot, axes)
     if plot.inner_key:
@@ -251,7 +254,7 @@ def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
 
 def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
     """Set the ticks of an axis: its rows, or round numbers at steps that suit its ends."""
-    max_steps, linear_below, few_decades_below = 6, 6.0, 500.0
+    max_steps, linear_below, few_decades_below = 7, 6.0, 500.0
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
     low, high = drawn.get_view_interval()
@@ -260,7 +263,7 @@ def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
         drawn.set_ticks(range(0, -len(names), -1), names)
         drawn.set_tick_params(length=0)
     elif not axis.is_log:
-        drawn.set_major_locator(MaxNLocator(max_steps))
+        drawn.set_major_locator(MaxNLocator(max_steps, steps=[1, 2, 2.5, 5, 10]))
     else:
         drawn.set_major_formatter("{x:g}")
         drawn.set_minor_formatter(NullFormatter())
@@ -405,7 +408,7 @@ def save_pages(
         files = []
         for page in pages:
             say(page.name)
-            files += _save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
+            files += save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
         return files
 
 
@@ -434,33 +437,22 @@ def writing(path: Path, what: str) -> Iterator[None]:
         raise StoreError.about("report.cannot_write", path, "", what=what, error=error) from error
 
 
-def _save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: bool) -> list[Path]:
+def save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: bool) -> list[Path]:
     """Draw a page in the current style and write it in each format; return the files."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
     figure = draw_page(page)
-    svg, png, pdf = (folder / f"{page.name}.{ending}" for ending in FORMATS)
     title, description = replace_unprintable(page.alt), replace_unprintable(page.caption)
     texts = {"Title": title, "Description": description, "Identifier": run}
-    metadata = {"Date": None, **{name: text for name, text in texts.items() if text}}
-    vector: Any = FigureCanvasSVG(figure)
-    vector.print_svg(str(svg), metadata=metadata)
-    files = [svg]
+    svg = {"Date": None, **{name: text for name, text in texts.items() if text}}
+    png, pdf = {"Software": None, "run": run or None}, {"CreationDate": None, "Title": title}
+    written: dict[str, dict[str, Any]] = {"svg": {"metadata": svg}}
     if dpi is not None:
-        figure.set_dpi(dpi)
-        pixels: Any = FigureCanvasAgg(figure)
-        metadata = {"Software": None, "run": run or None}
-        pixels.print_png(str(png), metadata=metadata, pil_kwargs={"compress_level": 3})
-        files.append(png)
+        written["png"] = {"metadata": png, "dpi": dpi, "pil_kwargs": {"compress_level": 3}}
     if is_pdf:
-        paper: Any = FigureCanvasPdf(figure)
-        paper.print_pdf(
-            str(pdf), metadata={"CreationDate": None, "Title": title, "Subject": description}
-        )
-        files.append(pdf)
-    return files
+        written["pdf"] = {"metadata": {**pdf, "Subject": description}}
+    files = {folder / f"{page.name}.{ending}": settings for ending, settings in written.items()}
+    for path, settings in files.items():
+        figure.savefig(path, **settings)
+    return list(files)
 
 
 def encode_figure(page: Page) -> str:
@@ -474,9 +466,6 @@ def encode_figure(page: Page) -> str:
     -------
     An SVG whose letters are lines: it looks the same in every browser.
     """
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
     file = BytesIO()
-    vector: Any = FigureCanvasSVG(draw_page(page))
-    vector.print_svg(file, metadata={"Date": None})
+    draw_page(page).savefig(file, format="svg", metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"

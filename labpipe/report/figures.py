@@ -235,7 +235,7 @@ def make_moment_curvature_page(result: TestResult) -> Page:
     if bending is None:
         reason = wording.explain_missing(result, "measured moment-curvature")
         panels = [plots.make_empty_plot(reason)]
-        return plots.make_test_page(result, "moment-curvature", panels, height=40)
+        return plots.make_test_page(result, "moment-curvature", panels)
     x, moment = _make_axes(result, "Curvature", "Moment")
     lines = list(_plot_cloud(result))
     cloud = Plot(x, replace(moment, name="Bending moment"), lines, "Moment")

@@ -51,7 +51,7 @@ def make_wire_shapes_page(result: TestResult) -> Page:
     shape = result.shape
     if shape is None or not len(shape.time):
         missing = plots.make_empty_plot(explain_missing(result, "shape"))
-        return plots.make_test_page(result, "wire-shapes", [missing], height=40.0)
+        return plots.make_test_page(result, "wire-shapes", [missing])
     steps, unit = choose_frames(result, shape), find_unit(result.display, "displacement")
     names = "xy" if _find_first_loading(result) is not None else "xyz"
     length, *sides = [_make_axis(shape, steps, unit, name) for name in names]
@@ -214,7 +214,9 @@ _PIXEL_BINS = 900
 def make_marker_quality_page(result: TestResult) -> Page:
     """Make the page of a row per marker against time, and below them the error of each body."""
     row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
-    time = Axis("Time", find_unit(result.display, "time"))
+    takes = [take.markers.time for take in result.recordings.values() if take.markers]
+    times = takes if result.shape is None else [result.shape.time, *takes]
+    time = plots.make_axis("Time", find_unit(result.display, "time"), times, margin=0.01)
     flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
     heights = [max(row_mm * len(flags.y.row_names), lower_mm), lower_mm]
     return plots.make_test_page(
