@@ -21,6 +21,7 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     build_taped_scenario,
     build_wire_scenario,
 )
+from labpipe.virtual_lab.metal_tension import MetalTension, simulate_tension
 from labpipe.virtual_lab.observations import (
     ConduitObservation,
     Observation,
@@ -44,6 +45,7 @@ __all__ = [
     "ConduitCampaign",
     "ConduitObservation",
     "ConduitScenario",
+    "MetalTension",
     "Observation",
     "TapedCampaign",
     "TensileCampaign",
@@ -56,6 +58,7 @@ __all__ = [
     "build_wire_scenario",
     "observe",
     "simulate_campaigns",
+    "simulate_tension",
     "simulate_test",
     "write_wire_sheet",
 ]
