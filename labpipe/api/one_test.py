@@ -24,7 +24,12 @@ from labpipe.api.data_frames import (
     make_shape_frame,
 )
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
-from labpipe.process.inspection import Inspection, as_json, as_text, inspect_export
+from labpipe.process.inspection import (
+    Inspection,
+    format_inspection,
+    inspect_export,
+    make_inspection_record,
+)
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.wording import replace_unprintable
@@ -278,7 +283,7 @@ class Test:
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read an export and describe it: program, channels, rates, gaps, oddities.
+    """Read an export and describe it: program, channels, rates, gaps, findings.
 
     Parameters
     ----------
@@ -319,7 +324,7 @@ class Export:
     @cached_property
     def facts(self) -> dict[str, Any]:
         """Return the output of ``labpipe inspect --json``."""
-        return dict(as_json(self._inspection))
+        return dict(make_inspection_record(self._inspection))
 
     @property
     def channels(self) -> pd.DataFrame:
@@ -351,4 +356,4 @@ class Export:
         return Recordings({self.file.stem: self._inspection.recording})
 
     def __repr__(self) -> str:
-        return as_text(self._inspection)
+        return format_inspection(self._inspection)

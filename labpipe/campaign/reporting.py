@@ -37,7 +37,7 @@ from labpipe.campaign.report_samples import (
     make_sample,
 )
 from labpipe.errors import LabpipeError, UsageError
-from labpipe.mechanics.studies.bundle_bounds import find_places
+from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
@@ -238,7 +238,7 @@ def _make_campaign(
         by=by,
         compared=options.alone,
         pairs_not_shown=n_hidden,
-        places=() if wires is None else tuple(find_places(groups, wires)),
+        bounded_stiffnesses=() if wires is None else tuple(bound_stiffnesses(groups, wires)),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(shared_folder(files)),

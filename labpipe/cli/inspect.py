@@ -1,4 +1,4 @@
-"""``labpipe inspect``: contents of an export."""
+"""``labpipe inspect``: print the contents of an export."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ import json
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print channels, rates, gaps and oddities of an export."""
-    from labpipe.process.inspection import as_json, as_text, inspect_export
+    """Print the channels, sampling rates, gaps and other findings of an export."""
+    from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 
     inspection = inspect_export(options.file)
-    print(json.dumps(as_json(inspection), indent=2) if options.json else as_text(inspection))
+    print(
+        json.dumps(make_inspection_record(inspection), indent=2)
+        if options.json
+        else format_inspection(inspection)
+    )
     return 0

@@ -66,7 +66,7 @@ def inspect_export(path: Path) -> Inspection:
     return Inspection(path, recognise_export(path).read(path))
 
 
-def as_json(inspection: Inspection) -> dict[str, Any]:
+def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
     """Convert an inspection to the data that `labpipe inspect --json` prints.
 
     Parameters
@@ -199,7 +199,7 @@ def _describe_body(body: RigidBody) -> dict[str, Any]:
     }
 
 
-def as_text(inspection: Inspection) -> str:
+def format_inspection(inspection: Inspection) -> str:
     """Convert an inspection to readable text.
 
     Parameters
@@ -210,7 +210,7 @@ def as_text(inspection: Inspection) -> str:
     -------
     Lines without the last newline.
     """
-    facts = as_json(inspection)
+    facts = make_inspection_record(inspection)
     program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
     lines = [facts["file"], f"  {program}, read by {facts['reader']}"]
     for stream in facts["streams"]:

@@ -60,10 +60,6 @@ class _Schemas(GenerateJsonSchema):
         """Accept a text, or the number that other YAML readers make of it."""
         return super().str_schema(schema) | {"type": ["string", "number"]}
 
-    def function_plain_schema(self, schema: object) -> JsonSchemaValue:  # noqa: ARG002
-        """Accept anything."""
-        return {}
-
 
 def format_json_schema(model: type[Block]) -> str:
     """Format the JSON schema of a block.

@@ -387,14 +387,6 @@ class Difference:
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
-    def verdict_text(self) -> str:
-        """Return the verdict with its reason and caveats."""
-        verdict = (
-            f"{self.verdict}: {self.verdict_reason}" if self.verdict_reason else str(self.verdict)
-        )
-        return "; ".join((verdict, *self.caveats))
-
-    @property
     def single_field(self) -> str:
         """Return the only differing field of the groups; empty for several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
@@ -427,16 +419,16 @@ class Group:
 
 
 @dataclass(frozen=True, slots=True)
-class BundlePlace:
-    """The bending stiffness of a harness bundle between the bounds of the bundle model.
+class BoundedStiffness:
+    """A measured bending stiffness of a harness bundle, with the bounds of the bundle model.
 
     Parameters
     ----------
     group, test : of the sample; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
     interval : 95 %, of `value`
-    low, free, high : N m^2, bounds: all strands slip; wires slip and the strands within them stick;
-        nothing slips, bent along y. NaN without a bundle model
+    low, free, high : N m^2, stiffness if all strands slip; if the wires slip but the strands within
+        them stick; and if nothing slips, bent along y. NaN without a bundle model
     principal : N m^2, smallest and largest stiffness of all directions if nothing slips
     share : (value - low) / (high - low); NaN without a value or bounds
     share_interval : 95 %, from that of `value`; the bounds are taken as known
@@ -470,7 +462,7 @@ class Campaign:
     by : fields of the grouping
     compared : only field in which the pairs in `differences` differ; empty for all pairs
     pairs_not_shown : number of pairs that differ in other fields
-    places : bending stiffness of bundles between the bounds of their model
+    bounded_stiffnesses : bending stiffnesses of bundles, with the bounds of their model
     wire_sheet : name of the wire sheet of the bounds; empty without one
     rejected : decision of a person to exclude a test, with reason, name and date, by file
     rejected_samples : the rejected tests, which are in no group
@@ -487,7 +479,7 @@ class Campaign:
     by: tuple[str, ...] = ("type",)
     compared: str = ""
     pairs_not_shown: int = 0
-    places: tuple[BundlePlace, ...] = ()
+    bounded_stiffnesses: tuple[BoundedStiffness, ...] = ()
     wire_sheet: str = ""
     rejected: Mapping[str, str] = field(default_factory=dict)
     rejected_samples: tuple[Sample, ...] = ()

@@ -1,4 +1,4 @@
-"""Figures of budgets: the share of each cause in an interval, a bar per number."""
+"""Draw uncertainty budgets: one bar per number, divided into the shares of the causes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.messages import format_sentence
-from labpipe.records import causes as cause_names
+from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group
 from labpipe.records.result import TestResult
@@ -40,22 +40,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_ROW_MM = 6.0
-"""Height of a bar with its gap."""
-_FRAME_MM = 26.0
-"""Height of axis and heading."""
+_ROW_HEIGHT_MM = 6.0
+"""Height of the row of one bar, with the gap below it."""
+_FRAME_HEIGHT_MM = 26.0
+"""Height of the axis and the heading of a panel."""
 MAX_BARS = 20
-SMALLER = "causes under 2 % in every bar"
+"""Largest number of bars in a panel."""
+SMALL_CAUSES = "causes under 2 % in every bar"
+"""Name of the sum of the shares of small causes."""
 
 
-class Bar(NamedTuple):
-    """Bar of one number.
+class BudgetBar(NamedTuple):
+    """The budget of one number, drawn as a bar.
 
     Parameters
     ----------
-    name : left of the bar
-    shares : of the interval by cause; their sum is one
-    text : right of the bar
+    name : text left of the bar
+    shares : share of each cause in the interval; their sum is one. Empty for a row without a bar
+    text : text right of the bar
     """
 
     name: str
@@ -64,9 +66,16 @@ class Bar(NamedTuple):
 
 
 def draw_budget(result: TestResult) -> Figure:
-    """Draw the budgets of the intervals of a test: shares of the variance, a bar per number.
+    """Draw the uncertainty budgets of a test: shares of the variance, one bar per number.
 
-    Numbers of later cycles, of single slips and of the clocks have no bar.
+    Parameters
+    ----------
+    result : result of the test. The first `MAX_BARS` numbers with a budget have a bar, except those
+        of later cycles, of single slips and of the clocks
+
+    Returns
+    -------
+    A page; without any bar, a page that gives the reason.
     """
     numbers = [
         number
@@ -75,160 +84,183 @@ def draw_budget(result: TestResult) -> Figure:
     ][:MAX_BARS]
     if not numbers:
         return make_reason_page(result, format_sentence("report.no_budget"))
-    page = make_page(height_mm=_FRAME_MM + _ROW_MM * len(numbers), width_mm=DOUBLE_COLUMN)
+    page = make_page(
+        height_mm=_FRAME_HEIGHT_MM + _ROW_HEIGHT_MM * len(numbers), width_mm=DOUBLE_COLUMN
+    )
     bars = []
     for number in numbers:
         scale = find_display_unit(number.name, number.unit, result.display)
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
-        bars.append(Bar(_bar_name(number.name), shares, write_half_width(number.interval, scale)))
+        bars.append(
+            BudgetBar(
+                _write_bar_label(number.name), shares, write_half_width(number.interval, scale)
+            )
+        )
     plot_bars(bars, page.subplots())
     has_cycles = any("." in number.name for number in numbers)
     cycle = "Numbers per cycle: first cycle only." if has_cycles else ""
     note = " ".join(filter(None, (cycle, write_footnote(result))))
-    return _with_side_margins(add_title(page, write_title(result), note))
+    return _set_side_margins(add_title(page, write_title(result), note))
 
 
-def _with_side_margins(page: Figure) -> Figure:
-    """Set margins on both sides for texts that another font makes wider."""
-    left_margin, right_margin = 0.06, 0.03  # shares of the width of the page
+def _set_side_margins(page: Figure) -> Figure:
+    """Widen the side margins, since texts may be wider in another font; return the page."""
+    left_margin, right_margin = 0.06, 0.03  # as shares of the width of the page
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     engine = page.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
-        _, low, _, height = engine.get()["rect"]
-        engine.set(rect=(left_margin, low, 1.0 - left_margin - right_margin, height))
+        _, bottom, _, height = engine.get()["rect"]
+        engine.set(rect=(left_margin, bottom, 1.0 - left_margin - right_margin, height))
     return page
 
 
-def _bar_name(name: str) -> str:
-    """Write the label of a number without its cycle, which is the first in every bar."""
+def _write_bar_label(name: str) -> str:
+    """Write the label of a number without its cycle: all bars show the first cycle."""
     return write_label(name.partition(".")[0])
 
 
 def write_half_width(interval: Interval | None, scale: Scale) -> str:
-    """Write half the width of an interval, such as ``± 0.11 mm``; empty without an interval."""
-    last_plain_place = -6  # smaller numbers have a power of ten
+    """Write the half-width of an interval, such as ``± 0.11 mm``; empty without an interval."""
+    last_plain_place = -6  # below, the number is written with a power of ten
     if interval is None:
         return ""
-    half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-    place = find_last_place(half, None, digits=2)
-    is_plain = place >= last_plain_place
-    text = round_to_place(half, place) if is_plain else write_number(half, None, digits=2).value
+    half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
+    last_place = find_last_place(half_width, None, digits=2)
+    is_plain = last_place >= last_plain_place
+    text = (
+        round_to_place(half_width, last_place)
+        if is_plain
+        else write_number(half_width, None, digits=2).value
+    )
     return f"\u00b1 {text} {typeset_unit(scale.unit)}".strip()
 
 
-def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
-    """Draw bars of shares, the first on top.
+def plot_bars(bars: Sequence[BudgetBar], axes: Axes, *, quantity: str = "variance") -> None:
+    """Draw bars, the first on top; hatch the causes that all tests of a rig share.
 
     Parameters
     ----------
-    bars : a bar without shares leaves its row empty
-    axes : to draw on; causes that all tests of a rig share are hatched
-    of : name of the quantity of which the shares are
+    bars : bars to draw; a bar without shares leaves its row empty
+    axes : axes to draw on
+    quantity : name of the quantity that the bars divide, for the label of the axis
     """
-    min_labelled_share = 0.10  # smallest share of a bar that has room for its number
-    bar_height = 0.74  # share of the row
+    min_labelled_share = 0.10  # a smaller part is too narrow for its number
+    bar_height = 0.74  # as a share of the height of its row
     from matplotlib.patches import Rectangle
 
-    parts = sort_shares([bar.shares for bar in bars])
-    for cause in list_shown_causes(parts):
-        add_key(axes, cause, is_area=True, **_bar_style(cause))
-    if any(cause_names.IS_COMMON.get(cause, False) for cause in list_shown_causes(parts)):
-        add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED)
-    beside = axes.get_yaxis_transform()
-    for height, (bar, shares) in enumerate(zip(bars, parts, strict=True)):
+    sorted_shares = sort_shares([bar.shares for bar in bars])
+    for cause in list_drawn_causes(sorted_shares):
+        add_key(axes, cause, is_area=True, **_make_bar_style(cause))
+    if any(IS_COMMON.get(cause, False) for cause in list_drawn_causes(sorted_shares)):
+        add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED_STYLE)
+    outside_axes = axes.get_yaxis_transform()
+    for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
         start = 0.0
         for cause, share in shares.items():
-            corner = 100 * start, height - bar_height / 2
-            axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
+            corner = 100 * start, row - bar_height / 2
+            axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_make_bar_style(cause)))
             if share >= min_labelled_share:
-                _write_share(axes, 100 * (start + share / 2), height, share, cause)
+                _write_share(axes, 100 * (start + share / 2), row, share, cause)
             start += share
-        axes.text(1.01, height, bar.text, transform=beside, va="center")
-        axes.text(-0.01, height, bar.name, transform=beside, va="center", ha="right")
+        axes.text(1.01, row, bar.text, transform=outside_axes, va="center")
+        axes.text(-0.01, row, bar.name, transform=outside_axes, va="center", ha="right")
     if any(bar.text for bar in bars):
-        axes.text(1.01, -0.8, "95 %", transform=beside, color=GREY, va="center")
+        axes.text(1.01, -0.8, "95 %", transform=outside_axes, color=GREY, va="center")
     axes.set_yticks([])
     axes.set_ylim(len(bars) - 0.5, -0.5)
     axes.set_xlim(0.0, 100.0)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel(f"Share of the {of} (%)")
+    axes.set_xlabel(f"Share of the {quantity} (%)")
 
 
-def _write_share(axes: Axes, middle: float, height: float, share: float, cause: str) -> None:
-    """Write a share on its part of the bar; on a hatched part, over a patch of plain colour."""
-    dark_below = 0.45  # brightness below which white is easier to read than black
+def _write_share(axes: Axes, x: float, y: float, share: float, cause: str) -> None:
+    """Write a share on its part of the bar, with a plain background if the part is hatched."""
+    max_dark_brightness = 0.45  # on a darker part, white text is easier to read than black
     from matplotlib.colors import to_rgb
 
-    ground = find_cause_colour(cause)
-    red, green, blue = to_rgb(ground)
-    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
-    is_hatched = cause_names.IS_COMMON.get(cause, False)
+    colour = find_cause_colour(cause)
+    red, green, blue = to_rgb(colour)
+    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < max_dark_brightness
+    is_hatched = IS_COMMON.get(cause, False)
     label = axes.text(
-        middle, height, f"{100 * share:.0f}", ha="center", va="center",
+        x, y, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
-        bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
+        bbox={"facecolor": colour, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip
-    label.set_in_layout(False)  # it lies on its bar
+    label.set_in_layout(False)  # it lies on its bar and needs no space of its own
 
 
 def find_cause_colour(cause: str) -> str:
-    """Return the colour of a cause: the same in every figure, light grey for an unknown one."""
+    """Return the colour of a cause in all figures; light grey for an unknown cause."""
     colour: str = read_look("colours_of_causes").get(cause, "#ededed")
     return colour
 
 
-def sort_shares(bars: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """Sort the shares of bars as in the key, and add up those of small causes at the end.
+def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Sort the shares of bars in the order of the key, and add up those of small causes.
 
     Parameters
     ----------
-    bars : shares by cause
+    bar_shares : shares of each bar, by cause
 
     Returns
     -------
-    Shares of each bar; causes under 2 % in every bar are added up as `SMALLER`.
+    Sorted shares of each bar. The last one, `SMALL_CAUSES`, is the sum of the causes that have less
+    than 2 % in every bar.
     """
     min_named_share = 0.02
-    named = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
-    parts = []
-    for shares in bars:
-        drawn = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
-        rest = sum(share for cause, share in shares.items() if cause not in named)
-        parts.append({**drawn, **({SMALLER: rest} if rest > 0.0 else {})})
-    return parts
+    named_causes = {
+        cause
+        for shares in bar_shares
+        for cause, share in shares.items()
+        if share >= min_named_share
+    }
+    sorted_shares = []
+    for shares in bar_shares:
+        named = {cause: shares[cause] for cause in sort_causes(shares) if cause in named_causes}
+        small = sum(share for cause, share in shares.items() if cause not in named_causes)
+        sorted_shares.append({**named, **({SMALL_CAUSES: small} if small > 0.0 else {})})
+    return sorted_shares
 
 
-def list_shown_causes(parts: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, `SMALLER` last.
+def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
+    """List the causes that bars show, `SMALL_CAUSES` last.
 
     Parameters
     ----------
-    parts : as `sort_shares` returns them
+    bar_shares : shares of each bar, from `sort_shares`
     """
-    every = {cause for shares in parts for cause in shares}
-    return [*sort_causes(every - {SMALLER}), *([SMALLER] if SMALLER in every else [])]
+    causes = {cause for shares in bar_shares for cause in shares}
+    last = [SMALL_CAUSES] if SMALL_CAUSES in causes else []
+    return [*sort_causes(causes - {SMALL_CAUSES}), *last]
 
 
-_HATCHED: dict[str, Any] = {
+_HATCHED_STYLE: dict[str, Any] = {
     "facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": "////"
 }  # fmt: skip
 
 
-def _bar_style(cause: str) -> dict[str, Any]:
-    hatch = _HATCHED["hatch"] if cause_names.IS_COMMON.get(cause, False) else None
-    return {**_HATCHED, "facecolor": find_cause_colour(cause), "hatch": hatch}
+def _make_bar_style(cause: str) -> dict[str, Any]:
+    hatch = _HATCHED_STYLE["hatch"] if IS_COMMON.get(cause, False) else None
+    return {**_HATCHED_STYLE, "facecolor": find_cause_colour(cause), "hatch": hatch}
 
 
-def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
-    """Make the bars of a group; later cycles, slips and clocks have none.
+def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
+    """Make the bars of the numbers of a group.
 
     Parameters
     ----------
-    group : with or without samples
-    of_means : shares in the intervals of means, with half their widths; else the medians of the
-        shares over the tests
+    group : group of samples; may be empty
+    of_means : whether the shares are those of the means, with the half-widths of their intervals.
+        Otherwise they are the medians of the shares of the tests, without half-widths
+
+    Returns
+    -------
+    At most `MAX_BARS` bars, of the numbers that have a budget in a test. Numbers of later cycles,
+    of single slips and of the clocks have none. A mean without an interval has a bar without
+    shares.
     """
     bars = []
     for number in group.numbers:
@@ -240,24 +272,28 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[Bar]:
         scale = find_number_unit(group, number)
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
-            bars.append(Bar(_bar_name(number.name), shares, write_half_width(interval, scale)))
+            bars.append(
+                BudgetBar(_write_bar_label(number.name), shares, write_half_width(interval, scale))
+            )
     return bars[:MAX_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:
-    """Draw the budgets of the intervals of a group's tests and of its means.
+    """Draw the uncertainty budgets of the tests of a group and of its means.
 
     Parameters
     ----------
-    group : with a bar by `make_group_bars`
+    group : group for which `make_group_bars` makes at least one bar
     """
-    drawn = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
+    panel_bars = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
     means = make_group_bars(group, of_means=True)
     if any(bar.shares for bar in means):
-        drawn["Mean of the group"] = (means, "squared half width")
-    page = make_page(height_mm=len(drawn) * (_FRAME_MM - 4.0 + _ROW_MM * len(means)))
-    panels = page.subplots(len(drawn), squeeze=False).ravel()
-    for axes, (heading, (bars, of)) in zip(panels, drawn.items(), strict=True):
-        plot_bars(bars, axes, of=of)
+        panel_bars["Mean of the group"] = (means, "squared half width")
+    page = make_page(
+        height_mm=len(panel_bars) * (_FRAME_HEIGHT_MM - 4.0 + _ROW_HEIGHT_MM * len(means))
+    )
+    panels = page.subplots(len(panel_bars), squeeze=False).ravel()
+    for axes, (heading, (bars, quantity)) in zip(panels, panel_bars.items(), strict=True):
+        plot_bars(bars, axes, quantity=quantity)
         axes.set_title(heading, loc="left")
-    return _with_side_margins(add_title(page, write_group_title(group)))
+    return _set_side_margins(add_title(page, write_group_title(group)))

@@ -1,4 +1,4 @@
-"""Tables and figures of bundles: section, bounds of bending stiffness, measured cycles."""
+"""Draw harness bundles: their section, the bounds of their bending stiffness, measured cycles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
-from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
@@ -48,226 +48,253 @@ def has_bundles(campaign: Campaign) -> bool:
     )
 
 
-def make_place_table(campaign: Campaign) -> Table | None:
-    """Make the table of measured bending stiffnesses between their bounds.
+def make_bounds_table(campaign: Campaign) -> Table | None:
+    """Make the table of measured bending stiffnesses of bundles and their bounds.
 
     Parameters
     ----------
-    campaign : with its places between the bounds
+    campaign : content of the report
 
     Returns
     -------
-    None without places: the report was made without a wire sheet, or no test is of a bundle.
+    The table; None if the report was made without a wire sheet, or if no test is of a bundle.
     """
-    if not campaign.places:
+    if not campaign.bounded_stiffnesses:
         return None
-    scales = choose_place_units(campaign)
-    rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
-    stiffnesses = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
-    heads = ("Test", *map(next(iter(scales.values())).label, stiffnesses), "Share of the way")
+    scales = choose_stiffness_units(campaign)
+    rows = tuple(
+        _make_row(stiffness, scales[stiffness.group]) for stiffness in campaign.bounded_stiffnesses
+    )
+    quantities = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
+    heads = ("Test", *map(next(iter(scales.values())).label, quantities), "Share of the way")
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return Table("Between slipping and sticking", heads, rows, notes)
 
 
-def choose_place_units(campaign: Campaign) -> dict[str, Scale]:
-    """Choose the unit of bending stiffness by group: that of its protocol, SI if they differ."""
+def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
+    """Choose the display unit of bending stiffness for each group.
+
+    Parameters
+    ----------
+    campaign : content of the report, with at least one group
+
+    Returns
+    -------
+    Scale by group: the unit of its protocol, or SI for all groups if their units differ.
+    """
     scales = {
         group.name: find_unit(find_display(group), "bending_stiffness") for group in campaign.groups
     }
     first = next(iter(scales.values()))
-    is_one = all(scale.unit == first.unit for scale in scales.values())
-    return scales if is_one else dict.fromkeys(scales, find_unit({}, "bending_stiffness"))
+    has_common_unit = all(scale.unit == first.unit for scale in scales.values())
+    return scales if has_common_unit else dict.fromkeys(scales, find_unit({}, "bending_stiffness"))
 
 
-def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
-    low, free, high, smallest, largest = (
-        write_number(stiffness, None, scale.factor, digits=3).value
-        for stiffness in (place.low, place.free, place.high, *place.principal)
+def _make_row(stiffness: BoundedStiffness, scale: Scale) -> tuple[Cell, ...]:
+    all_slip, wires_slip, nothing_slips, smallest, largest = (
+        write_number(bound, None, scale.factor, digits=3).value
+        for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
     )
-    value = nan if place.value is None else place.value
-    share = write_number(100.0 * place.share, None, digits=2).value
-    if place.share_interval is not None:
-        share = write_with_interval(place.share, place.share_interval, 100.0)
+    value = nan if stiffness.value is None else stiffness.value
+    share_text = write_number(100.0 * stiffness.share, None, digits=2).value
+    if stiffness.share_interval is not None:
+        share_text = write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
+    if not isnan(stiffness.share):
+        share_text += " %"
     return (
-        Cell(place.test, place.group) if place.test else Cell(f"mean of {place.group}"),
-        Cell(write_with_interval(value, place.interval, scale.factor)),
-        Cell(low),
-        Cell(free),
-        Cell(high, "" if smallest == largest else f"{smallest} to {largest}"),
-        Cell(share if isnan(place.share) else f"{share} %", join_sentences(place.reasons)),
+        Cell(stiffness.test, stiffness.group) if stiffness.test else Cell(_name_row(stiffness)),
+        Cell(write_with_interval(value, stiffness.interval, scale.factor)),
+        Cell(all_slip),
+        Cell(wires_slip),
+        Cell(nothing_slips, "" if smallest == largest else f"{smallest} to {largest}"),
+        Cell(share_text, join_sentences(stiffness.reasons)),
     )
 
 
-MAX_ROWS = 36
-"""Rows in one figure."""
+def _name_row(stiffness: BoundedStiffness) -> str:
+    return stiffness.test or f"mean of {stiffness.group}"
 
 
-def list_place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of measured bending stiffnesses between their bounds.
+MAX_FIGURE_ROWS = 36
+"""Largest number of rows of a figure."""
+
+
+def list_bounds_figures(campaign: Campaign) -> Iterator[FigureToSave]:
+    """List the figures of measured bending stiffnesses of bundles and their bounds.
 
     Parameters
     ----------
-    campaign : with its places between the bounds
+    campaign : content of the report, with at least one group
 
     Yields
     ------
-    Figures of up to `MAX_ROWS` rows; none without places.
+    Figures of at most `MAX_FIGURE_ROWS` rows; none if the campaign has no such stiffnesses.
     """
-    scales = choose_place_units(campaign)
-    parts, caption = (
-        split_pages(campaign.places, MAX_ROWS),
-        format_sentence("report.bundle_caption"),
-    )
-    for at, part in enumerate(parts, start=1):
-        name = "between-slipping-and-sticking" + (f"-{at}" if len(parts) > 1 else "")
-        scale = scales[part[0].group]
-        groups = ", ".join(dict.fromkeys(place.group for place in part))
+    scales = choose_stiffness_units(campaign)
+    pages = split_pages(campaign.bounded_stiffnesses, MAX_FIGURE_ROWS)
+    caption = format_sentence("report.bundle_caption")
+    for page_number, stiffnesses in enumerate(pages, start=1):
+        suffix = f"-{page_number}" if len(pages) > 1 else ""
+        name = f"between-slipping-and-sticking{suffix}"
+        scale = scales[stiffnesses[0].group]
+        groups = ", ".join(dict.fromkeys(stiffness.group for stiffness in stiffnesses))
         alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
-        yield FigureToSave(name, partial(draw_places, part, scale), caption, alt)
+        yield FigureToSave(name, partial(draw_stiffness_bounds, stiffnesses, scale), caption, alt)
 
 
-def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
-    """Draw measured bending stiffnesses, each on the bar between its bounds, on a logarithmic axis.
+def draw_stiffness_bounds(stiffnesses: Sequence[BoundedStiffness], scale: Scale) -> Figure:
+    """Draw measured bending stiffnesses and their bounds, one row each, on a logarithmic axis.
 
     Parameters
     ----------
-    places : rows from the top
+    stiffnesses : in the order of the rows, from the top
     scale : display unit of bending stiffness
     """
-    row_mm, rest_mm, width_mm = 4.2, 16.0, 150.0
-    page = make_page(height_mm=rest_mm + row_mm * len(places), width_mm=width_mm)
+    row_mm, frame_mm, width_mm = 4.2, 16.0, 150.0
+    page = make_page(height_mm=frame_mm + row_mm * len(stiffnesses), width_mm=width_mm)
     axes = page.subplots()
     axes.set_xscale("log")
-    axes.set_xlim(*_ends(places, scale.factor))
-    for row, place in enumerate(places):
-        _plot_bounds_of_row(place, row, scale.factor, axes)
-        _plot_value(place, row, scale.factor, axes)
-    names = [place.test or f"mean of {place.group}" for place in places]
-    axes.set_yticks(range(len(places)), names)
+    axes.set_xlim(*_find_axis_limits(stiffnesses, scale.factor))
+    for row, stiffness in enumerate(stiffnesses):
+        _plot_row_bounds(stiffness, row, scale.factor, axes)
+        _plot_row_value(stiffness, row, scale.factor, axes)
+    axes.set_yticks(range(len(stiffnesses)), list(map(_name_row, stiffnesses)))
     axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(places) - 0.4, -0.6)
+    axes.set_ylim(len(stiffnesses) - 0.4, -0.6)
     axes.set_xlabel(scale.label("Bending stiffness"))
     label_log_axis(axes.xaxis)
     return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
 
 
-def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
-    """Return the ends of the axis, from all positive bounds, values and upper interval ends."""
-    every = [ei for place in places for ei in (place.low, place.high, place.value or 0.0)]
-    every += [place.interval.upper for place in places if place.interval is not None]
-    values = [factor * ei for ei in every if ei > 0.0] or [1.0, 10.0]  # not NaN either
-    return 0.7 * min(values), 1.4 * max(values)
+def _find_axis_limits(
+    stiffnesses: Sequence[BoundedStiffness], factor: float
+) -> tuple[float, float]:
+    """Find axis limits that enclose all positive bounds, values and upper ends of intervals."""
+    values = [
+        value
+        for stiffness in stiffnesses
+        for value in (stiffness.low, stiffness.high, stiffness.value or 0.0)
+    ]
+    values += [
+        stiffness.interval.upper for stiffness in stiffnesses if stiffness.interval is not None
+    ]
+    drawn = [factor * value for value in values if value > 0.0] or [1.0, 10.0]  # excludes NaN
+    return 0.7 * min(drawn), 1.4 * max(drawn)
 
 
-def _plot_bounds_of_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
-    if isnan(place.low):
+def _plot_row_bounds(stiffness: BoundedStiffness, row: int, factor: float, axes: Axes) -> None:
+    if isnan(stiffness.low):
         return
-    ends = [factor * place.low, factor * place.high]
+    ends = [factor * stiffness.low, factor * stiffness.high]
     axes.plot(ends, [row, row], **read_look("bounds_of_bundle"))
-    axes.plot([factor * place.free], [row], **read_look("slipping_wires"))
+    axes.plot([factor * stiffness.free], [row], **read_look("slipping_wires"))
 
 
-def _plot_value(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
-    """Draw the measured stiffness with its interval, and write why it has no bounds."""
+def _plot_row_value(stiffness: BoundedStiffness, row: int, factor: float, axes: Axes) -> None:
+    """Draw the measured stiffness with its interval; write why it or its bounds are missing."""
     max_reason_length = 88
-    look = read_look("bundle_sample" if place.test else "bundle_mean")
-    if place.value is not None and place.value > 0.0:
-        if place.interval is not None:
-            left = axes.get_xlim()[0]
-            ends = [max(factor * place.interval.lower, left), factor * place.interval.upper]
+    look = read_look("bundle_sample" if stiffness.test else "bundle_mean")
+    if stiffness.value is not None and stiffness.value > 0.0:
+        interval = stiffness.interval
+        if interval is not None:
+            left_limit = axes.get_xlim()[0]
+            ends = [max(factor * interval.lower, left_limit), factor * interval.upper]
             axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
-        axes.plot([factor * place.value], [row], **look)
-    why = join_sentences(place.reasons)
-    if why:
-        text = why if len(why) <= max_reason_length else f"{why[:max_reason_length]}\u2026"
+        axes.plot([factor * stiffness.value], [row], **look)
+    text = join_sentences(stiffness.reasons)
+    if text:
+        if len(text) > max_reason_length:
+            text = f"{text[:max_reason_length]}\u2026"
         axes.text(0.99, row, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
                   size=6, color=GREY)  # fmt: skip
 
 
-FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"
-"""Names of the files, without the ending."""
+BUNDLE_FIGURE = "bundle"
+"""File name of the figure of `draw_bundle`, without the extension."""
+LOOP_FIGURE = "bundle-loop"
+"""File name of the figure of `draw_loop`, without the extension."""
 
 
 def draw_bundle(model: BundleModel) -> Figure:
-    """Draw (a) the section of a bundle and (b) its moments against curvature.
+    """Draw (a) the section of a bundle and (b) the bounds of its bending moment over curvature.
 
     Parameters
     ----------
-    model : of the bundle
+    model : model of the bundle
 
     Returns
     -------
-    A page. In (a), lines through the neutral point show the principal directions up to the edge of
-    the wires; the bundle is bent along y, upwards. Both axes of (b) are logarithmic.
+    A page. In (a), two lines through the neutral point show the directions of the largest and the
+    smallest stiffness; the bundle is bent upwards, along y. Both axes of (b) are logarithmic.
     """
     page = make_page(height_mm=84.0, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     _plot_section(model, section)
-    _plot_bounds(model, moments)
+    _plot_moment_bounds(model, moments)
     section.set_title("Section", loc="left")
     moments.set_title("First loading, bent along y", loc="left")
     return add_title(page, _write_title(model), _describe_bounds(model))
 
 
 def _plot_section(model: BundleModel, axes: Axes) -> None:
-    """Draw the wires to scale, the conduit's bore, and the principal axes."""
-    margin_factor = 1.12
+    """Draw the wires and the bore of the conduit to scale, and the principal directions."""
+    margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
     from matplotlib.patches import Circle
 
-    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light: lines are over them
+    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
     layout, wires = model.layout, model.bundle.wires
-    places = LENGTH.factor * np.column_stack([layout.x, layout.y])
-    for place, diameter, kind in zip(places, layout.diameter, layout.kind, strict=True):
+    centres = LENGTH.factor * np.column_stack([layout.x, layout.y])
+    for centre, diameter, kind in zip(centres, layout.diameter, layout.kind, strict=True):
         look = {"facecolor": colours[int(kind) % len(colours)], "label": wires[int(kind)].type}
         radius = LENGTH.factor * diameter / 2.0
-        axes.add_patch(Circle(tuple(place), radius, edgecolor="black", linewidth=0.5, **look))
+        axes.add_patch(Circle(tuple(centre), radius, edgecolor="black", linewidth=0.5, **look))
     bore = model.bundle.conduit_bore or 0.0
     if bore:
         x, y = (LENGTH.factor * value for value in model.middle)
         radius = LENGTH.factor * bore / 2.0
         axes.add_patch(Circle((x, y), radius, **read_look("bore_of_conduit")))
-    reach = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    _draw_axes(model, axes)
+    outer_radius = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
+    _plot_principal_directions(model, axes)
     axes.set_aspect("equal")
-    axes.set_xlim(-margin_factor * reach, margin_factor * reach)
-    axes.set_ylim(-margin_factor * reach, margin_factor * reach)
+    axes.set_xlim(-margin_factor * outer_radius, margin_factor * outer_radius)
+    axes.set_ylim(-margin_factor * outer_radius, margin_factor * outer_radius)
     axes.set(xlabel=LENGTH.label("x"), ylabel=LENGTH.label("y, direction of bending"))
 
 
-def _draw_axes(model: BundleModel, axes: Axes) -> None:
+def _plot_principal_directions(model: BundleModel, axes: Axes) -> None:
     """Draw the directions of the largest and the smallest stiffness through the neutral point.
 
-    If all directions are equally stiff, the lines are along y and x.
+    If the stiffness is equal in all directions, the lines are along y and x.
     """
     x, y = (LENGTH.factor * value for value in model.neutral)
-    reach = 1.06 * LENGTH.factor * model.layout.radius
+    half_length = 1.06 * LENGTH.factor * model.layout.radius
     angle = model.principal_angle
     stiffest, flexible = read_look("stiffest_direction"), read_look("most_flexible_direction")
     if _is_isotropic(model):
         angle = math.pi / 2.0
         stiffest["label"], flexible["label"] = "y and x: equal in all directions", ""
     for direction, look in ((angle, stiffest), (angle + math.pi / 2.0, flexible)):
-        dx, dy = reach * math.cos(direction), reach * math.sin(direction)
+        dx, dy = half_length * math.cos(direction), half_length * math.sin(direction)
         axes.plot([x - dx, x + dx], [y - dy, y + dy], **look)
     axes.plot([x], [y], "k+", markersize=7.0, zorder=5)
 
 
-def _plot_bounds(model: BundleModel, axes: Axes) -> None:
-    """Draw the moments of wires that slip and of wires that stick, on logarithmic axes."""
-    use = model.curvature > 0.0
-    x = CURVATURE.factor * model.curvature[use]
+def _plot_moment_bounds(model: BundleModel, axes: Axes) -> None:
+    """Draw the moments of slipping and of sticking wires, on logarithmic axes."""
+    is_positive = model.curvature > 0.0
+    x = CURVATURE.factor * model.curvature[is_positive]
     slip, stick = (
-        MOMENT.factor * moment[use] for moment in (model.moment_slip, model.moment_stick)
+        MOMENT.factor * moment[is_positive] for moment in (model.moment_slip, model.moment_stick)
     )
     axes.fill_between(x, slip, stick, color="#dedede", linewidth=0)
-    for moment, look, is_doubtful in (
-        (stick, "wires_stick", model.is_doubtful_stick[use]),
-        (slip, "wires_slip", model.is_doubtful[use]),
+    for moment, look_name, is_doubtful in (
+        (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
+        (slip, "wires_slip", model.is_doubtful[is_positive]),
     ):
         for part, opacity in split_doubtful(~is_doubtful):
-            axes.plot(x[part], moment[part], **read_look(look, alpha=opacity))
+            axes.plot(x[part], moment[part], **read_look(look_name, alpha=opacity))
     for limit in (model.low, model.high):
-        moment = MOMENT.factor * limit * model.curvature[use]
+        moment = MOMENT.factor * limit * model.curvature[is_positive]
         axes.plot(x, moment, **read_look("bundle_without_yielding"))
     set_log_axes(axes, x)
     axes.set_ylabel(MOMENT.label("Bending moment"))
@@ -282,7 +309,7 @@ def _write_title(model: BundleModel) -> str:
 
 
 def _describe_bounds(model: BundleModel) -> str:
-    low, free, high, smallest, largest = (
+    all_slip, wires_slip, nothing_slips, smallest, largest = (
         write_number(stiffness, None, STIFFNESS.factor, digits=4).value
         for stiffness in (model.low, model.free, model.high, *model.principal)
     )
@@ -290,58 +317,62 @@ def _describe_bounds(model: BundleModel) -> str:
     if _is_isotropic(model):
         directions = "equal in all directions"
     bounds = format_sentence(
-        "report.bounds_of_bundle", low=low, free=free, high=high, directions=directions
+        "report.bounds_of_bundle",
+        all_slip=all_slip,
+        wires_slip=wires_slip,
+        nothing_slips=nothing_slips,
+        directions=directions,
     )
-    limits = [
+    limitations = [
         note.message.replace("N mm^2", "N\u00b7mm\u00b2")
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
-    return " ".join([bounds, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
+    return " ".join([bounds, *(f"{text[0].upper()}{text[1:]}." for text in limitations)])
 
 
 def _is_isotropic(model: BundleModel) -> bool:
-    rel_tolerance = 1e-6
+    relative_tolerance = 1e-6
     smallest, largest = model.principal
-    return largest - smallest <= rel_tolerance * largest
+    return largest - smallest <= relative_tolerance * largest
 
 
 def draw_loop(name: str, fit: FrictionFit) -> Figure:
-    """Draw (a) the fitted and (b) the predicted force, each over the measured force.
+    """Draw the fitted force (a) and the predicted force (b) together with the measured force.
 
     Parameters
     ----------
-    name : of the test
-    fit : of the friction between its wires
+    name : name of the test
+    fit : fit of the friction between the wires
     """
     page = make_page(height_mm=82.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(1, 2, sharex=True, sharey=True)
-    for axes, chosen, label, colour, heading, error in (
+    for axes, is_drawn, label, colour, heading, error in (
         (panels[0], ~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
         (panels[1], fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
     ):
-        deflection = LENGTH.factor * fit.loop.deflection[chosen]
-        axes.plot(deflection, fit.loop.force[chosen], **read_look("measured_cycles"))
-        axes.plot(deflection, fit.predicted[chosen], color=colour, linewidth=1.4, label=label)
+        deflection = LENGTH.factor * fit.loop.deflection[is_drawn]
+        axes.plot(deflection, fit.loop.force[is_drawn], **read_look("measured_cycles"))
+        axes.plot(deflection, fit.predicted[is_drawn], color=colour, linewidth=1.4, label=label)
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
         axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
-        axes.set_title(f"{heading}, error {_percent(error)} of the peak", loc="left")
+        axes.set_title(f"{heading}, error {_format_percent(error)} of the peak", loc="left")
     return add_title(page, f"{name}  ·  friction between the wires", _describe_friction(fit))
 
 
 def _describe_friction(fit: FrictionFit) -> str:
-    slide = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    held = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    slide_mm = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
+    held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
-        composite=_percent(fit.composite_share),
+        composite=_format_percent(fit.composite_share),
         kink=LENGTH.factor * fit.loop.kink[0],
-        tape=f"; the tape slides beyond {slide:.3g} mm" if np.isfinite(slide) else "",
-        held=held,
+        tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
+        held=held_share,
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
     )
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     return f"{100.0 * share:.2g} %"

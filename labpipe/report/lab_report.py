@@ -21,7 +21,7 @@ from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
-from labpipe.report.bundle_figures import has_bundles, list_place_figures, make_place_table
+from labpipe.report.bundle_figures import has_bundles, list_bounds_figures, make_bounds_table
 from labpipe.report.comparisons import (
     Pair,
     describe_context,
@@ -466,7 +466,7 @@ def _other_sections(campaign: Campaign, names: Sequence[str], tests: PageTests) 
     return {
         "groups": [_group(group, stem, tests) for group, stem in groups],
         "has_bundles": has_bundles(campaign),
-        "places": make_place_table(campaign),
+        "bounds_table": make_bounds_table(campaign),
         "questions": list(_questions(campaign, {group.name: stem for group, stem in groups})),
         "remarks_on_pairs": list_pair_remarks(campaign),
         "notes": make_note_table(campaign),
@@ -710,7 +710,7 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
         for drawing in list_group_figures(group)
     ]
     wanted += list_family_figures(campaign)
-    wanted += list_place_figures(campaign)
+    wanted += list_bounds_figures(campaign)
     return save_pages(
         wanted,
         folder,

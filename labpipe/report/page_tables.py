@@ -17,7 +17,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import (
     find_cause_colour,
-    list_shown_causes,
+    list_drawn_causes,
     make_group_bars,
     sort_shares,
 )
@@ -288,16 +288,16 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
     means = [bar for bar in make_group_bars(group, of_means=True) if bar.shares]
     tests = [bar._replace(text="one test") for bar in make_group_bars(group, of_means=False)]
     chosen = (means or tests)[:n_bars]
-    parts = sort_shares([bar.shares for bar in chosen])
+    bar_shares = sort_shares([bar.shares for bar in chosen])
     bars = []
-    for bar, shares in zip(chosen, parts, strict=True):
+    for bar, shares in zip(chosen, bar_shares, strict=True):
         starts = np.cumsum([0.0, *shares.values()]).tolist()
         drawn = [
             _cause_look(cause) | {"share": share, "start": start}
             for (cause, share), start in zip(shares.items(), starts, strict=False)
         ]
         bars.append({"name": bar.name, "text": bar.text, "parts": drawn})
-    return bars, list(map(_cause_look, list_shown_causes(parts)))
+    return bars, list(map(_cause_look, list_drawn_causes(bar_shares)))
 
 
 def _cause_look(cause: str) -> dict[str, Any]:

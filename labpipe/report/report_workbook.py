@@ -18,7 +18,7 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
-from labpipe.report.bundle_figures import choose_place_units
+from labpipe.report.bundle_figures import choose_stiffness_units
 from labpipe.report.comparisons import (
     Pair,
     describe_context,
@@ -132,8 +132,8 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     yield make_sheet(BOOK, "comparisons", differences)
     if budgets := _budgets(campaign):
         yield make_sheet(BOOK, "budgets", budgets)
-    if campaign.places:
-        yield make_sheet(BOOK, "slipping and sticking", _places(campaign))
+    if campaign.bounded_stiffnesses:
+        yield make_sheet(BOOK, "slipping and sticking", _record_bounds(campaign))
     ranked = [(rank, cause) for rank, cause in enumerate(find_causes(campaign), start=1)]
     causes = [*ranked, *((None, note) for note in find_notes(campaign))]
     issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
@@ -408,30 +408,30 @@ def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval 
     }
 
 
-def _places(campaign: Campaign) -> Iterator[Record]:
-    """Yield the records of measured bending stiffnesses between the bounds of the bundle model."""
-    scales = choose_place_units(campaign)
-    for place in campaign.places:
-        scale, ends = scales[place.group], place.share_interval
+def _record_bounds(campaign: Campaign) -> Iterator[Record]:
+    """Yield the rows of bending stiffnesses of bundles with their bounds."""
+    scales = choose_stiffness_units(campaign)
+    for stiffness in campaign.bounded_stiffnesses:
+        scale, ends = scales[stiffness.group], stiffness.share_interval
         bounds = {
-            "all slips": place.low,
-            "wires slip": place.free,
-            "nothing slips": place.high,
-            "smallest of all directions": place.principal[0],
-            "largest of all directions": place.principal[1],
+            "all slips": stiffness.low,
+            "wires slip": stiffness.free,
+            "nothing slips": stiffness.high,
+            "smallest of all directions": stiffness.principal[0],
+            "largest of all directions": stiffness.principal[1],
         }
         yield {
-            "group": place.group,
-            "test": place.test or "mean",
+            "group": stiffness.group,
+            "test": stiffness.test or "mean",
             "unit": scale.unit,
             **make_interval_cells(
-                place.value, place.interval, scale.factor, name="bending stiffness"
+                stiffness.value, stiffness.interval, scale.factor, name="bending stiffness"
             ),
             **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
-            "share (%)": make_percent_cell(place.share),
+            "share (%)": make_percent_cell(stiffness.share),
             "share lower (%)": make_percent_cell(ends, "lower"),
             "share upper (%)": make_percent_cell(ends, "upper"),
-            "reason": join_reasons(place.reasons),
+            "reason": join_reasons(stiffness.reasons),
         }
 
 

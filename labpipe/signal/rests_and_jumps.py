@@ -1,4 +1,4 @@
-"""Rests of a motion, motion at the end of a record, and jumps of the level of a signal."""
+"""Rests before a motion, motion at the end of a record, and jumps of the level of a signal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, find_runs, median
+from labpipe.records.arrays import Floats, median
 from labpipe.signal.turning_points import estimate_noise_level
 
 
@@ -38,52 +38,6 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     late = time[-size:] - time[-size:].mean()
     slope = float(late @ values[-size:]) / float(late @ late)
     return slope * float(np.sign(travel)) >= min_end_speed * speed
-
-
-def find_rests(time: Floats, values: Floats, *, size: int, speed: float) -> list[tuple[int, int]]:
-    """Find the rests of a motion in one direction, within it or at its ends.
-
-    Parameters
-    ----------
-    time, values : shape (n,), s and m, of one stroke and possibly the following samples, without
-        NaN
-    size : samples per average, a small part of a stroke
-    speed : usual speed, m/s
-
-    Returns
-    -------
-    First sample of each rest, and the first one after it. Empty if the noise of the means is too
-    large to detect a motion at full speed.
-
-    Notes
-    -----
-    In a rest, at least three successive steps between means are slower than a twentieth of the
-    usual speed, or than their noise. At the ends five are required, since a round turn is slow as
-    well.
-    """
-    rest_speed_share = 0.05
-    min_steps, min_steps_at_turn = 3, 5
-    noise_factor = 3.0
-    count = len(values) // size
-    if count <= min_steps_at_turn:
-        return []
-    mean_times = time[: count * size].reshape(count, size).mean(axis=1)
-    means = values[: count * size].reshape(count, size).mean(axis=1)
-    speeds = np.abs(np.diff(means)) / np.diff(mean_times)
-    noise = (
-        noise_factor
-        * sqrt(2.0 / size)
-        * estimate_noise_level(values)
-        / (size * median(np.diff(time)))
-    )
-    if not speed > 3.0 * noise:
-        return []
-    rests = []
-    for start, stop in find_runs(speeds <= max(rest_speed_share * speed, noise)):
-        is_inner = start > 0 and stop < len(speeds)
-        if stop - start >= (min_steps if is_inner else min_steps_at_turn):
-            rests.append((start * size, (stop + 1) * size))
-    return rests
 
 
 def count_rest_samples(values: Floats) -> int:

@@ -1,4 +1,7 @@
-"""Outliers: marked by a statistical test with a false-alarm rate per report, never removed."""
+"""Mark outliers among the numbers of a report by statistical tests.
+
+The false-alarm rate applies to the whole report. No value is removed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
 ESD = "generalised ESD test"
 ESD_WITHIN = "generalised ESD test within spools"
-_METHODS = {
+_METHOD_NAMES = {  # (several outliers, several spools)
     (False, False): GRUBBS,
     (False, True): GRUBBS_WITHIN,
     (True, False): ESD,
@@ -28,90 +31,105 @@ _METHODS = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Step:
-    """Index of the furthest of the remaining values, its p-value, and equally far values."""
-
-    index: int
-    p: float
-    ties: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Suspects:
-    """Possible outliers of one number, before correction for all numbers of a report.
+class _TestStep:
+    """One step of a test: the most extreme of the remaining values.
 
     Parameters
     ----------
-    names, values : of the samples
-    steps : the furthest value, then the furthest of the others, and so on; empty without a test
+    index : of the value
+    p_value : of the value
+    tied_indices : of the other values that are equally far from the mean of their spool
+    """
+
+    index: int
+    p_value: float
+    tied_indices: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OutlierTest:
+    """Result of an outlier test of one number, before correction for all numbers of a report.
+
+    Parameters
+    ----------
+    names : name of each sample that has a value
+    values : value of each of these samples
+    steps : the most extreme value, then the most extreme of the remaining values, and so on; empty
+        if no test is possible
     method : name of the test
     """
 
     names: Sequence[str] = ()
     values: Sequence[float] = ()
-    steps: Sequence[_Step] = ()
+    steps: Sequence[_TestStep] = ()
     method: str = ""
 
     @property
-    def p(self) -> float:
-        """Return the smallest p-value, or NaN without a test."""
-        return min((step.p for step in self.steps), default=float("nan"))
+    def smallest_p_value(self) -> float:
+        """Return the smallest p-value of the steps, or NaN if no test is possible."""
+        return min((step.p_value for step in self.steps), default=float("nan"))
 
-    def select_outliers(self, level: float) -> tuple[Outlier, ...]:
-        """Return the outliers with a p-value below a level, furthest first.
+    def select_outliers(self, max_p_value: float) -> tuple[Outlier, ...]:
+        """Return the outliers with a p-value below a limit, the most extreme first.
 
         Parameters
         ----------
-        level : false-alarm rate for this number
+        max_p_value : false-alarm rate for this number
         """
-        # A value has the smallest p-value of its step and all later ones.
-        chances = [min(step.p for step in self.steps[number:]) for number in range(len(self.steps))]
-        pairs = zip(self.steps, chances, strict=True)
-        marked = [(step, chance) for step, chance in pairs if chance < level]
-        single_places = {step.index for step, _ in marked}
+        # A significant step marks all earlier steps: each has the smallest p-value from it on.
+        p_values = [
+            min(step.p_value for step in self.steps[position:])
+            for position in range(len(self.steps))
+        ]
+        steps = zip(self.steps, p_values, strict=True)
+        significant = [(step, p_value) for step, p_value in steps if p_value < max_p_value]
+        step_indices = {step.index for step, _ in significant}
         return tuple(
             Outlier(
-                self.names[where],
-                self.values[where],
-                self.method + _equally_suspect(others, self.names),
-                chance,
+                self.names[index],
+                self.values[index],
+                self.method + _describe_ties([self.names[tied] for tied in tied_indices]),
+                p_value,
             )
-            for step, chance in marked
-            for where, others in _shared(step, single_places)
+            for step, p_value in significant
+            for index, tied_indices in _list_tied_values(step, step_indices)
         )
 
 
-def find_suspects(
-    values: Mapping[str, float], spools: Mapping[str, str], *, max_suspects: int | None = None
-) -> Suspects:
+def run_outlier_test(
+    values: Mapping[str, float], spools: Mapping[str, str], *, max_outliers: int | None = None
+) -> OutlierTest:
     """Test whether values lie further from the mean of their spool than chance explains.
 
     Parameters
     ----------
-    values : by sample; NaN are ignored
-    spools : spool of each sample
-    max_suspects : largest number of outliers; a tenth of the samples, and at least one, if None
+    values : value by sample; NaN is ignored
+    spools : spool by sample
+    max_outliers : largest number of outliers; if None, a tenth of the samples, but at least one
 
     Returns
     -------
-    Empty if `describe_missing_samples` gives a reason. Equally far values are all named, also in
-    the method: the two samples of a spool always are, as they are equally far from their mean.
+    The test. It has no steps if `describe_missing_samples` gives a reason, or if all samples of
+    each spool are equal within rounding. Values that are equally far from their spool mean are all
+    marked, and the name of the method lists them. The two values of a spool with two samples are
+    always equally far.
 
     Notes
     -----
     The residual of each sample from the mean of its spool is compared with the scatter of the
-    others within their spools: |t| with N - spools - 1 degrees of freedom, p = N P(|t| > found). In
-    one spool this is Grubbs' test (Technometrics 11 (1969) 1). For several outliers, the furthest
-    is removed and the test repeated, and all up to the last significant one are marked, so that two
-    outliers cannot mask each other: the generalised ESD test (Rosner, Technometrics 25 (1983) 165),
-    meant for 15 samples or more.
+    other samples within their spools: Student's t with N - spools - 1 degrees of freedom. The
+    p-value is N times the two-sided tail probability, but at most 1. In one spool this is Grubbs'
+    test (Technometrics 11 (1969) 1). For several outliers, the test is repeated without the most
+    extreme value, and all values up to the last significant one are marked, so that two outliers
+    cannot mask each other. This is the generalised ESD test (Rosner, Technometrics 25 (1983) 165),
+    which is meant for 15 samples or more.
     """
     names = [name for name, value in values.items() if not np.isnan(value)]
-    number = np.array([values[name] for name in names])
-    spool = np.unique([spools[name] for name in names], return_inverse=True)[1]
-    allowed = max(1, len(names) // 10) if max_suspects is None else max_suspects
-    method = _METHODS[allowed > 1, len(set(spool.tolist())) > 1]
-    return Suspects(names, number.tolist(), _steps(number, spool, allowed), method)
+    tested = np.array([values[name] for name in names])
+    spool_index = np.unique([spools[name] for name in names], return_inverse=True)[1]
+    limit = max(1, len(names) // 10) if max_outliers is None else max_outliers
+    method = _METHOD_NAMES[limit > 1, len(set(spool_index.tolist())) > 1]
+    return OutlierTest(names, tested.tolist(), _find_steps(tested, spool_index, limit), method)
 
 
 def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
@@ -119,93 +137,111 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 
     Parameters
     ----------
-    groups : of the report; existing outliers are replaced. Numbers set by the rig are not tested
+    groups : groups of the report. Outliers that they already have are replaced. Numbers that the
+        rig sets are not tested
     level : false-alarm rate for the whole report
 
     Returns
     -------
-    The groups with outliers in their numbers. The smallest p-values of all numbers are one family,
-    corrected by `correct_p_values`, which allows for dependent numbers of one test. Each step of
-    the ESD test counts as one test, since its false-alarm rate exceeds its level (1.14 times at 5 %
-    and 20 samples, two steps).
+    The groups with outliers in their numbers.
+
+    Notes
+    -----
+    The smallest p-values of all numbers form one family. `correct_p_values` corrects them; it holds
+    for dependent numbers of one test, too. Each step of the ESD test counts as one test, since its
+    false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
     """
-    suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
-    chances = [
-        len(suspect.steps) * suspect.p for group_suspects in suspects for suspect in group_suspects
+    outlier_tests = [[_test_number(group, number) for number in group.numbers] for group in groups]
+    p_values = [
+        len(outlier_test.steps) * outlier_test.smallest_p_value
+        for group_tests in outlier_tests
+        for outlier_test in group_tests
     ]
-    corrected = iter(correct_p_values(chances, level))
+    corrected = iter(correct_p_values(p_values, level))
     return [
         replace(
             group,
             numbers=tuple(
                 replace(
                     number,
-                    outliers=suspect.select_outliers(
-                        level / next(corrected).divisor / max(1, len(suspect.steps))
+                    outliers=outlier_test.select_outliers(
+                        level / next(corrected).divisor / max(1, len(outlier_test.steps))
                     ),
                 )
-                for number, suspect in zip(group.numbers, group_suspects, strict=True)
+                for number, outlier_test in zip(group.numbers, group_tests, strict=True)
             ),
         )
-        for group, group_suspects in zip(groups, suspects, strict=True)
+        for group, group_tests in zip(groups, outlier_tests, strict=True)
     ]
 
 
-def _suspects(group: Group, number: GroupNumber) -> Suspects:
+def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
     if number.is_set_by_rig:
-        return Suspects()
-    keys = name_samples(group.samples)
-    spools = dict(zip(keys, (sample.specimen.spool for sample in group.samples), strict=True))
-    values = {key: value.value for key, value in number.values.items() if value.value is not None}
-    return find_suspects(values, spools)
+        return OutlierTest()
+    names = name_samples(group.samples)
+    spools = dict(zip(names, (sample.specimen.spool for sample in group.samples), strict=True))
+    values = {
+        name: result.value for name, result in number.values.items() if result.value is not None
+    }
+    return run_outlier_test(values, spools)
 
 
-def _shared(step: _Step, single_places: set[int]) -> list[tuple[int, list[int]]]:
-    """Return the value of a step and equally suspect ones, each with the others."""
-    every = [step.index, *(twin for twin in step.ties if twin not in single_places)]
-    return [(where, [other for other in every if other != where]) for where in every]
+def _list_tied_values(step: _TestStep, step_indices: set[int]) -> list[tuple[int, list[int]]]:
+    """Return the values that a step marks, each with the other values that it marks.
+
+    Tied values that have a step of their own are left out.
+    """
+    indices = [step.index, *(tied for tied in step.tied_indices if tied not in step_indices)]
+    return [(index, [other for other in indices if other != index]) for index in indices]
 
 
-def _equally_suspect(others: Sequence[int], names: Sequence[str]) -> str:
-    other_tests = " and ".join(names[other] for other in others)
-    if not other_tests:
+def _describe_ties(names: Sequence[str]) -> str:
+    """Name the samples from which the test cannot distinguish an outlier; empty if none."""
+    if not names:
         return ""
-    return format_sentence("statistics.equally_suspect", tests=other_tests)
+    return format_sentence("statistics.equally_suspect", tests=" and ".join(names))
 
 
-def _steps(values: Floats, spool: NDArray[np.intp], max_suspects: int) -> list[_Step]:
-    """Return the furthest value with its p-value, then that of the others, and so on."""
-    equal_p_ratio = 1.001  # within rounding
+def _find_steps(
+    values: Floats, spool_index: NDArray[np.intp], max_outliers: int
+) -> list[_TestStep]:
+    """Find the most extreme value, then that of the remaining values, and so on."""
+    max_tied_ratio = 1.001  # p-values of values that are equally far differ by rounding
     remaining = np.arange(len(values))
-    steps: list[_Step] = []
-    for _ in range(max_suspects):
-        chance = _chances(values[remaining], spool[remaining])
-        if chance is None:
+    steps: list[_TestStep] = []
+    for _ in range(max_outliers):
+        p_values = _compute_p_values(values[remaining], spool_index[remaining])
+        if p_values is None:
             break
-        furthest = int(np.argmin(chance))
-        equal = np.flatnonzero(chance <= equal_p_ratio * chance[furthest])
-        twins = tuple(int(remaining[twin]) for twin in equal if twin != furthest)
-        steps.append(_Step(int(remaining[furthest]), float(chance[furthest]), twins))
-        remaining = np.delete(remaining, furthest)
+        extreme = int(np.argmin(p_values))
+        tied = np.flatnonzero(p_values <= max_tied_ratio * p_values[extreme])
+        tied_indices = tuple(int(remaining[position]) for position in tied if position != extreme)
+        steps.append(_TestStep(int(remaining[extreme]), float(p_values[extreme]), tied_indices))
+        remaining = np.delete(remaining, extreme)
     return steps
 
 
-def _chances(values: Floats, spool: NDArray[np.intp]) -> Floats | None:
-    """Return the p-value of each value with Bonferroni correction, or None without scatter."""
-    numbers, spool = np.unique(spool, return_inverse=True)
-    free = len(values) - len(numbers) - 1
-    if free < 1:
+def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats | None:
+    """Compute the p-value of each value with Bonferroni's correction.
+
+    Return None if there are too few values, or if the values of each spool are equal.
+    """
+    spools, spool_index = np.unique(spool_index, return_inverse=True)
+    degrees_of_freedom = len(values) - len(spools) - 1
+    if degrees_of_freedom < 1:
         return None
-    counts = np.bincount(spool)
-    means = np.bincount(spool, weights=values) / counts
-    residual = values - means[spool]
-    total = float(residual @ residual)
-    room = 1.0 - 1.0 / counts[spool]
-    if total <= (1e-12 * float(np.abs(values).max())) ** 2:
+    counts = np.bincount(spool_index)
+    means = np.bincount(spool_index, weights=values) / counts
+    residual = values - means[spool_index]
+    sum_of_squares = float(residual @ residual)
+    if sum_of_squares <= (1e-12 * float(np.abs(values).max())) ** 2:
         return None
-    taken = np.divide(residual**2, room, out=np.zeros(len(values)), where=room > 0)
-    others = np.maximum(total - taken, 1e-15 * total)
-    chance: Floats = np.minimum(
-        1.0, 2.0 * len(values) * special.stdtr(free, -np.sqrt(taken * free / others))
+    # removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n)
+    variance_factor = 1.0 - 1.0 / counts[spool_index]
+    reduction = np.divide(
+        residual**2, variance_factor, out=np.zeros(len(values)), where=variance_factor > 0
     )
-    return chance
+    remaining_squares = np.maximum(sum_of_squares - reduction, 1e-15 * sum_of_squares)
+    t = np.sqrt(reduction * degrees_of_freedom / remaining_squares)
+    p_values: Floats = np.minimum(1.0, 2.0 * len(values) * special.stdtr(degrees_of_freedom, -t))
+    return p_values

@@ -22,7 +22,7 @@ from labpipe.mechanics.decks.beam_sections import (
     write_abaqus_deck,
     write_ansys_deck,
 )
-from labpipe.mechanics.decks.calculix import TIP, BarMesh, mesh_half_bar, write_calculix_deck
+from labpipe.mechanics.decks.calculix import TIP_SET, BarMesh, mesh_half_bar, write_calculix_deck
 from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
     compute_solid_area,
@@ -225,14 +225,14 @@ def numbers(lines: list[str]) -> list[list[float]]:
 
 
 def test_nodes_and_elements_are_numbered_without_gaps() -> None:
-    blocks = dict(blocks_of(write_calculix_deck(wire_table(), n_along=3))[:6])
+    blocks = dict(blocks_of(write_calculix_deck(wire_table(), n_bricks_along=3))[:6])
     nodes = numbers(blocks["*NODE, NSET=ALL"])
     assert [row[0] for row in nodes] == list(range(1, len(nodes) + 1))
     lines = blocks["*ELEMENT, TYPE=C3D20R, ELSET=WIRE"]
     whole = numbers([first + second for first, second in zip(lines[::2], lines[1::2], strict=True)])
     assert {len(row) for row in whole} == {21}
     assert [row[0] for row in whole] == list(range(1, 19))
-    tip = [int(n) for row in numbers(blocks[f"*NSET, NSET={TIP}"]) for n in row]
+    tip = [int(n) for row in numbers(blocks[f"*NSET, NSET={TIP_SET}"]) for n in row]
     assert {nodes[n - 1][1] for n in tip} == {0.085}
     assert {nodes[n - 1][2] for n in tip} == {0.0}
 
@@ -255,10 +255,10 @@ def test_the_tip_goes_to_six_tenths_of_the_length_or_as_far_as_the_law() -> None
     table = wire_table()
     step = blocks_of(write_calculix_deck(table, n_steps=40))[-5:]
     assert numbers(step[0][1]) == [[0.025, 1.0, 1e-8, 0.025]]
-    assert step[1][1] == [f"{TIP}, 2, 2, 0.051"]
+    assert step[1][1] == [f"{TIP_SET}, 2, 2, 0.051"]
     short = replace(table, tip_deflection=table.tip_deflection[:20], tip_force=table.tip_force[:20])
     text, reach = write_calculix_deck(short), table.tip_deflection[19]
-    assert f"{TIP}, 2, 2, {reach:.9g}" in text
+    assert f"{TIP_SET}, 2, 2, {reach:.9g}" in text
     assert f"** Free length 0.085 m, tip deflection to {reach:.6g} m." in text
 
 
@@ -284,8 +284,8 @@ def test_numbers_out_of_range(approved: Approve) -> None:
     calls: list[Callable[[], object]] = [
         lambda: write_ansys_deck(table, section=0),
         lambda: write_calculix_deck(table, n_steps=0),
-        lambda: write_calculix_deck(table, n_along=0),
-        lambda: mesh_half_bar(RADIUS, LENGTH, n_along=0),
+        lambda: write_calculix_deck(table, n_bricks_along=0),
+        lambda: mesh_half_bar(RADIUS, LENGTH, n_bricks_along=0),
         lambda: deck_texts(replace(table, moment=table.moment[::-1])),
     ]
     messages = []
@@ -343,7 +343,7 @@ def integrals(mesh: BarMesh) -> Floats:
 
 
 def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> None:
-    mesh = mesh_half_bar(RADIUS, LENGTH, n_along=2)
+    mesh = mesh_half_bar(RADIUS, LENGTH, n_bricks_along=2)
     volume, second = integrals(mesh)
     assert volume == pytest.approx(0.5 * np.pi * RADIUS**2 * LENGTH, rel=1e-3)
     assert second == pytest.approx(0.5 * np.pi / 4.0 * RADIUS**4 * LENGTH, rel=2e-3)
@@ -352,9 +352,9 @@ def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> No
     assert mesh.bricks.shape == (12, 20)
     assert np.ptp(mesh.nodes[mesh.clamp, 0]) == 0.0
     assert mesh.nodes[mesh.tip, 0] == pytest.approx(LENGTH)
-    assert np.count_nonzero(mesh.tip & mesh.middle) == 5
+    assert np.count_nonzero(mesh.tip & mesh.neutral_plane) == 5
     assert (mesh.nodes[:, 2] >= -1e-12).all()
-    assert mesh.nodes[mesh.cut, 1].min() == pytest.approx(-RADIUS)
+    assert mesh.nodes[mesh.symmetry_plane, 1].min() == pytest.approx(-RADIUS)
 
 
 def test_every_deck_of_every_wire(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_truth_is_found_and_other_wires_and_curves_compared(
         assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     printed = " ".join(done.out.split())
     for part in (
-        *("cannot be distinguished", "predicted", "elements tests of A2, 85 mm"),
+        *("cannot be distinguished", "predicted", "elements, compared with tests of A2, 85 mm"),
         "its load is normal to the axis, unlike that of the tests",
     ):
         assert part in printed
@@ -147,10 +147,8 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
         return found, [note["message"] for note in notes]
 
     found, [message] = calibrated("0.01,")
-    assert message.startswith(
-        f"the tests bend A2 to {found['tested_curvature']:.3g} 1/m; from 12.5 1/m on its insulation"
-        " is strained by more than 1 %, beyond its linear range:"
-    )
+    for part in (f"A2 to {found['tested_curvature']:.3g} 1/m", "12.5 1/m", "more than 1 %"):
+        assert part in message
     assert found["stress_tables"] == {}
     # a table need not go on beyond the tests
     (tmp_path / "pvc.csv").write_text("strain,stress_mpa,temperature_c\n0.028,28,23\n")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from labpipe.process.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 from labpipe.process.reading import read_inputs
 from labpipe.protocol.load import load_test_sheet, resolve
 
@@ -116,8 +116,10 @@ TAKES = _lines()
 @cache
 def inspected(path: Path) -> dict[str, Any]:
     inspection = inspect_export(path)
-    assert as_text(inspection)
-    facts: dict[str, Any] = json.loads(json.dumps(as_json(inspection), allow_nan=False))
+    assert format_inspection(inspection)
+    facts: dict[str, Any] = json.loads(
+        json.dumps(make_inspection_record(inspection), allow_nan=False)
+    )
     return facts
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.process.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 from labpipe.readers import read_export
 from labpipe.records.recording import Recording
 from tests.builders.load_frames import EXAMPLES
@@ -149,8 +149,8 @@ def survives(file: Path) -> None:
         assert said and text.endswith(".") and "\n" not in text, text  # noqa: PT018
     try:
         inspection = inspect_export(file)
-        assert as_text(inspection)
-        as_json(inspection)
+        assert format_inspection(inspection)
+        make_inspection_record(inspection)
     except ReadError as error:
         assert str(error).startswith(str(file))  # noqa: PT017
     faulthandler.cancel_dump_traceback_later()

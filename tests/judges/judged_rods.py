@@ -11,14 +11,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
-from labpipe.mechanics.rod.assembly import Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.rotations import build_frame, from_rotation_vectors, multiply
-from labpipe.mechanics.rod.stability import StabilityCheck
+from labpipe.mechanics.rod.rotations import build_frame
 from labpipe.mechanics.rod.statics import RodSettings, follow
-from labpipe.mechanics.rod.supports import split_supports
 from labpipe.records.arrays import Floats
 from tests.builders.rods import straight_line
 from tests.judges.rod_references import (
@@ -26,7 +23,6 @@ from tests.judges.rod_references import (
     Kirchhoff,
     bend_of_45_degrees,
     buckled_column,
-    critical_moment_of_joints,
     critical_torque,
     heavy_cantilever,
 )
@@ -99,64 +95,6 @@ def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e
     at = int(np.argmax(np.array(aside) > 1e-6))
     assert at > 0
     return float(0.5 * (shares[at - 1] + shares[at]))
-
-
-def rate_on_joints(
-    elements: int, moment: float, *, torsion: float = 0.8, tension: float = 0.0
-) -> float:
-    """How fast the slowest change of a straight twisted rod on universal joints dies out.
-
-    Parameters
-    ----------
-    elements : of a rod of length and bending stiffness 1
-    moment : of constant direction along it, at both ends
-    torsion : its torsional stiffness
-    tension : it is pulled with
-
-    Returns
-    -------
-    Real part, 1 for a rod of its own stiffness against a drag of 1; negative where it diverges, and
-    not below zero else, as the rod may spin.
-    """
-    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
-    supports = split_supports(line, ((0, False), (elements, False)))
-    none = (np.zeros(0, dtype=np.int64), np.zeros(0))
-    assembly = Assembly(line, supports, (), none, n_rings=0, force=1.0 + moment)
-    middles = (np.arange(elements) + 0.5) / elements
-    twist = np.outer(middles * moment / torsion, [0.0, 0.0, 1.0])
-    along = np.array([1.0, 0.0, 0.0])
-    shape = Shape(
-        line.positions * (1.0 + tension / STRETCH),
-        multiply(line.frames, from_rotation_vectors(twist)),
-        np.full(elements, tension / STRETCH),
-        np.tile(tension * along, (elements, 1)),
-    )
-    moments = np.zeros((elements, 3))
-    moments[0] -= moment * along
-    moments[-1] += moment * along
-    nothing = np.zeros((0, 3))
-    asked = Demands(
-        *(shape.positions[supports.held], np.zeros((0, 4)), np.zeros((elements + 1, 3))),
-        *(moments, nothing, nothing),
-    )
-    memory = LineMemory(
-        np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, elements + 1, 3)), np.zeros(0)
-    )
-    balance = assembly.balance(shape, asked, memory)
-    left = np.where(assembly.band.fixed, 0.0, balance.residual)
-    assert np.max(np.abs(left)) < 1e-10
-    return StabilityCheck(assembly, is_turned=True).slowest_return(balance)[0].real
-
-
-def moment_that_buckles(elements: int, *, torsion: float = 0.8, tension: float = 0.0) -> float:
-    """Least M at which a rod on universal joints diverges, over that of theory."""
-    critical = critical_moment_of_joints(tension)
-    low, high = 0.8 * critical, 1.2 * critical
-    while high - low > 1e-7 * critical:
-        middle = 0.5 * (low + high)
-        diverges = rate_on_joints(elements, middle, torsion=torsion, tension=tension) < -1e-6
-        low, high = (low, middle) if diverges else (middle, high)
-    return high / critical
 
 
 def pressed_column_path(

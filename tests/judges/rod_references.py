@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import solve_bvp
-from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
@@ -99,31 +98,6 @@ def _first_root(function: Callable[[float], float], scan: Floats) -> float:
     signs = np.sign([function(float(at)) for at in scan])
     at = int(np.flatnonzero(signs[:-1] * signs[1:] < 0.0)[0])
     return float(brentq(function, scan[at], scan[at + 1], xtol=1e-12))
-
-
-def critical_moment_of_joints(tension: float = 0.0) -> float:
-    """Least M L / B of constant direction that buckles a straight rod on universal joints.
-
-    Parameters
-    ----------
-    tension : T L^2 / B
-
-    Notes
-    -----
-    Kirchhoff's equations, linear across the rod, with complex numbers for the two directions: place
-    w' = f, slope f' = (m - M f) / i, moment m' = i (T f - q), force q' = 0. At both ends w = 0, and
-    m = 0 since the moment there is M along the axis. Twist and its stiffness are not in them.
-    """
-
-    def determinant(moment: float) -> float:
-        rows = [[0, 1, 0, 0], [0, 1j * moment, -1j, 0], [0, 1j * tension, 0, -1j], [0, 0, 0, 0]]
-        ends = expm(np.array(rows))[np.ix_([0, 2], [1, 3])]
-        value = np.linalg.det(ends) * np.exp(-0.5j * (moment + np.pi))
-        assert abs(value.imag) < 1e-9 * (1.0 + abs(value))
-        return float(value.real)
-
-    least = 2.0 * np.sqrt(tension)
-    return _first_root(determinant, np.linspace(least + 1.0, least + 8.0, 141))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.process.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 from tests.approved import Approve
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.motive import Layout, marker, rigid_body, write_table
@@ -21,7 +21,7 @@ FORCE = np.linspace(-2.0, 3.0, len(TIME))
 
 
 def facts(path: Path) -> dict[str, Any]:
-    found = as_json(inspect_export(path))
+    found = make_inspection_record(inspect_export(path))
     parsed: dict[str, Any] = json.loads(json.dumps(found, allow_nan=False))
     assert parsed == found  # nothing that JSON would change on its way
     return parsed
@@ -64,7 +64,7 @@ def test_a_time_axis_that_runs_backwards_can_be_inspected(tmp_path: Path) -> Non
 
 def test_pages(recording: Path, take: Path, tmp_path: Path, approved: Approve) -> None:
     empty = write_table(tmp_path / "empty.csv", [], 4, Layout())
-    pages = [as_text(inspect_export(path)) for path in (recording, take, empty)]
+    pages = [format_inspection(inspect_export(path)) for path in (recording, take, empty)]
     pages += [json.dumps(facts(path), indent=1) for path in (recording, take)]
     pages = [re.sub(r"Created on: [^\"]*", "Created on: TODAY", page) for page in pages]
     approved(page.replace(f"{tmp_path}{os.sep}", "") for page in pages)

@@ -11,17 +11,17 @@ from matplotlib.figure import Figure
 
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.records.curve import Interval
-from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
-    MAX_ROWS,
+    MAX_FIGURE_ROWS,
     draw_bundle,
     draw_loop,
-    draw_places,
+    draw_stiffness_bounds,
     has_bundles,
-    list_place_figures,
-    make_place_table,
+    list_bounds_figures,
+    make_bounds_table,
 )
 from labpipe.report.figure_page import style
 from labpipe.report.harness_figures import (
@@ -50,8 +50,10 @@ SCALE = Scale(1e6, "N·mm²")
 GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
 NAME = GROUPS[0].name
 ENDS, SHARE = Interval(0.0058, 0.0062), Interval(0.0290, 0.0316)
-ROW = BundlePlace(NAME, "t-1", 0.006, ENDS, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.0303, SHARE)
-PLACE = replace(ROW, group="g", interval=Interval(-0.001, 0.0130), share=0.03, share_interval=None)
+ROW = BoundedStiffness(NAME, "t-1", 0.006, ENDS, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.0303, SHARE)
+BROAD_ROW = replace(
+    ROW, group="g", interval=Interval(-0.001, 0.0130), share=0.03, share_interval=None
+)
 
 
 DEFLECTION = np.array([0.0, 0.02, 0.01, 0.02, 0.01])
@@ -119,11 +121,13 @@ def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
 
 def test_many_rows_are_several_figures() -> None:
     groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
-    places = [replace(PLACE, group=group.name) for group in groups for _ in range(MAX_ROWS - 4)]
+    places = [
+        replace(BROAD_ROW, group=group.name) for group in groups for _ in range(MAX_FIGURE_ROWS - 4)
+    ]
     name = "between-slipping-and-sticking"
     for count, names in ((len(places), [f"{name}-1", f"{name}-2"]), (4, [name]), (0, [])):
-        campaign = Campaign("Synthetic", tuple(groups), places=tuple(places[:count]))
-        assert [figure.name for figure in list_place_figures(campaign)] == names
+        campaign = Campaign("Synthetic", tuple(groups), bounded_stiffnesses=tuple(places[:count]))
+        assert [figure.name for figure in list_bounds_figures(campaign)] == names
 
 
 def test_table_of_places(approved: Approve) -> None:
@@ -132,25 +136,27 @@ def test_table_of_places(approved: Approve) -> None:
         (Reason("not_in_sheet", "no bounds: the sheet has no B3"),),
     )
     bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), share_interval=None)
-    lacking = BundlePlace(NAME, "t-2", 0.006, None, reasons=absent)
+    lacking = BoundedStiffness(NAME, "t-2", 0.006, None, reasons=absent)
     failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
     campaign = Campaign("Synthetic", GROUPS, wire_sheet="wires.xlsx")
-    table = make_place_table(replace(campaign, places=(ROW, bare, lacking, failed)))
+    table = make_bounds_table(replace(campaign, bounded_stiffnesses=(ROW, bare, lacking, failed)))
     assert table is not None
     approved(table_words(table))
-    assert make_place_table(campaign) is None
+    assert make_bounds_table(campaign) is None
     assert has_bundles(campaign)
     assert not has_bundles(build_campaign())
 
 
 def test_words(approved: Approve) -> None:
-    lacking = BundlePlace("g", "t-2", None, None, reasons=(Reason("x", "y" * 200),))
+    lacking = BoundedStiffness("g", "t-2", None, None, reasons=(Reason("x", "y" * 200),))
     plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
     with style():
         pages = {
             "bundle": draw_bundle(MIXED),
             "bundle of one wire": draw_bundle(ALIKE),
-            "places": draw_places([PLACE, replace(PLACE, test="", interval=None), lacking], SCALE),
+            "places": draw_stiffness_bounds(
+                [BROAD_ROW, replace(BROAD_ROW, test="", interval=None), lacking], SCALE
+            ),
             "cycles of a bundle": draw_loop("TWB-1", FIT),
             "harness": draw_harness(HARNESS),
             "harness without a band": draw_harness(plain),

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from labpipe.errors import UsageError
-from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
 from labpipe.report.lab_report import (
@@ -172,8 +172,8 @@ def test_words_and_numbers_of_pages(page: str, approved: Approve) -> None:
     """All of a usual campaign; headings of one without faults, and of bundles with questions."""
     bundles = bundle_campaign(conduit_cases())
     reasons = (Reason("x", "no bounds: why"),)
-    place = BundlePlace(bundles.groups[0].name, "t-1", None, None, reasons=reasons)
-    placed = render_page(replace(bundles, places=(place,), wire_sheet="<wires>.xlsx"))
+    place = BoundedStiffness(bundles.groups[0].name, "t-1", None, None, reasons=reasons)
+    placed = render_page(replace(bundles, bounded_stiffnesses=(place,), wire_sheet="<wires>.xlsx"))
     plain = render_page(Campaign("Synthetic", (build_group("A", six_samples(slips=0)),)))
     whole, *others = [Outline(text) for text in (page, plain, render_page(bundles), placed)]
     assert not any(outline.open for outline in (whole, *others))

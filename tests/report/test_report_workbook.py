@@ -18,7 +18,7 @@ from openpyxl.workbook import Workbook
 
 from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
-from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 from labpipe.report.page_facts import compute_report_id
@@ -176,9 +176,11 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
         assert (len(sheet.tables), sheet.page_setup.orientation) == (1, "landscape")
     names = ["key numbers", "means", "tests", "results", "comparisons", "needs a look", "curves"]
     name, ends = bundles.groups[0].name, Interval(0.0058, 0.0062)
-    place = BundlePlace(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
-    lacking = BundlePlace(name, "t-1", None, None, reasons=(Reason("no_model", "no bounds: why"),))
-    other = saved(replace(bundles, places=(place, lacking)), tmp_path)
+    place = BoundedStiffness(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
+    lacking = BoundedStiffness(
+        name, "t-1", None, None, reasons=(Reason("no_model", "no bounds: why"),)
+    )
+    other = saved(replace(bundles, bounded_stiffnesses=(place, lacking)), tmp_path)
     approved([
         *(line for name in names for line in sheet_words(book, name)),
         *sheet_words(other, "comparisons"), *sheet_words(other, "slipping and sticking"),

@@ -9,7 +9,7 @@ import pytest
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import Band
-from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
 from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.response import Fields, compute_field_band, respond
@@ -62,7 +62,6 @@ class Case:
                 self.line.frames[[0, -1]], from_rotation_vectors(0.1 * random.normal(size=(2, 3)))
             ),
             forces=0.01 * random.normal(size=(N + 1, 3)),
-            moments=1e-3 * random.normal(size=(N, 3)),
             anchors=self.line.positions[[2]] + (0.0, 0.0, 0.07),
             rings=self.line.positions[[4]] + (1e-3, 2e-3, 1e-3),
         )
@@ -173,9 +172,9 @@ def test_held_ends_feel_stretch_and_twist_as_a_pair() -> None:
 
 
 def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
-    """The half cell at the clamp of a single element, bent by a moment."""
+    """The half cell at the clamp of a single element, bent by a force across its end."""
     line = straight_line(0.02, 1, sliding_section())
-    path = walked(line, [clamp(line), Moment(-1, ramp((0.0, 0.0, 6e-3), 12))], 12)
+    path = walked(line, [clamp(line), Load(-1, ramp((0.0, 0.3, 0.0), 12))], 12)
     curvature = float(path.last.bendings[0])
     ring_stations = np.maximum(curvature - SLIDING.slip_curvatures, 0.0)
     assert np.all(ring_stations > 0.0)

@@ -14,7 +14,6 @@ from labpipe.mechanics.rod.boundaries import (
     Gravity,
     Held,
     Load,
-    Moment,
     Plane,
     Ring,
     String,
@@ -94,7 +93,6 @@ REFUSED: list[Callable[[], object]] = [
     lambda: Held(0, np.zeros(3), np.array([2.0, 0.0, 0.0, 0.0])),
     lambda: Held(0, np.zeros(3), release=0),
     lambda: Load(0, np.array([[0.0, 0, 0], [np.nan, 0, 0]])),
-    lambda: Moment(0, np.array([np.inf, 0.0, 0.0])),
     lambda: String(0, np.zeros(3), 0.0),
     lambda: Plane(np.zeros(3), friction=-0.1),
     lambda: Plane(np.zeros(3), np.zeros(3)),
@@ -112,14 +110,10 @@ def test_what_is_refused(approved: Approve) -> None:
     approved(messages)
 
 
-def test_weight_and_moments_are_shared_by_nodes_and_elements() -> None:
+def test_weight_is_shared_by_nodes() -> None:
     """What lets go holds up to its step."""
     forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).demands(0.0, ()).forces
     assert forces[:, 2] == pytest.approx([-0.125, -0.25, -0.25, -0.25, -0.125])
-    turned = schedule(Moment(1, np.array([0.0, 0.0, 2.0])), Moment(-1, np.array([3.0, 0, 0])))
-    moments = turned.demands(0.0, ()).moments
-    assert moments[:, 2] == pytest.approx([1.0, 1.0, 0.0, 0.0])
-    assert moments[:, 0] == pytest.approx([0.0, 0.0, 0.0, 3.0])
     plan = schedule(Held(2, LINE.positions[2], release=2))
     assert [plan.grips(step) for step in (0, 1, 2)] == [(0,), (0,), ()]
 

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
+from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Plane
 from labpipe.mechanics.rod.contacts import (
     evaluate_curve,
     find_nearest_place,
@@ -103,22 +103,6 @@ def test_work_is_stored_or_lost() -> None:
     assert off[1] < 0.35 * off[0]
 
 
-def test_a_moment_rolls_a_circle_to_second_order() -> None:
-    gaps = []
-    for n in (20, 40):
-        line = straight_line(LENGTH, n, linear_section())
-        moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 10)
-        free = RodSettings(checks_stability=False)  # beyond half a circle it would whirl in space
-        state = follow(line, [clamp(line), Moment(-1, moment)], steps=10, settings=free).last
-        gaps.append(np.linalg.norm(state.positions[-1] - state.positions[0]) / LENGTH)
-        # a moment is the same all along, and so is the curvature, to rounding
-        np.testing.assert_allclose(
-            np.abs(state.curvatures[1:-1, :, 1]), 2.0 * np.pi / LENGTH, rtol=1e-8
-        )
-    assert gaps[0] < 2e-3
-    assert gaps[1] == pytest.approx(gaps[0] / 4.0, rel=0.05)
-
-
 def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     """Straight at the start, without weight; its half cell at the clamp is curled as well."""
     curl, errors = 3.0 / LENGTH, []
@@ -131,19 +115,6 @@ def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
         errors.append(np.max(np.linalg.norm(state.positions - circle, axis=1)) / LENGTH)
     assert errors[0] < 3e-3
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.01)
-
-
-@pytest.mark.parametrize(("torsion", "first"), [(0.3, 9), (3.0, 18)], ids=["soft", "stiff"])
-def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
-    torsion: float, first: int
-) -> None:
-    """In space; the rates of the dense matrix turn negative in that twentieth of a circle."""
-    line = straight_line(LENGTH, 20, linear_section(torsion=torsion * STIFFNESS))
-    moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 20)
-    path = follow(line, [clamp(line), Moment(-1, moment)], steps=20)
-    assert (path.status, path.snapped) == ("doubtful", ())
-    assert [(reason.code, reason.step) for reason in path.reasons] == [("whirls", first)]
-    assert path.reasons[0].sentence.endswith("of constant direction; it is softest at node 20")
 
 
 def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
@@ -167,11 +138,11 @@ def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
 
 @pytest.mark.slow
 def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
-    """Pinned taut it cannot leave its line; it is not looked at in ever smaller parts."""
+    """Clamped taut it cannot leave its line; it is not looked at in ever smaller parts."""
     line = straight_line(LENGTH, 10, linear_section())
-    moments = ramp((2.2 * np.pi * STIFFNESS / LENGTH, 0.0, 0.0), 10)
-    pins = [Held(node, line.positions[node]) for node in (0, -1)]
-    path = follow(line, [*pins, Moment(0, -moments), Moment(-1, moments)], steps=10)
+    twist = ramp((9.4 * STIFFNESS / line.section.torsional_stiffness, 0.0, 0.0), 10)
+    frames = multiply(from_rotation_vectors(twist), line.frames[-1:])
+    path = follow(line, [clamp(line), Held(-1, line.positions[-1], frames)], steps=10)
     assert (path.status, len(path.states), path.snapped) == ("doubtful", 11, (10,))
     assert [(reason.code, reason.step) for reason in path.reasons] == [("unstable", 10)]
 
@@ -262,23 +233,18 @@ N = 40
 LINE = straight_line(LENGTH, N, linear_section())
 
 
-def column(
-    grips: tuple[Grip, ...], *, load: float = 0.0, moment: float = 0.0
-) -> tuple[StabilityCheck, Balance, Shape]:
-    """A straight line pressed along itself, or its free end turned by a moment along it."""
+def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Balance, Shape]:
+    """A straight line pressed along itself."""
     supports = split_supports(LINE, grips)
     strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
     assembly = Assembly(LINE, supports, (), strings, n_rings=0, force=STIFFNESS / LENGTH**2)
-    forces, moments, none = np.zeros((N + 1, 3)), np.zeros((N, 3)), np.zeros((0, 3))
-    forces[-1, 0], moments[-1, 0] = -load, moment
+    forces, none = np.zeros((N + 1, 3)), np.zeros((0, 3))
+    forces[-1, 0] = -load
     clamps = LINE.frames[-np.arange(len(supports.clamps))]
-    asked = Demands(LINE.positions[supports.held], clamps, forces, moments, none, none)
-    twist = moment / LINE.section.torsional_stiffness * (LINE.stations[1:] + LINE.stations[:-1])
-    frames = multiply(LINE.frames, from_rotation_vectors(np.outer(0.5 * twist, [0.0, 0.0, 1.0])))
+    asked = Demands(LINE.positions[supports.held], clamps, forces, none, none)
     memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
-    shape = Shape(LINE.positions, frames, np.zeros(N), np.tile([-load, 0.0, 0.0], (N, 1)))
-    check = StabilityCheck(assembly, is_turned=moment != 0.0)
-    return check, assembly.balance(shape, asked, memory), shape
+    shape = Shape(LINE.positions, LINE.frames, np.zeros(N), np.tile([-load, 0.0, 0.0], (N, 1)))
+    return StabilityCheck(assembly), assembly.balance(shape, asked, memory), shape
 
 
 FREE: tuple[Grip, ...] = ((0, True),)
@@ -300,30 +266,6 @@ def test_critical_loads_of_columns(grips: tuple[Grip, ...], factor: float) -> No
     above = column(grips, load=1.004 * critical)
     assert below[0].is_stable(*below[1:])
     assert not above[0].is_stable(*above[1:])
-
-
-def test_a_cantilever_turned_about_itself_whirls() -> None:
-    """Under a moment of constant direction along it; rates are eigenvalues of the whole matrix."""
-    for share, is_stable in ((0.6, True), (0.75, False)):
-        check, balance, shape = column(FREE, moment=share * 2.0 * np.pi * STIFFNESS / LENGTH)
-        assert check.is_stable(balance, shape) is is_stable
-        assert check.whirls(balance) is not is_stable
-    check, balance, _ = column(FREE, moment=0.5 * np.pi * STIFFNESS / LENGTH)
-    assembly = check._assembly
-    whole = np.zeros((assembly.places.total,) * 2)
-    np.add.at(whole, assembly.pattern, balance.symmetric_values)
-    fixed = assembly.band.fixed
-    whole[fixed, :] = np.eye(len(whole))[fixed]
-    own = np.flatnonzero((assembly.drag > 0.0) & ~fixed)
-    root = np.sqrt(assembly.drag[own])
-    gives = np.linalg.inv(whole)[np.ix_(own, own)] * np.outer(root, root)
-    rates = 1.0 / np.linalg.eigvals(gives)
-    expected = rates[np.argmin(rates.real)]
-    rate, change = check.slowest_return(balance)
-    assert rate.real == pytest.approx(expected.real, rel=1e-6)
-    assert abs(rate.imag) == pytest.approx(abs(expected.imag), rel=1e-6)
-    assert abs(rate.imag) > 0.1
-    assert not np.any(change[fixed])
 
 
 def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:

@@ -12,7 +12,6 @@ from labpipe.records.curve import AT_REST, Direction
 from labpipe.signal.rests_and_jumps import (
     count_rest_samples,
     find_level_jumps,
-    find_rests,
     moves_at_end,
 )
 from labpipe.signal.turning_points import (
@@ -194,21 +193,6 @@ def test_all_rest_or_all_motion() -> None:
         assert count_rest_samples(stretch(60, 1.0, seed=seed)) == 0
         assert count_rest_samples(stretch(0, 1.0, seed=seed)) == 0
     assert count_rest_samples(np.ones(60)) == count_rest_samples(np.ones(3)) == 0
-
-
-def test_where_a_motion_stands() -> None:
-    walk = np.interp(TIME, [0.0, 1.0, 3.0, 5.0], [0.0, 1.0, 1.0, 3.0])
-    ((start, stop),) = find_rests(TIME, walk, size=5, speed=1.0)
-    assert TIME[start] == pytest.approx(1.0, abs=0.2)
-    assert TIME[stop] == pytest.approx(3.0, abs=0.2)
-    shaken = path(walk, 1.0)
-    assert find_rests(TIME, shaken, size=5, speed=1.0) == []  # nobody can tell
-    assert find_rests(TIME[:8], walk[:8], size=2, speed=1.0) == []
-    turns = 1.0 - np.cos(np.pi * TIME / 5.0)
-    assert find_rests(TIME, turns, size=5, speed=1.0) == []
-    ((start, stop),) = find_rests(TIME, np.minimum(TIME, 1.0), size=1, speed=1.0)
-    assert start == pytest.approx(50, abs=2)
-    assert stop == 250
 
 
 JUMP_TIME = 0.01 * np.arange(2000.0)

@@ -16,7 +16,7 @@ from labpipe.records.result import Result
 from labpipe.statistics.group_notes import describe_missing_samples
 from labpipe.statistics.groups import build_group
 from labpipe.statistics.means import compute_mean, compute_nested_mean, convert_to_log_scale
-from labpipe.statistics.outliers import find_suspects, mark_outliers
+from labpipe.statistics.outliers import mark_outliers, run_outlier_test
 from labpipe.statistics.two_groups import (
     compare_means,
     compute_contrast,
@@ -131,7 +131,8 @@ def test_verdicts_of_one_comparison(
 ) -> None:
     difference = alone(compared(FIRST, second, margin))
     assert difference.verdict is verdict
-    assert message in difference.verdict_text
+    text = f"{difference.verdict}: {difference.verdict_reason}"
+    assert message in "; ".join([text, *difference.caveats])
 
 
 def test_many_comparisons_are_corrected() -> None:
@@ -188,7 +189,7 @@ def outliers_of(
     values: Mapping[str, float], spools: Mapping[str, str], *, level: float = 0.05
 ) -> tuple[Outlier, ...]:
     """Of one number alone."""
-    return find_suspects(values, spools).select_outliers(level)
+    return run_outlier_test(values, spools).select_outliers(level)
 
 
 def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
@@ -279,7 +280,7 @@ def marks(groups: list[Group]) -> list[tuple[str, str]]:
 def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
     odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
-    (suspect,) = find_suspects(*one_spool(odd)).select_outliers(0.05)
+    (suspect,) = run_outlier_test(*one_spool(odd)).select_outliers(0.05)
     assert 0.01 < suspect.p < 0.04
     alone = mark_outliers([group_of("A", {"k": odd})])
     assert marks(alone) == [("k", "A-4")]

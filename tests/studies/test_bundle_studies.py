@@ -11,8 +11,8 @@ from labpipe.errors import LabpipeError
 from labpipe.mechanics.studies.bundle_bounds import (
     Conduit,
     as_json,
+    bound_stiffnesses,
     extract_loop,
-    find_places,
     model_bundle,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
@@ -36,7 +36,7 @@ SEVEN = bundle_of("7 B1", conduit="corrugated-tube", conduit_bore=0.0107)
 
 def test_samples_and_mean_between_the_bounds_of_the_model() -> None:
     model = compute_bundle_model(Bundle(SEVEN.wires), example_wires())
-    *samples, mean = find_places(grouped(three_of(SEVEN)), WIRES)
+    *samples, mean = bound_stiffnesses(grouped(three_of(SEVEN)), WIRES)
     assert [place.test for place in (*samples, mean)] == [*(f"{mean.group}-{n}" for n in "123"), ""]
     for place in (*samples, mean):
         assert (place.low, place.free, place.high) == (model.low, model.free, model.high)
@@ -71,7 +71,7 @@ def test_places_without_bounds_or_values(approved: Approve) -> None:
         ("no bundle", [none], WIRES, ()),
         ("one bundle", [none, bundle_sample(SEVEN, 2)], WIRES, ("length",)),
     ):
-        for place in find_places(grouped(samples, *by), wires):
+        for place in bound_stiffnesses(grouped(samples, *by), wires):
             bounds, value = place.low > 0.0, place.value is not None
             lines.append(f"{name}: {place.test or 'mean'}, {bounds=}, {value=}")
             lines.append(f"    {join_reasons(place.reasons)}")

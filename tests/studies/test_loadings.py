@@ -325,3 +325,55 @@ def test_the_scale_is_what_the_budget_of_the_peak_says_of_it() -> None:
     failed = Result(PEAK_ERRORS.name, None, "m", status=Status.FAILED, reasons=why)
     for results in ((), (failed,), (replace(PEAK_ERRORS, interval=None),)):
         assert estimate_scale_errors(result(results=results)) == (0.0, 0.0)
+
+
+def number(
+    name: str, value: float, error: float = 0.0, status: Status = Status.OK, **more: object
+) -> Result:
+    reasons = () if status is Status.OK else (Reason("drift", "it drifts"),)
+    interval = Interval.normal_95(value, error)
+    return Result(name, value, "1", interval, status, reasons, **more)  # type: ignore[arg-type]
+
+
+SCALE = Contribution("scale of the force", 0.01, is_common=True)
+CYCLES = (
+    number("peak_displacement.1", PEAK),
+    number("peak_displacement.2", PEAK),
+    number("residual_displacement.1", 0.0115, 1e-4),
+    number("energy.1", 1.04e-3, 1e-5),
+    number("peak_force.1", 0.20, budget=(SCALE, Contribution("noise", 0.002))),
+    number("peak_force.2", 0.21, budget=(SCALE, Contribution("noise", 0.002))),
+)
+
+
+def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) -> None:
+    cycles = taken(protocol, result_of(results=CYCLES)).cycles
+    assert cycles is not None
+    assert (cycles.length, cycles.peak) == (LENGTH, PEAK)
+    assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
+    assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
+    own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)
+    assert cycles.numbers["ratio"] == pytest.approx((1.05, own))
+
+
+@pytest.mark.parametrize(
+    ("changed", "left", "code"),
+    [
+        ({1: number("peak_displacement.2", 1.02 * PEAK)}, {"residual", "energy"}, "cycles_grow"),
+        (
+            {2: number("residual_displacement.1", 0.01, status=Status.DOUBTFUL)},
+            {"energy", "ratio"},
+            "",
+        ),
+        ({1: number("other", 1.0), 5: number("another", 1.0)}, {"residual", "energy"}, ""),
+        ({0: number("other", 1.0)}, None, ""),
+    ],
+    ids=["growing", "doubtful", "one-cycle", "no-peak"],
+)
+def test_cycles_that_cannot_be_used(
+    protocol: Protocol, changed: dict[int, Result], left: set[str] | None, code: str
+) -> None:
+    results = [changed.get(place, result) for place, result in enumerate(CYCLES)]
+    loading = taken(protocol, result_of(results=tuple(results)))
+    assert (loading.cycles and set(loading.cycles.numbers)) == left
+    assert ("cycles_grow" in {note.code for note in loading.notes}) == (code == "cycles_grow")

@@ -43,7 +43,9 @@ CLOSE = 0.02
 
 def pushed(table: WireTable, folder: Path, *, n_steps: int = 80) -> tuple[Floats, Floats]:
     """Tip deflection and end load, m and N, as the program finds them."""
-    (folder / "wire.inp").write_text(write_calculix_deck(table, n_along=N_ALONG, n_steps=n_steps))
+    (folder / "wire.inp").write_text(
+        write_calculix_deck(table, n_bricks_along=N_ALONG, n_steps=n_steps)
+    )
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run(["ccx", "-i", "wire"], cwd=folder, env=environment, check=True, timeout=300)
     across, up = CurveColumn("deflection", "m"), CurveColumn("force", "N")

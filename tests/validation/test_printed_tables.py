@@ -24,7 +24,7 @@ from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
 from labpipe.results.least_squares import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
-from labpipe.statistics.outliers import find_suspects
+from labpipe.statistics.outliers import run_outlier_test
 from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
@@ -88,13 +88,13 @@ VALUES = """
 def test_outliers_of_rosner() -> None:
     """Three are marked; one alone is not: the other two make the scatter large."""
     named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    suspects = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=10).select_outliers(
-        0.05
-    )
+    suspects = run_outlier_test(
+        named, dict.fromkeys(named, "one"), max_outliers=10
+    ).select_outliers(0.05)
     assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
     assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
     # 3.118 where 3.158 is needed
-    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), max_suspects=1).select_outliers(
+    (alone,) = run_outlier_test(named, dict.fromkeys(named, "one"), max_outliers=1).select_outliers(
         0.1
     )
     assert alone.value == 6.01

@@ -14,7 +14,7 @@ from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, writ
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.law.sliders import convert_to_plays
-from labpipe.mechanics.rod.boundaries import Load, Moment
+from labpipe.mechanics.rod.boundaries import Load
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.wire.cantilever import bend_under_force, make_straight
@@ -37,14 +37,15 @@ PLAYS = convert_to_plays(SLIDING)
 
 
 def test_a_node_there_and_back_follows_masing() -> None:
-    steps, peak = 60, 6e-3
-    moments = there_and_back((0.0, 0.0, peak), steps, cycles=2)
-    line = straight_line(0.02, 1, sliding_section())
-    path = walked(line, [clamp(line), Moment(-1, moments)], steps)
+    steps, peak = 60, 0.6
+    forces = there_and_back((0.0, peak, 0.0), steps, cycles=2)
+    line = straight_line(0.02, 2, sliding_section())
+    path = walked(line, [clamp(line), Load(-1, forces)], steps)
     # d1 is up: a moment about it bends by the first component
-    found = np.array([state.curvatures[0, 1, 0] for state in path.states])
+    found = np.array([state.curvatures[1, 0, 0] for state in path.states])
+    moments = np.array([state.moments[1, 0, 2] for state in path.states])
     plays, expected = make_unbent_plays(PLAYS, 1), []
-    for moment in moments[:, 2]:
+    for moment in moments:
         response = respond(PLAYS, np.array([moment]), plays)
         plays = response.plays
         expected.append(float(response.curvature[0]))

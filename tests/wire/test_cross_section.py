@@ -19,7 +19,12 @@ from labpipe.mechanics.wire.cross_section import (
     place_sectors,
 )
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.packing import Kind, compute_overlap_energy, lay_out, pack_strands
+from labpipe.mechanics.wire.packing import (
+    LayoutKind,
+    compute_overlap_energy,
+    make_cross_section,
+    pack_strands,
+)
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 
@@ -95,9 +100,9 @@ PRESSED = lay_up(7, compute_strand_diameter(0.35e-6, 7), [0.2], ANNEALED_COPPER)
     ],
 )
 def test_the_layout_that_is_chosen(
-    layers: tuple[Layer, ...], insulation: Insulation, asked: Kind | None, kind: str
+    layers: tuple[Layer, ...], insulation: Insulation, asked: LayoutKind | None, kind: str
 ) -> None:
-    assert lay_out(layers, insulation, kind=asked).kind == kind
+    assert make_cross_section(layers, insulation, kind=asked).kind == kind
 
 
 def test_overlaps() -> None:

@@ -1,17 +1,18 @@
-"""Half a round bar of twenty-node bricks, cut along its plane of bending.
+"""Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
-x runs along the bar, y in the plane of bending. Across it a rectangle of two bricks lies around the
-axis, and a ring of four between it and the circle; the outer nodes, those at mid-sides included,
-are on the circle. Numbering of a brick: four corners, the four above them, mid-sides below, above
-and between (CalculiX CrunchiX User's Manual, "Twenty-node brick element").
+CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter and
+of the elastic-plastic material of `law.equivalent_material`. One end is clamped; the other is
+displaced sideways. Beam elements of CalculiX are not accurate enough: the program expands each into
+one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element"), whose
+four integration points sample only one strain on each side of the neutral plane. A circular beam is
+2.4 % too flexible even while it is elastic.
 
-A wire for CalculiX CrunchiX: a cantilever of solid bricks with a material that bends as it does.
-
-CalculiX takes no moment-curvature law. The wire is a solid round bar of its diameter, of the
-elastic-plastic material of `law.equivalent_material`, clamped at one end and pushed aside at the
-other. Beams of the program are bricks, too, one over the whole section
-(CalculiX CrunchiX User's Manual, "Three-node beam element"), whose four integration points see
-one strain on either side; a circular one is 2.4 % too soft even while it is elastic.
+The mesh is one half of the bar, cut along the plane of bending, of twenty-node bricks. x runs along
+the bar and y lies in the plane of bending. In the section, two bricks form a rectangle at the axis,
+and four bricks form a ring between the rectangle and the circle. All outer nodes, also those at the
+middle of an edge, lie on the circle. The nodes of a brick are numbered as in the manual
+("Twenty-node brick element"): the four corners of the lower face, those of the upper face, then the
+mid-side nodes of the lower face, of the upper face, and of the edges between them.
 """
 
 from __future__ import annotations
@@ -34,20 +35,29 @@ from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
 from labpipe.records.wire import WireTable
 
-_RECTANGLE = 0.55  # half-width of the rectangle, as a share of the radius
+TIP_SET = "TIPHALF"
+"""Name of the node set whose displacement and force are printed: the tip of half the bar, which
+carries half of the force."""
+N_BRICKS_ALONG = 8
+"""Default number of bricks along the bar."""
+_RECTANGLE_HALF_WIDTH = 0.55
+"""Half-width of the rectangle at the axis, as a share of the radius."""
 _CELL_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
-_PLANE_TOLERANCE = 1e-6  # distance of nodes in a plane, over the radius
+"""Lattice indices of the nodes of a quadrangle, relative to its first corner: four corners, then
+four mid-side nodes."""
+_PLANE_TOLERANCE = 1e-6
+"""Largest distance of a node from the plane to which it belongs, as a share of the radius."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BarMesh:
-    """Nodes and bricks of half a bar; the half with z >= 0.
+    """Nodes and bricks of the half of a bar with z >= 0.
 
     Parameters
     ----------
-    nodes : shape (nodes, 3), m; the first has the number 1
-    bricks : shape (bricks, 20), numbers of nodes
-    length, radius : m
+    nodes : shape (nodes, 3), m, coordinates x, y and z
+    bricks : shape (bricks, 20), numbers of the nodes of each brick, counted from 1
+    length, radius : m, of the bar
     """
 
     nodes: Floats
@@ -57,87 +67,96 @@ class BarMesh:
 
     @property
     def clamp(self) -> Flags:
-        """Return the nodes of the clamped face, x = 0."""
+        """Return whether each node lies in the clamped face, x = 0; shape (nodes,)."""
         return self.nodes[:, 0] < _PLANE_TOLERANCE * self.radius
 
     @property
-    def middle(self) -> Flags:
-        """Return the nodes at y = 0, in the neutral plane of bending."""
+    def neutral_plane(self) -> Flags:
+        """Return whether each node lies in the neutral plane, y = 0; shape (nodes,)."""
         return np.abs(self.nodes[:, 1]) < _PLANE_TOLERANCE * self.radius
 
     @property
     def tip(self) -> Flags:
-        """Return the nodes of the free face, x = length."""
+        """Return whether each node lies in the free face, x = length; shape (nodes,)."""
         return self.nodes[:, 0] > self.length - _PLANE_TOLERANCE * self.radius
 
     @property
-    def cut(self) -> Flags:
-        """Return the nodes of the plane of symmetry, z = 0."""
+    def symmetry_plane(self) -> Flags:
+        """Return whether each node lies in the plane of symmetry, z = 0; shape (nodes,)."""
         return self.nodes[:, 2] < _PLANE_TOLERANCE * self.radius
 
 
-def mesh_half_bar(radius: float, length: float, *, n_along: int) -> BarMesh:
+def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMesh:
     """Mesh half a round bar.
 
     Parameters
     ----------
     radius, length : m
-    n_along : bricks along the bar
+    n_bricks_along : number of bricks along the bar
 
     Raises
     ------
     ValueError
-        If there is not one brick.
+        If `n_bricks_along` is less than 1.
     """
-    require("n_along", n_along, "a whole number >= 1", holds=n_along >= 1)
-    nodes, bricks = _unit_bar(n_along)
+    require("n_bricks_along", n_bricks_along, "a whole number >= 1", holds=n_bricks_along >= 1)
+    nodes, bricks = _mesh_unit_half_bar(n_bricks_along)
     return BarMesh(nodes * [length, radius, radius], bricks, length, radius)
 
 
 @lru_cache(maxsize=4)
-def _unit_bar(n_along: int) -> tuple[Floats, Ints]:
+def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
-    points, quads = _half_disc()
+    points, quads = _mesh_half_disc()
     corners = np.unique(quads[:, :4])
-    stations = [np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_along + 1)]
-    first = np.cumsum([1, *map(len, stations)])
-    numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
-    for i, members in enumerate(stations):
-        numbers[i, members] = first[i] + np.arange(len(members))
-    along = np.linspace(0.0, 1.0, len(stations))
-    nodes = [
-        np.column_stack([np.full(len(members), x), points[members]])
-        for x, members in zip(along, stations, strict=True)
+    stations = [
+        np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]
-    bricks = [_bricks(numbers[2 * i : 2 * i + 3], quads) for i in range(n_along)]
+    first_numbers = np.cumsum([1, *map(len, stations)])
+    numbers = np.zeros((len(stations), len(points)), dtype=np.int64)
+    for i, station_points in enumerate(stations):
+        numbers[i, station_points] = first_numbers[i] + np.arange(len(station_points))
+    station_x = np.linspace(0.0, 1.0, len(stations))
+    nodes = [
+        np.column_stack([np.full(len(station_points), x), points[station_points]])
+        for x, station_points in zip(station_x, stations, strict=True)
+    ]
+    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quads) for i in range(n_bricks_along)]
     return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
 
 
-def _bricks(numbers: Ints, quads: Ints) -> Ints:
-    """Return one layer of bricks on the quadrangles, from the nodes of its three stations."""
+def _stack_bricks(numbers: Ints, quads: Ints) -> Ints:
+    """Return the bricks of one layer, from the node numbers at its three stations."""
     below, middle, above = (number[quads] for number in numbers)
-    corners, sides = slice(0, 4), slice(4, 8)
-    parts = (below[:, corners], above[:, corners], below[:, sides], above[:, sides])
-    return np.concatenate([*parts, middle[:, corners]], axis=1)
+    corners, mid_sides = slice(0, 4), slice(4, 8)
+    faces = (below[:, corners], above[:, corners], below[:, mid_sides], above[:, mid_sides])
+    return np.concatenate([*faces, middle[:, corners]], axis=1)
 
 
-def _half_disc() -> tuple[Floats, Ints]:
-    """Mesh a unit half-disc: nodes (y, z) and eight-node quadrangles, turning from y to z."""
+def _mesh_half_disc() -> tuple[Floats, Ints]:
+    """Mesh a half-disc of unit radius: nodes (y, z), and the nodes of eight-node quadrangles."""
     y, z = np.meshgrid(
-        np.linspace(-_RECTANGLE, _RECTANGLE, 5), np.linspace(0.0, _RECTANGLE, 3), indexing="ij"
+        np.linspace(-_RECTANGLE_HALF_WIDTH, _RECTANGLE_HALF_WIDTH, 5),
+        np.linspace(0.0, _RECTANGLE_HALF_WIDTH, 3),
+        indexing="ij",
     )
-    lattices = [np.stack([y, z], axis=-1), _ring()]
-    corners = np.concatenate([_quadrangles(lattice) for lattice in lattices]).reshape(-1, 2)
+    lattices = [np.stack([y, z], axis=-1), _make_ring_lattice()]
+    nodes = np.concatenate([_list_quadrangles(lattice) for lattice in lattices]).reshape(-1, 2)
     # rounding merges the nodes that two bricks share
-    points, which = np.unique(corners.round(12) + 0.0, axis=0, return_inverse=True)
-    return points, which.reshape(-1, 8).astype(np.int64)
+    points, point_indices = np.unique(nodes.round(12) + 0.0, axis=0, return_inverse=True)
+    return points, point_indices.reshape(-1, 8).astype(np.int64)
 
 
-def _ring() -> Floats:
-    """Return the lattice from the circle inwards to the rectangle, shape (9, 3, 2)."""
-    side = np.linspace(0.0, _RECTANGLE, 3)
-    left_side = np.column_stack([np.full(3, -_RECTANGLE), side])
-    top = np.column_stack([np.linspace(-_RECTANGLE, _RECTANGLE, 5), np.full(5, _RECTANGLE)])
+def _make_ring_lattice() -> Floats:
+    """Return the lattice (y, z) of the ring, from circle to rectangle, shape (9, 3, 2)."""
+    side = np.linspace(0.0, _RECTANGLE_HALF_WIDTH, 3)
+    left_side = np.column_stack([np.full(3, -_RECTANGLE_HALF_WIDTH), side])
+    top = np.column_stack(
+        [
+            np.linspace(-_RECTANGLE_HALF_WIDTH, _RECTANGLE_HALF_WIDTH, 5),
+            np.full(5, _RECTANGLE_HALF_WIDTH),
+        ]
+    )
     inner = np.concatenate([left_side, top[1:-1], left_side[::-1] * [-1.0, 1.0]])
     angle = np.linspace(np.pi, 0.0, len(inner))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -146,149 +165,161 @@ def _ring() -> Floats:
     return lattice
 
 
-def _quadrangles(lattice: Floats) -> Floats:
-    """Return the nodes of every second cell of a lattice, (cells, 8, 2), turning from y to z."""
-    reversed_cell = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes of a cell in the other sense
+def _list_quadrangles(lattice: Floats) -> Floats:
+    """Return the nodes of the quadrangles of a lattice, shape (quadrangles, 8, 2).
+
+    A quadrangle covers two by two steps of the lattice. Its corners turn from y to z.
+    """
+    reversed_cell = [0, 3, 2, 1, 7, 6, 5, 4]  # the nodes in the opposite sense of rotation
     cells = [
         np.array([lattice[i + u, j + v] for u, v in _CELL_NODES])
         for i in range(0, lattice.shape[0] - 1, 2)
         for j in range(0, lattice.shape[1] - 1, 2)
     ]
-    return np.array([cell if _area(cell) > 0.0 else cell[reversed_cell] for cell in cells])
+    return np.array(
+        [cell if _compute_signed_area(cell) > 0.0 else cell[reversed_cell] for cell in cells]
+    )
 
 
-def _area(cell: Floats) -> float:
-    """Return the area of the polygon of corners, positive if it turns from y to z."""
+def _compute_signed_area(cell: Floats) -> float:
+    """Compute the area of a quadrangle, positive if its corners turn from y to z."""
     y, z = cell[:4].T
     return float(0.5 * np.sum(y * np.roll(z, -1) - np.roll(y, -1) * z))
 
 
-TIP = "TIPHALF"
-"""Set of nodes that is printed: the tip of half the bar, which carries half of the force."""
-N_ALONG = 8
-"""Bricks along the bar."""
-
-
-def write_calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80) -> str:
-    """Write the cantilever of a wire, of the length in its sheet, which CalculiX runs as it is.
+def write_calculix_deck(
+    table: WireTable, *, n_bricks_along: int = N_BRICKS_ALONG, n_steps: int = 80
+) -> str:
+    """Write the input file of a cantilever test of a wire, ready to run in CalculiX.
 
     Parameters
     ----------
-    table : law of the wire
-    n_along : bricks along the bar
-    n_steps : increments of equal size
+    table : law and dimensions of the wire
+    n_bricks_along : number of bricks along the bar
+    n_steps : number of equal load increments; CalculiX divides those that do not converge
 
     Returns
     -------
-    Text of an input file, in 7-bit ASCII with lines of at most 132 characters. It holds comments
-    alone where the table has no cantilever (its note ``cantilever_cut`` says why).
+    Text of the file, in 7-bit ASCII with lines of at most 132 characters. If the table has no
+    cantilever, the text contains only comments, with the reason from its note ``cantilever_cut``.
 
     Raises
     ------
     ValueError
-        As `fit_equivalent_material`, or if there is not one brick or one step.
+        If `n_steps` is less than 1, if the table has a cantilever and `n_bricks_along` is less than
+        1, or if `fit_equivalent_material` raises it.
 
     Notes
     -----
-    Half a bar, cut along its plane of bending. The clamped face is fixed along the bar, but
-    may contract; at the tip the nodes at y = 0 are moved across the clamped axis and are free
-    along it, and the tip may turn: an end load normal to the clamped axis (PHYSICS 5). The tip is
-    moved by 0.6 of the length, or as far as the wire's law goes.
+    The clamped face cannot move along the bar, but may contract in its plane. At the tip, the nodes
+    at y = 0 are displaced along y; they are free along x, and the tip may rotate. This is an end
+    load normal to the clamped axis (PHYSICS 5). The tip deflection is 0.6 of the free length, or
+    the end of the range of the wire's law if that is smaller.
     """
     require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
     material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    max_tip_share = 0.6  # of the length; less if the range of the law ends before
-    reach = min(max_tip_share * table.spec.length, float(table.tip_deflection[-1]))
-    lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
-    if reach > 0.0:
-        mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
+    max_deflection_share = 0.6  # of the free length
+    deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
+    lines = [
+        f"** {line}"
+        for line in (*_describe_model(table, material), *_describe_loading(table, deflection))
+    ]
+    if deflection > 0.0:
+        mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
         density = find_mass(table) / (np.pi / 4.0 * diameter**2)
-        lines += [*_model(mesh), *_material(material, density), *_step(reach, n_steps)]
+        lines += [
+            *_write_mesh(mesh),
+            *_write_material(material, density),
+            *_write_step(deflection, n_steps),
+        ]
     return "\n".join(lines) + "\n"
 
 
-def _facts(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
+def _describe_model(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
     return (
         *list_facts(table, shorten_name(table.name, 60)),
         "The wire is a solid round bar, its elastic-plastic material fitted to the wire's law.",
         f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
-        *_closeness(material),
+        *_describe_accuracy(material),
         "On unloading the bar follows its first slope, unlike a wire. Not for cycles.",
-        *describe_deck_losses(table, _own_loss(material)),
+        *describe_deck_losses(table, _describe_deck_loss(material)),
     )
 
 
-def _loading(table: WireTable, reach: float) -> tuple[str, ...]:
-    """Describe the loading of the bar, or give the reason why there is none."""
-    if reach == 0.0:
-        cut = (note.message for note in table.notes if note.code == "cantilever_cut")
-        why = shorten_name(next(cut, "the table has no cantilever"), 120)
-        return ("No model:", why)
+def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:
+    """Describe the loading of the bar, or state why there is no model."""
+    if deflection == 0.0:
+        reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
+        reason = shorten_name(next(reasons, "the table has no cantilever"), 120)
+        return ("No model:", reason)
     return (
         "Computed, not measured: a cantilever clamped at x = 0, its tip pushed along y.",
-        f"Free length {table.spec.length:.6g} m, tip deflection to {reach:.6g} m.",
-        f"Half a bar (z >= 0). Reaction of set {TIP}: half the end load. labpipe reads the",
+        f"Free length {table.spec.length:.6g} m, tip deflection to {deflection:.6g} m.",
+        f"Half a bar (z >= 0). Reaction of set {TIP_SET}: half the end load. labpipe reads the",
         "result (ending .dat) as an external curve and doubles the force.",
         "Run: ccx -i NAME, the name of this file without .inp.",
     )
 
 
-def _closeness(material: EquivalentMaterial) -> Iterator[str]:
-    """Describe the error of the law of the bar, and the range in which it is small."""
-    worst = int(np.argmax(np.abs(material.error)))
+def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
+    """Describe the moment error of the bar, and the range in which it is small."""
+    largest = int(np.argmax(np.abs(material.error)))
     yield (
-        f"there its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
-        f"{'above' if material.error[worst] > 0.0 else 'below'} the wire's "
-        f"(at {material.curvature[worst]:.4g} 1/m)."
+        f"there its moment is up to {100.0 * abs(material.error[largest]):.2g} % "
+        f"{'above' if material.error[largest] > 0.0 else 'below'} the wire's "
+        f"(at {material.curvature[largest]:.4g} 1/m)."
     )
     for tolerance in (0.01, 0.003):  # of the moment
         start = material.holds_from(tolerance)
-        off = f"{100.0 * tolerance:g} %"
+        limit = f"{100.0 * tolerance:g} %"
         if start is None:
-            yield f"Its error exceeds {off} of the moment up to the end of the range."
+            yield f"Its error exceeds {limit} of the moment up to the end of the range."
         else:
-            yield f"From {start:.4g} 1/m to the end of the range its error is below {off}."
+            yield f"From {start:.4g} 1/m to the end of the range its error is below {limit}."
 
 
-def _own_loss(material: EquivalentMaterial) -> str:
-    off, linear = np.abs(material.error), material.curvature <= material.elastic_curvature
+def _describe_deck_loss(material: EquivalentMaterial) -> str:
+    error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
+    above, below = (format_percent(float(part.max())) for part in (error[~is_linear], error))
     return (
-        f"This deck: error on first loading up to {format_percent(float(off[~linear].max()))} of "
-        f"the moment from {material.elastic_curvature:.4g} 1/m, up to "
-        f"{format_percent(float(off.max()))} below."
+        f"This deck: error on first loading up to {above} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {below} below."
     )
 
 
-def _model(mesh: BarMesh) -> Iterator[str]:
+def _write_mesh(mesh: BarMesh) -> Iterator[str]:
     yield "*NODE, NSET=ALL"
     nodes = np.column_stack([np.arange(1, len(mesh.nodes) + 1), mesh.nodes + 0.0])
-    yield _lines("%d, %.9g, %.9g, %.9g", nodes)
+    yield _format_rows("%d, %.9g, %.9g, %.9g", nodes)
     yield "*ELEMENT, TYPE=C3D20R, ELSET=WIRE"
     bricks = np.column_stack([np.arange(1, len(mesh.bricks) + 1), mesh.bricks])
-    yield _lines(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), bricks)
-    yield from _set("CLAMP", mesh.clamp)
-    yield from _set("HINGE", mesh.clamp & mesh.middle)
-    yield from _set("CUT", mesh.cut)
-    yield from _set(TIP, mesh.tip & mesh.middle)
+    yield _format_rows(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), bricks)
+    yield from _write_node_set("CLAMP", mesh.clamp)
+    yield from _write_node_set("HINGE", mesh.clamp & mesh.neutral_plane)
+    yield from _write_node_set("CUT", mesh.symmetry_plane)
+    yield from _write_node_set(TIP_SET, mesh.tip & mesh.neutral_plane)
     yield from ("*BOUNDARY", "CLAMP, 1", "HINGE, 2", "CUT, 3")
 
 
-def _set(name: str, members: Flags) -> Iterator[str]:
+def _write_node_set(name: str, is_member: Flags) -> Iterator[str]:
     numbers_per_line = 12
     yield f"*NSET, NSET={name}"
-    numbers = np.flatnonzero(members) + 1
+    numbers = np.flatnonzero(is_member) + 1
     for start in range(0, len(numbers), numbers_per_line):
         yield f"{', '.join(map(str, numbers[start : start + numbers_per_line].tolist()))},"
 
 
-def _lines(form: str, rows: Floats | Ints) -> str:
-    """Format all rows of numbers at once, which is three times as fast as one by one."""
-    return "\n".join([form] * len(rows)) % tuple(rows.ravel().tolist())
+def _format_rows(row_format: str, rows: Floats | Ints) -> str:
+    """Format all rows of numbers in one step, which is three times as fast as row by row."""
+    return "\n".join([row_format] * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def _material(material: EquivalentMaterial, density: float) -> Iterator[str]:
-    """Return true stress over plastic strain, constant after the last point; density in kg/m^3."""
+def _write_material(material: EquivalentMaterial, density: float) -> Iterator[str]:
+    """Write the material and its assignment to all bricks; density in kg/m^3.
+
+    The plastic curve is true stress over plastic strain; CalculiX continues it as a constant.
+    """
     yield from ("*MATERIAL, NAME=WIRE", "*ELASTIC", f"{material.modulus:.9g}, 0.3")
     yield "*PLASTIC"
     for stress, strain in zip(material.stress, material.plastic_strain, strict=True):
@@ -297,12 +328,12 @@ def _material(material: EquivalentMaterial, density: float) -> Iterator[str]:
     yield "*SOLID SECTION, ELSET=WIRE, MATERIAL=WIRE"
 
 
-def _step(deflection: float, n_steps: int) -> Iterator[str]:
-    """Return the step; with larger increments the iterations do not converge."""
-    size = f"{1.0 / n_steps:.9g}"
+def _write_step(deflection: float, n_steps: int) -> Iterator[str]:
+    """Write the load step. With increments above the stated size, CalculiX does not converge."""
+    increment = f"{1.0 / n_steps:.9g}"
     yield f"*STEP, NLGEOM, INC={100 * n_steps}"
-    yield from ("*STATIC", f"{size}, 1., 1e-8, {size}")
-    yield from ("*BOUNDARY", f"{TIP}, 2, 2, {deflection:.9g}")
-    yield from (f"*NODE PRINT, NSET={TIP}", "U")
-    yield from (f"*NODE PRINT, NSET={TIP}, TOTALS=ONLY", "RF")
+    yield from ("*STATIC", f"{increment}, 1., 1e-8, {increment}")
+    yield from ("*BOUNDARY", f"{TIP_SET}, 2, 2, {deflection:.9g}")
+    yield from (f"*NODE PRINT, NSET={TIP_SET}", "U")
+    yield from (f"*NODE PRINT, NSET={TIP_SET}, TOTALS=ONLY", "RF")
     yield "*END STEP"

@@ -95,11 +95,7 @@ def _comments(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]
         "loads likewise."
     )
     yield ("release_NAME: the step at which to switch off the equality hold_NAME; 0 for never.")
-    out = [
-        boundary.name
-        for boundary in boundaries
-        if isinstance(boundary, rod.Ring | rod.Plane | rod.Moment)
-    ]
+    out = [boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)]
     if out:
         yield f"Left out, as the chain has no contacts: {', '.join(out)}."
     yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."

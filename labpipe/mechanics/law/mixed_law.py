@@ -1,8 +1,8 @@
-"""Moment-curvature law of copper that hardens isotropically in part, for moments as the input.
+"""Curvature as a function of moment, for a wire whose copper hardens partly isotropically.
 
-`law.sliders` give the moment of a curvature; a cantilever needs the curvature of a moment. This law
-inverts its sliders station by station. Its first loading is that of the plays that it is made of,
-for every isotropic share.
+`law.sliders` computes the moment at a curvature, but a cantilever needs the curvature at a moment.
+The law of this module solves for the curvature at every station. On first loading it equals the
+law of plays from which it was made, for every isotropic share.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _MAX_ITERATIONS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixedLaw:
-    """A law of plays on first loading, and of sliders with isotropic hardening after a reversal.
+    """A moment-curvature law with partly isotropic hardening, for moments as the input.
 
     Parameters
     ----------
-    plays : of first loading
-    sliders : with the same first loading
+    plays : law of first loading, which states the stiffness and the range
+    sliders : law with the same first loading, which computes all responses
     """
 
     plays: PlayLaw
@@ -49,69 +49,86 @@ class MixedLaw:
 
     @property
     def largest_moment(self) -> float:
-        """Return the end of the law, N m."""
+        """Return the largest moment of the range of the law, N m."""
         return self.plays.largest_moment
 
-    def unbent(self, n_stations: int) -> Floats:
-        """Return the history of a wire that was never bent: curvature, then rests, 1/m."""
+    def make_unbent_history(self, n_stations: int) -> Floats:
+        """Return the history of a wire that was never bent, 1/m.
+
+        Parameters
+        ----------
+        n_stations : number of stations along the wire
+
+        Returns
+        -------
+        Shape (stations, 1 + n): the curvature, then the history of the sliders, see
+        `SliderResponse`.
+        """
         rests = make_unbent_rests(self.sliders, n_stations)
         return np.concatenate([np.zeros((n_stations, 1)), rests], axis=1)
 
     def respond(self, moment: Floats, history: Floats) -> Response:
-        """Compute curvatures under new moments, from the history.
+        """Compute the curvatures under new moments.
 
         Parameters
         ----------
         moment : shape (stations,), N m; each is reached monotonically
-        history : of the last step, or of `unbent`
+        history : shape (stations, 1 + n), 1/m, from the last step or `make_unbent_history`
+
+        Returns
+        -------
+        The response; its `plays` are the new history, shape (stations, 1 + n), 1/m. A moment of NaN
+        gives NaN at its station.
 
         Notes
         -----
-        From its present value the moment is a concave function of the change of curvature, and of
-        straight parts: Newton's method converges from below in a finite number of steps.
+        From the last state on, the moment is a concave, piecewise linear function of the change of
+        curvature. Newton's method therefore converges from one side in a finite number of steps.
         """
         curvature, rests = history[:, 0], history[:, 1:]
         rounding = 1e-13 * np.abs(moment).max(initial=0.0)
-        after = slide(self.sliders, curvature, rests)
+        response = slide(self.sliders, curvature, rests)
         for _ in range(_MAX_ITERATIONS):
-            missing = moment - after.moment
-            if np.all(np.abs(missing) <= rounding):
+            residual = moment - response.moment
+            if np.all(np.abs(residual) <= rounding):
                 break
-            curvature = curvature + missing / after.stiffness
-            after = slide(self.sliders, curvature, rests)
-        present = np.concatenate([curvature[:, None], after.rests], axis=1)
-        return Response(curvature, 1.0 / after.stiffness, present)
+            curvature = curvature + residual / response.stiffness
+            response = slide(self.sliders, curvature, rests)
+        new_history = np.concatenate([curvature[:, None], response.rests], axis=1)
+        return Response(curvature, 1.0 / response.stiffness, new_history)
 
 
-def mix_hardening(plays: PlayLaw, curvature: Floats, strands: Floats, share: float) -> MixedLaw:
-    """Make the law of a wire whose strands harden isotropically in part.
+def make_mixed_law(
+    plays: PlayLaw, curvature: Floats, strand_moment: Floats, isotropic_share: float
+) -> MixedLaw:
+    """Make the law of a wire whose strands harden partly isotropically.
 
     Parameters
     ----------
-    plays : of first loading of the wire
-    curvature, strands : shape (n,), 1/m, positive, and N m: moments of the strands about their own
-        axes. The first curvatures are those of the corners of `plays` and of its end; those beyond
-        serve loops
-    share : isotropic share, above 0 and at most 1
+    plays : law of the wire on first loading
+    curvature : shape (n,), 1/m, positive and increasing: first the curvatures at the half-widths
+        of `plays` and at its largest moment, then larger ones that the strands reach in loops
+    strand_moment : shape (n,), N m, moment of the strands about their own axes
+    isotropic_share : share of that moment that hardens isotropically, above 0 and at most 1
 
     Raises
     ------
     ValueError
-        If the share is out of its range.
+        If the share is outside its range.
     """
     moment = np.append(plays.half_widths, plays.largest_moment)
-    bent = curvature[: len(moment)]
-    growing = grow_from(curvature, strands, share)
-    masing = moment - growing.first_loading(bent)
-    slopes = np.diff(masing, prepend=0.0) / np.diff(bent, prepend=0.0)
-    falls = -np.diff(np.minimum.accumulate(slopes))
-    slides = falls > 0.0
+    corners = curvature[: len(moment)]
+    growing_slider = grow_from(curvature, strand_moment, isotropic_share)
+    masing_moment = moment - growing_slider.first_loading(corners)
+    slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
+    slope_drops = -np.diff(np.minimum.accumulate(slopes))
+    has_slider = slope_drops > 0.0
     sliders = SliderLaw(
         float(slopes.min()),
-        falls[slides],
-        bent[:-1][slides],
+        slope_drops[has_slider],
+        corners[:-1][has_slider],
         0.0,
-        float(bent[-1]),
-        growing=(growing,),
+        float(corners[-1]),
+        growing=(growing_slider,),
     )
     return MixedLaw(plays, sliders)

@@ -60,7 +60,7 @@ class MomentLaw(Protocol):
     def largest_moment(self) -> float:
         """Return the end of the law, N m, either sign; may be infinite."""
 
-    def unbent(self, n_stations: int) -> Floats:
+    def make_unbent_history(self, n_stations: int) -> Floats:
         """Return the history of a wire that was never bent, shape (n_stations, n)."""
 
     def respond(self, moment: Floats, history: Floats) -> Response:
@@ -72,7 +72,7 @@ class _Plays:
 
     __slots__ = ()
 
-    def unbent(self: MomentLaw, n_stations: int) -> Floats:
+    def make_unbent_history(self: MomentLaw, n_stations: int) -> Floats:
         """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
         return np.zeros((n_stations, len(self.half_widths)))
 
@@ -152,7 +152,7 @@ class PlayLaw(ArrayRecord, _Plays):
 
 def make_unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
     """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
-    return law.unbent(n_stations)
+    return law.make_unbent_history(n_stations)
 
 
 def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:

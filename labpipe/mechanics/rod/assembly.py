@@ -41,7 +41,6 @@ from labpipe.mechanics.rod.rotations import (
     cross,
     from_rotation_vectors,
     multiply,
-    skew,
     to_matrices,
     to_rotation_vectors,
     unit,
@@ -91,14 +90,13 @@ class LineMemory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demands:
-    """Positions, forces and moments that the boundaries impose at a time.
+    """Positions and forces that the boundaries impose at a time.
 
     Parameters
     ----------
     held : shape (grips, 3), m, positions of the held nodes
     clamps : shape (clamps, 4), their frames
     forces : shape (n + 1, 3), N, of constant direction, weight included
-    moments : shape (n, 3), N m, on the elements, of constant direction
     anchors : shape (strings, 3), m
     rings : shape (rings, 3), m
     """
@@ -106,7 +104,6 @@ class Demands:
     held: Floats
     clamps: Floats
     forces: Floats
-    moments: Floats
     anchors: Floats
     rings: Floats
 
@@ -241,7 +238,7 @@ class Assembly:
         pulls = lengths[:, None] * shape.forces
         clamp_pairs = compute_clamp_directions(self.supports, demands.clamps)
         directions = compute_directions(self.supports, rotations, clamp_pairs, pulls)
-        turns, by_turn = self._turns(cells, directions, rotations, demands)
+        turns, by_turn = self._turns(cells, directions)
         nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, demands, memory)
         ring_contacts = tuple(
             hold_in_ring(shape.positions, ring, float(place), self._stiff)
@@ -386,14 +383,10 @@ class Assembly:
             drag=None if drag is None else (drag.size, drag.turns),
         )
 
-    def _turns(
-        self, cells: BentCells, directions: Directions, turned: Floats, demands: Demands
-    ) -> tuple[Floats, Floats]:
+    def _turns(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and their diagonal tangents."""
         s, (free_a, free_b) = self.supports, self._free
-        pushed = np.vecmat(demands.moments, turned)
-        residual = directions.pull - pushed
-        tangent = directions.stiff - 0.5 * skew(pushed)
+        residual, tangent = directions.pull.copy(), directions.stiff.copy()
         # no element is twice on the same side of a cell, so that plain indexing suffices
         residual[s.before[free_a]] += cells.before[free_a]
         tangent[s.before[free_a]] += cells.by_before[free_a]

@@ -163,21 +163,6 @@ class Load:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
-    """A moment on a node, N m, with its direction in space; a path of shape (steps + 1, 3).
-
-    It acts on the element at an end of the line; at an inner node half of it acts on each element.
-    """
-
-    node: int
-    moment: Floats
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        _set_fields(self, moment=_check_path("moment", self.moment, 3))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """A plane with Coulomb friction, on one side of which the line stays.
 
@@ -222,4 +207,4 @@ class Gravity:
         _set_fields(self, vector=_check_path("vector", self.vector, 3))
 
 
-Boundary: TypeAlias = Held | Ring | String | Load | Moment | Plane | Gravity
+Boundary: TypeAlias = Held | Ring | String | Load | Plane | Gravity

@@ -107,7 +107,7 @@ def _update_balance(
 ) -> Balance | None:
     """Return a balance with the forces of new demands; None if it does not apply to them."""
     memory, drag = known_balance.inputs
-    others = ((now.moments, goal.moments), (now.anchors, goal.anchors), (now.rings, goal.rings))
+    others = ((now.anchors, goal.anchors), (now.rings, goal.rings))
     if memory is not guess or drag is not None or not all(np.array_equal(*pair) for pair in others):
         return None
     none = np.zeros((len(now.forces) - 1, 3))

@@ -1,4 +1,4 @@
-"""Positions, forces and moments that the boundaries impose on a line at any time.
+"""Positions and forces that the boundaries impose on a line at any time.
 
 Time is measured in steps: k is step k, and k - 1/2 is halfway to it. From -1 to 0 the line moves
 from its shape at rest into its boundaries: held nodes and rings move to row 0 of their paths, and
@@ -18,7 +18,6 @@ from labpipe.mechanics.rod.boundaries import (
     Gravity,
     Held,
     Load,
-    Moment,
     Plane,
     Ring,
     String,
@@ -66,7 +65,7 @@ class Schedule:
         self.rings = self._of(Ring)
         self.held_nodes = {k: self.node(boundaries[k]) for k in self.held}
         self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
-        for k in (*self._of(Load), *self._of(Moment)):
+        for k in self._of(Load):
             self.node(boundaries[k])
         self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
         self._require_one_each()
@@ -130,8 +129,6 @@ class Schedule:
                 size += float(np.sum(self._masses)) * _find_largest(boundary.vector)
             elif isinstance(boundary, Load):
                 size += _find_largest(boundary.force)
-            elif isinstance(boundary, Moment):
-                size += _find_largest(boundary.moment) / line.length
         return size
 
     def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
@@ -143,13 +140,12 @@ class Schedule:
         grips : indices of the boundaries that hold the line
         """
         share = min(1.0, time + 1.0)
-        forces, moments = self._loads(time, share)
         held, clamps = self._places(time, share, grips)
         anchors = np.array(
             [_interpolate_path(self._get(String, k).anchor, time) for k in self.strings]
         )
         rings = self._ring_places(time, share)
-        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
+        return Demands(held, clamps, self._forces(time, share), anchors.reshape(-1, 3), rings)
 
     def _ring_places(self, time: float, share: float) -> Floats:
         """Return the positions of the rings, which at first move from the line to their paths."""
@@ -160,19 +156,14 @@ class Schedule:
             goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
         return goal
 
-    def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
+    def _forces(self, time: float, share: float) -> Floats:
         forces = np.zeros((self.n + 1, 3))
-        moments = np.zeros((self.n, 3))
         for boundary in self.boundaries:
             if isinstance(boundary, Gravity):
                 forces += share * self._masses[:, None] * _interpolate_path(boundary.vector, time)
             elif isinstance(boundary, Load):
                 forces[self.node(boundary)] += share * _interpolate_path(boundary.force, time)
-            elif isinstance(boundary, Moment):
-                self._turn(
-                    moments, self.node(boundary), share * _interpolate_path(boundary.moment, time)
-                )
-        return forces, moments
+        return forces
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
         held = np.zeros((len(grips), 3))
@@ -192,11 +183,6 @@ class Schedule:
         boundary = self.boundaries[k]
         assert isinstance(boundary, boundary_type)
         return boundary
-
-    def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
-        """Add a moment to the elements at a node."""
-        elements = [k for k in (node - 1, node) if 0 <= k < self.n]
-        moments[elements] += moment / len(elements)
 
 
 def get_boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
@@ -230,7 +216,7 @@ def _interpolate_frames(first: Floats, second: Floats, share: float) -> Floats:
 
 
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
-    names = ("position", "frame", "anchor", "force", "moment", "vector")
+    names = ("position", "frame", "anchor", "force", "vector")
     for boundary in boundaries:
         for name in names:
             path = getattr(boundary, name, None)

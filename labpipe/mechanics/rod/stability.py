@@ -7,27 +7,17 @@ definite, which a banded Cholesky factorisation decides. The penalty is 1e6 time
 the whole line. Modes softer than 3e-4 of that stiffness count as neutral; the error of critical
 loads is then about 1e-4. Sliders that slid in the step count as sliding on in the same direction.
 
-Moments of constant direction have no potential (Ziegler, Principles of structural stability, 1968),
-so that the tangent is unsymmetric. If its symmetric part is positive definite, the line is stable.
-Otherwise overdamped motion decides: the line is stable if no eigenvalue of the tangent with respect
-to the drag has a negative real part. With a real negative eigenvalue the line diverges; the load at
-which it is zero, where another equilibrium branches off, does not depend on the drag. With a
-complex pair the line whirls, and this depends on the drag. Flutter by inertia is not checked. Of
-sliding friction, only the symmetric part counts.
+Of sliding friction, only the symmetric part of the tangent counts.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Shape
 from labpipe.mechanics.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, list_block_entries
 from labpipe.records.arrays import Floats
-
-_SHIFT_DRAG = 10.0
-"""Eigenvalues are searched around minus this number, near the unstable ones."""
 
 
 class StabilityCheck:
@@ -36,11 +26,10 @@ class StabilityCheck:
     Parameters
     ----------
     assembly : the line with its supports
-    is_turned : whether moments of constant direction act on it
     """
 
-    def __init__(self, assembly: Assembly, *, is_turned: bool = False) -> None:
-        self._assembly, self._is_turned = assembly, is_turned
+    def __init__(self, assembly: Assembly) -> None:
+        self._assembly = assembly
         n, band = assembly.n, assembly.band
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.places.total) % PER_ELEMENT >= FORCE
@@ -79,67 +68,7 @@ class StabilityCheck:
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Return whether the overdamped line returns from every small perturbation."""
         neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
-        if self._factors(balance, shape, neutral_share) is not None:
-            return True
-        return self._is_turned and self.slowest_return(balance)[0].real > -neutral_share
-
-    def whirls(self, balance: Balance) -> bool:
-        """Return whether an unstable line whirls rather than diverges."""
-        rate = self.slowest_return(balance)[0] if self._is_turned else complex(-np.inf)
-        return rate.real < 0.0 and abs(rate.imag) > abs(rate.real)
-
-    def slowest_return(self, balance: Balance) -> tuple[complex, Floats]:
-        """Find the perturbation that decays most slowly or grows, and its rate of decay.
-
-        Parameters
-        ----------
-        balance : of the shape
-
-        Returns
-        -------
-        Rate and perturbation. The rate has a negative real part for a growing perturbation, and is
-        minus infinity if none was found. It is 1 for a drag of 1 and the stiffness of the line.
-
-        Notes
-        -----
-        Rates r solve K x = r D x with the tangent K and the drag D. Arnoldi's method finds those
-        nearest to a negative number, where the growing ones are.
-        """
-        n_eigenvalues = 8
-        band, drag = self._assembly.band, self._assembly.drag
-        moving = np.flatnonzero((drag > 0.0) & ~band.fixed)
-        root = np.sqrt(drag[moving])
-        change = np.zeros(len(drag))
-        factors = band.factorise(self._shifted_tangent(balance))
-        if factors is None:
-            return complex(-np.inf), change
-
-        def answer(push: Floats) -> Floats:
-            right = np.zeros(len(drag))
-            right[moving] = root * np.ravel(push)
-            eigenvalues = band.solve_factored(factors, right)
-            return (
-                np.full(len(moving), np.nan) if eigenvalues is None else root * eigenvalues[moving]
-            )
-
-        inverse = LinearOperator((len(moving), len(moving)), matvec=answer, dtype=np.float64)
-        first = np.cos(1.0 + 2.4 * np.arange(len(moving)))
-        try:
-            eigenvalues, vectors = eigs(inverse, k=min(n_eigenvalues, len(moving) - 2), v0=first)
-        except ArpackError:
-            return complex(-np.inf), change
-        rates = 1.0 / eigenvalues - _SHIFT_DRAG
-        slowest = int(np.argmin(rates.real))
-        change[moving] = np.real(vectors[:, slowest]) / root
-        return complex(rates[slowest]), change
-
-    def _shifted_tangent(self, balance: Balance) -> Floats:
-        """Return the entries of the tangent with a drag of `_SHIFT_DRAG`."""
-        rows, columns = self._assembly.pattern
-        places, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
-        values = balance.symmetric_values.copy()
-        values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[places[1:]]
-        return values
+        return self._factors(balance, shape, neutral_share) is not None
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
         """Find the softest mode; None if none is found.
@@ -156,10 +85,6 @@ class StabilityCheck:
         """
         iterations = 6
         random_share = 1e-3
-        if self._is_turned:
-            rate, change = self.slowest_return(balance)
-            if rate.real < 0.0 and np.any(change):
-                return change
         drag = 1e-3
         factors = self._factors(balance, shape, drag)
         while factors is None and drag < 1e9:

@@ -178,9 +178,6 @@ def compute_work(
     work += 0.5 * float(
         np.sum((pulls[0][1] + pulls[1][1]) * _compute_turns(old.clamps, new.clamps))
     )
-    if np.any(old.moments) or np.any(new.moments):
-        turned = _compute_turns(first.frames, last.frames)
-        work += 0.5 * float(np.sum((old.moments + new.moments) * turned))
     if len(new.anchors):
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))

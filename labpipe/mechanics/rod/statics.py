@@ -22,7 +22,7 @@ import numpy as np
 
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
-from labpipe.mechanics.rod.boundaries import Boundary, Moment, Plane
+from labpipe.mechanics.rod.boundaries import Boundary, Plane
 from labpipe.mechanics.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import Reason, RodPath, RodState, Status
@@ -156,8 +156,7 @@ class _Walk:
             n_rings=len(schedule.rings),
             force=self.force,
         )
-        is_turned = any(isinstance(boundary, Moment) for boundary in self.boundaries)
-        self.check = StabilityCheck(self.assembly, is_turned=is_turned)
+        self.check = StabilityCheck(self.assembly)
         memory = replace(memory, rests=merge_rests(self.assembly.supports, memory.rests))
         demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
@@ -226,7 +225,7 @@ class _Walk:
             return
         self._commit(time, equilibrium)
         if is_unstable:
-            self._leave_unstable(time)
+            self._relax(time, is_unstable=True)
 
     def _is_stable(self, equilibrium: Equilibrium) -> bool:
         return not self.is_checked or self.check.is_stable(equilibrium.balance, equilibrium.shape)
@@ -234,7 +233,7 @@ class _Walk:
     @property
     def _accepted_unstable(self) -> bool:
         """Return whether an unstable equilibrium was accepted; smaller parts do not help then."""
-        return self._has_reason("unstable") or self._has_reason("whirls")
+        return self._has_reason("unstable")
 
     def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
         """Find the equilibrium at a time; None if there is none near by.
@@ -291,13 +290,6 @@ class _Walk:
 
     # ---- relaxing -----------------------------------------------------------------------------
 
-    def _leave_unstable(self, time: float) -> None:
-        """Relax from an unstable equilibrium; accept it with a reason if the line whirls."""
-        if self._has_reason("whirls") or self.check.whirls(self.now.balance):
-            self._doubt_stability(is_whirling=True)
-        else:
-            self._relax(time, is_unstable=True)
-
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
         # of the line's length, or rad: perturbations of a line without a near equilibrium
@@ -319,7 +311,7 @@ class _Walk:
                 "mechanics.rod.no_equilibrium", step=self.step, place=node, pull=pulls[node]
             )
             raise NoEquilibriumError(reason)
-        self._doubt_stability(is_whirling=False)
+        self._doubt_stability()
 
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
@@ -397,19 +389,14 @@ class _Walk:
 
     # ---- results ------------------------------------------------------------------------------
 
-    def _doubt_stability(self, *, is_whirling: bool) -> None:
+    def _doubt_stability(self) -> None:
         """Record, once, the reason why an unstable equilibrium was accepted."""
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
         moves = split_unknowns(push if mode is None else mode)[0]
         node = int(np.argmax(np.linalg.norm(moves, axis=1)))
-        reason = Reason.of(
-            "mechanics.rod.whirls" if is_whirling else "mechanics.rod.unstable",
-            step=self.step,
-            place=node,
-        )
-        if not self._has_reason(reason.code):
-            self.reasons.append(reason)
+        if not self._has_reason("unstable"):
+            self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=node))
 
     def _has_reason(self, code: str) -> bool:
         return any(reason.code == code for reason in self.reasons)

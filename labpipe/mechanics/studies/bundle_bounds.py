@@ -32,7 +32,7 @@ from labpipe.protocol.load import load_test_sheet, parse_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, parse_bundle
 from labpipe.records.arrays import Ints
 from labpipe.records.curve import Curve, Interval
-from labpipe.records.group import BundlePlace, Group, Sample
+from labpipe.records.group import BoundedStiffness, Group, Sample
 from labpipe.records.harness_bundle import (
     ARRANGEMENTS,
     PACKED,
@@ -44,7 +44,7 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import FIGURE, LOOP_FIGURE, draw_bundle, draw_loop
+from labpipe.report.bundle_figures import BUNDLE_FIGURE, LOOP_FIGURE, draw_bundle, draw_loop
 from labpipe.report.figure_page import FigureToSave, save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
@@ -56,18 +56,20 @@ _Bounds = BundleModel | tuple[Reason, ...]
 """Model of a bundle, or the reasons why there is none."""
 
 
-def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
-    """Place the samples and the mean of each group of bundles between slipping and sticking.
+def bound_stiffnesses(
+    groups: Sequence[Group], wires: Sequence[WireSpec]
+) -> Iterator[BoundedStiffness]:
+    """Compute the bounds of the bending stiffnesses of all samples and means of bundles.
 
     Parameters
     ----------
-    groups : of the report; those without a bundle have no place
+    groups : groups of the report; those without a bundle are ignored
     wires : of the wire sheet
 
     Yields
     ------
-    Group by group: the places of its samples, then that of its mean. The mean has bounds only if
-    all its samples have the same bundle. A place without bounds or stiffness states the reason.
+    For each group the stiffnesses of its samples, then that of its mean. The mean has bounds only
+    if all its samples have the same bundle. A record without bounds or value states the reason.
 
     Notes
     -----
@@ -79,8 +81,8 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
     bounds = _compute_bounds(list(bundles), {wire.name: wire for wire in wires})
     for group in with_bundles:
         for sample in group.samples:
-            yield _place_sample(group, sample, bounds)
-        yield _place_mean(group, bounds)
+            yield _bound_sample(group, sample, bounds)
+        yield _bound_mean(group, bounds)
 
 
 def _list_bundles(group: Group) -> list[Bundle]:
@@ -121,47 +123,49 @@ def _model_bounds(
         return (Reason.of("mechanics.studies.no_model", error=error),)
 
 
-def _place_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _bound_sample(
+    group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]
+) -> BoundedStiffness:
     result = next((result for result in sample.results if result.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
     reasons: tuple[Reason, ...] = (Reason.of("mechanics.studies.no_stiffness"),)
     if result is not None:
         reasons = result.reasons if value is None else ()
-    place = BundlePlace(group.name, sample.test, value, interval, reasons=reasons)
+    stiffness = BoundedStiffness(group.name, sample.test, value, interval, reasons=reasons)
     bundle = _strip_covers(sample)
     if bundle is None:
-        return replace(place, reasons=(Reason.of("mechanics.studies.no_bundle"),))
-    return _add_share(place, bounds[bundle])
+        return replace(stiffness, reasons=(Reason.of("mechanics.studies.no_bundle"),))
+    return _add_share(stiffness, bounds[bundle])
 
 
-def _place_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _bound_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BoundedStiffness:
     number = next((number for number in group.numbers if number.name == STIFFNESS), None)
     mean = None if number is None or number.mean is None else number.mean.chosen
     value = None if mean is None else mean.mean
-    place = BundlePlace(group.name, "", value, mean.interval if mean else None)
+    stiffness = BoundedStiffness(group.name, "", value, mean.interval if mean else None)
     if mean is None:
-        place = replace(place, reasons=(Reason.of("mechanics.studies.no_mean_stiffness"),))
+        stiffness = replace(stiffness, reasons=(Reason.of("mechanics.studies.no_mean_stiffness"),))
     shared = list(dict.fromkeys(map(_strip_covers, group.samples)))
     if len(shared) > 1 or shared[0] is None:
-        return replace(place, reasons=(Reason.of("mechanics.studies.bundles_differ"),))
-    return _add_share(place, bounds[shared[0]])
+        return replace(stiffness, reasons=(Reason.of("mechanics.studies.bundles_differ"),))
+    return _add_share(stiffness, bounds[shared[0]])
 
 
-def _add_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
+def _add_share(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
     if isinstance(model, tuple):
-        return replace(place, reasons=model)
+        return replace(stiffness, reasons=model)
     numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
-    place = replace(place, **numbers)
-    if place.value is None:
-        return place
+    stiffness = replace(stiffness, **numbers)
+    if stiffness.value is None:
+        return stiffness
     if not model.high > model.low:
-        return replace(place, reasons=(Reason.of("mechanics.studies.one_bound"),))
+        return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
     share = partial(compute_bounds_share, low=model.low, high=model.high)
-    interval = place.interval
+    interval = stiffness.interval
     if interval is not None:
         interval = Interval(share(interval.lower), share(interval.upper), interval.level)
-    return replace(place, share=share(place.value), share_interval=interval)
+    return replace(stiffness, share=share(stiffness.value), share_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
@@ -340,14 +344,14 @@ def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel
 
 def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:
     folder = modelled.folder
-    names = (FIGURE, LOOP_FIGURE) if figures else ()
+    names = (BUNDLE_FIGURE, LOOP_FIGURE) if figures else ()
     owned = [f"{FIGURES_FOLDER}/{name}.png" for name in names]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         with storing(folder):
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            pages = [FigureToSave(FIGURE, partial(draw_bundle, modelled.model))]
+            pages = [FigureToSave(BUNDLE_FIGURE, partial(draw_bundle, modelled.model))]
             if modelled.friction is not None:
                 loop = partial(draw_loop, modelled.name, modelled.friction)
                 pages.append(FigureToSave(LOOP_FIGURE, loop))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -36,13 +36,14 @@ from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
 from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -152,7 +153,8 @@ def calibrate_tests(
     tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibrate(built[name], calibrating, settings, tables)
     share = _calibrate_share(specs[name], calibration, calibrating)
-    calibration = replace(calibration, share=share)
+    share_notes = tuple(_list_share_notes(specs[name], share))
+    calibration = replace(calibration, share=share, notes=(*calibration.notes, *share_notes))
     measured = [loading.curve for loading in calibrating]
     reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *note_insulations(calibration, built, specs, loadings))
@@ -248,6 +250,19 @@ def _calibrate_share(
         solution.covariance[np.ix_(acting, acting)],
         calibration.levels.scatter,
     )
+
+
+def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[QualityNote]:
+    """Yield notes on a share that is not calibrated, and on a stress table that ends early."""
+    if share is None:
+        yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
+    elif share.is_creep:
+        yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
+    if spec.stress_table is not None:
+        last = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
+        reached = find_range(spec)[0]
+        if last < LOOP_RANGE * reached:
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=last)
 
 
 def _compare_shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:

@@ -285,10 +285,13 @@ def extract_first_loading(
     )
     channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
     gain = 0.0 if channel is None else channel.gain_uncertainty
-    return FirstLoading(measured, gain, notes, cycles=read_cycles(result, measured))
+    cycles, cycle_notes = read_cycles(result, measured)
+    return FirstLoading(measured, gain, (*notes, *cycle_notes), cycles=cycles)
 
 
-def read_cycles(result: TestResult, curve: MeasuredCurve) -> CycledTest | None:
+def read_cycles(
+    result: TestResult, curve: MeasuredCurve
+) -> tuple[CycledTest | None, tuple[QualityNote, ...]]:
     """Read what the cycles of a test left, from its results that are `ok`.
 
     Parameters
@@ -299,27 +302,30 @@ def read_cycles(result: TestResult, curve: MeasuredCurve) -> CycledTest | None:
     Returns
     -------
     Residual deflection and energy of the first cycle; the second over the first peak force, if both
-    cycles reach the same deflection. None without a first peak.
+    cycles reach the same deflection, else a note. None without a first peak.
     """
     max_growth = 0.01  # of the deflection from cycle to cycle: beyond, the peaks differ by it
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
-    peak = numbers.get("peak_displacement.1")
+    peak, second = (numbers.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
     if peak is None or not peak.value:
-        return None
-    found: dict[str, tuple[float, float]] = {}
+        return None, ()
+    left: dict[str, tuple[float, float]] = {}
     for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
         number = numbers.get(key)
         if number is not None and number.value is not None and number.interval is not None:
-            found[name] = number.value, number.interval.standard_error
-    pair = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
-    second = numbers.get("peak_displacement.2")
-    is_same = second and abs((second.value or 0.0) / peak.value - 1.0) <= max_growth
-    if is_same and all(number is not None and number.value for number in pair):
-        values = [float(number.value or 0.0) for number in pair if number is not None]
-        errors = [own_error(number) / value for number, value in zip(pair, values, strict=True)]
+            left[name] = number.value, number.interval.standard_error
+    growth = ((second.value or 0.0) / peak.value if second else np.nan) - 1.0
+    notes: tuple[QualityNote, ...] = ()
+    if abs(growth) > max_growth:
+        notes = (QualityNote.of("mechanics.studies.cycles_grow", result.test, growth=growth),)
+    forces = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
+    if abs(growth) <= max_growth and all(force and force.value for force in forces):
+        values = [float(force.value or 0.0) for force in forces if force]
+        errors = [own_error(force) / value for force, value in zip(forces, values, strict=True)]
         ratio = values[1] / values[0]
-        found[RATIO] = ratio, abs(ratio) * hypot(*errors)
-    return CycledTest(result.test, curve.length, peak.value, found, curve.rig, curve.self_weight)
+        left[RATIO] = ratio, abs(ratio) * hypot(*errors)
+    cycles = CycledTest(result.test, curve.length, peak.value, left, curve.rig, curve.self_weight)
+    return cycles, notes
 
 
 def own_error(number: Result | None) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.mixed_law import MixedLaw, mix_hardening
+from labpipe.mechanics.law.mixed_law import MixedLaw, make_mixed_law
 from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature
 from labpipe.mechanics.wire.bending_law import fit_play_law, sum_strand_moments
 from labpipe.mechanics.wire.cross_section import CrossSection
@@ -71,7 +71,7 @@ def harden(
     """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
     bent, strands = continue_strands(section, curvature)
-    return mix_hardening(plays, bent, factor * strands, isotropic_share)
+    return make_mixed_law(plays, bent, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:

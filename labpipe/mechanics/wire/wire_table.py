@@ -32,7 +32,7 @@ from labpipe.mechanics.wire.friction import (
     make_contacts,
 )
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.mechanics.wire.packing import Kind, find_helix_overlap, lay_out
+from labpipe.mechanics.wire.packing import LayoutKind, find_helix_overlap, make_cross_section
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -328,11 +328,11 @@ def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
     if spec.layout != AUTO:
-        return lay_out(layers, tube, kind=cast("Kind", spec.layout)), []
+        return make_cross_section(layers, tube, kind=cast("LayoutKind", spec.layout)), []
     try:
         return place_hexagon(layers, tube), []
     except ValueError as error:
-        section, reason = lay_out(layers, tube), str(error)
+        section, reason = make_cross_section(layers, tube), str(error)
     return section, [
         QualityNote.of(
             "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=reason
