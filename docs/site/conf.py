@@ -13,7 +13,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_origin
+from typing import Any, TypeVar, get_origin
 
 from matplotlib.figure import Figure
 from sphinx.application import Sphinx
@@ -91,18 +91,18 @@ def write_code_pages(folder: Path) -> None:
     packages = [name.strip() for layer in order["layers"] for name in layer.split("|")]
     folder.mkdir(exist_ok=True)
     for package in packages:
-        path = ROOT / "labpipe" / package
+        path = ROOT / "labpipe" / package.replace(".", "/")
         parts = [path, *path.rglob("*.py")] if path.is_dir() else [path.with_suffix(".py")]
         names = {".".join(part.relative_to(ROOT).with_suffix("").parts) for part in parts}
-        text = "".join(map(_code_of, sorted(n for n in names if not n.endswith("__init__"))))
+        first, *others = sorted(name for name in names if not name.endswith("__init__"))
+        text = _code_of(first, "=") + "".join(_code_of(name, "-") for name in others)
         (folder / f"{package}.rst").write_text(text, encoding="utf-8")
     index = CODE + "".join(f"   {package}\n" for package in packages)
     (folder / "index.rst").write_text(index, encoding="utf-8")
 
 
-def _code_of(module: str) -> str:
-    line = ("=" if module.count(".") == 1 else "-") * len(module)
-    return f"{module}\n{line}\n\n.. automodule:: {module}\n   :members:\n\n"
+def _code_of(module: str, underline: str) -> str:
+    return f"{module}\n{underline * len(module)}\n\n.. automodule:: {module}\n   :members:\n\n"
 
 
 def toctree(pages: list[str], caption: str = "") -> str:
@@ -141,10 +141,11 @@ def figures_of(_block: Any, names: dict[str, Any], gallery: dict[str, Any]) -> s
 
 
 def skip_others(*asked: Any) -> bool | None:
-    """Leave out classes of others, and generic types, which numpydoc takes for what they alias."""
+    """Leave out classes of others, type variables and generic types, which numpydoc cannot read."""
     found = asked[3]
     is_ours = getattr(found, "__module__", "labpipe").startswith("labpipe")
-    return True if get_origin(found) is not None or not is_ours else None
+    is_generic = isinstance(found, TypeVar) or get_origin(found) is not None
+    return True if is_generic or not is_ours else None
 
 
 def keep_formulas(*asked: Any) -> None:

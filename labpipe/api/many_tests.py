@@ -97,8 +97,8 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     Returns
     -------
     A row per test and result: ``test``; the fields of the sheets (``type``, ``spool``, ``sample``,
-    dimensions in m as float64, texts of a bundle, labels; a label with the name of another
-    column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
+    dimensions in m as float64, texts of a bundle, labels, observations; a label with the name of
+    another column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
     ``folder``; ``result`` (its name), ``value``, ``estimate``, ``lower``, ``upper`` (SI, float64,
     NaN where not available), ``unit``, ``status``, ``code``, ``reason``. Missing fields are
     NaN. ``attrs["left_out"]`` has the reason for each test that is left out, by folder.
@@ -197,7 +197,8 @@ def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
     taken = {*plain, *bundle, "test", "result", *_TEST_COLUMNS, *_NUMBERS, *_TEXTS}
     labels = {
         f"label_{name}" if name in taken else str(name): str(text)
-        for name, text in dict(specimen.get("labels", {})).items()
+        for key in ("labels", "observed")
+        for name, text in dict(specimen.get(key, {})).items()
     }
     return plain | bundle | labels
 

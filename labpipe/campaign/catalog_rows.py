@@ -107,7 +107,7 @@ class FileState:
 
     Parameters
     ----------
-    content : inputs of the test, from `Content.as_text`; empty if not determined
+    content : inputs of the test, from `HashedInputs.to_json`; empty if not determined
     outcome : `OutcomeFiles.signature`, followed by ``without test.yaml`` for a test
         without a sheet
     """

@@ -226,8 +226,10 @@ def process_tests(
     tasks: list[Task] = []
     for test in tests:
         try:
-            goal = find_results_folder(test, out, partial(read_test_name, test))
-            tasks.append(Task(test, goal, figures(test), png=png, follow_links=follow_links))
+            results_folder = find_results_folder(test, out, partial(read_test_name, test))
+            tasks.append(
+                Task(test, results_folder, figures(test), png=png, follow_links=follow_links)
+            )
         except LabpipeError as error:
             outcomes[test] = Refused(test, error.code, str(error))
     goals = [

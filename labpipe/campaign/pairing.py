@@ -373,8 +373,8 @@ def _find_required_and_awaited(
         else _find_sources(inferred.values.get("protocol", ""), inferred.folder)
     )
     needed = _list_required_roles(sources)
-    wanted = {role for sources in possible for role in _list_required_roles(sources)}
-    return needed, [role for role in sources if role in wanted and role not in needed]
+    awaited_roles = {role for sources in possible for role in _list_required_roles(sources)}
+    return needed, [role for role in sources if role in awaited_roles and role not in needed]
 
 
 def _filter_sources(

@@ -14,6 +14,7 @@ from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
 from labpipe.errors import UsageError, sort_by_likeness
+from labpipe.statistics.lots import PEAK_OVER_LIMIT
 from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
@@ -33,6 +34,8 @@ COLUMNS: Final = {
     "estimate": "results.estimate",
     "status": "results.status",
     "code": "coalesce(results.code, tests.code)",
+    "verdict": f"case when results.name = '{PEAK_OVER_LIMIT}' then"
+    " case when results.value >= 1 then 'pass' when results.value < 1 then 'fail' end end",
     "reason": "coalesce(results.reason, tests.reason)",
     "why": "tests.why",
     "protocol": "tests.protocol",
@@ -41,7 +44,7 @@ COLUMNS: Final = {
     "labpipe": "tests.labpipe",
     "run": "tests.run",
 }
-"""SQL expression of each column. Dimensions and labels of the tests are further columns."""
+"""SQL expression of each column. Dimensions, labels and answers of the tests are more columns."""
 _MAX_SHEET_ROWS: Final = 1_048_575
 """Largest number of rows of a worksheet below its heading."""
 _ALLOWED_ACTIONS: Final = frozenset(
@@ -112,9 +115,9 @@ def _describe_condition_error(where: str, message: str, columns: list[str]) -> U
     place = repr(where)
     missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
     if missing:
-        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+        similar_columns = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
         return UsageError.about(
-            "campaign.unknown_column", "--where", place, message=message, near=near
+            "campaign.unknown_column", "--where", place, message=message, near=similar_columns
         )
     if "interrupted" in message:
         return UsageError.about("campaign.slow_condition", "--where", place)
@@ -129,15 +132,15 @@ def _authorize_reads(action: int, *_: str | None) -> int:
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
-    """List SQL expressions for the dimensions and labels of the tests, by name."""
+    """List SQL expressions for the dimensions, labels and answers of the tests."""
     max_columns = 200
     numbers = (
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
-    labels = "select distinct key from tests, json_each(tests.specimen, '$.labels') order by key"
+    words = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
-    for sql, place in ((numbers, ""), (labels, "labels")):
+    for sql, place in ((numbers, ""), *((words.format(x), x) for x in ("labels", "observed"))):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:

@@ -39,7 +39,6 @@ from labpipe.campaign.catalog_rows import (
     encodable,
     read_outcome,
 )
-from labpipe.campaign.content_keys import Content, ContentKeys, describe_changes, parse_content
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
@@ -48,6 +47,7 @@ from labpipe.campaign.decisions import (
     find_unapplied_decisions,
     read_decisions,
 )
+from labpipe.campaign.input_keys import HashedInputs, InputReader, describe_changes, parse_inputs
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError
 from labpipe.messages import format_sentence
@@ -174,7 +174,7 @@ class CatalogSync:
 
     def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
-        self._keys = ContentKeys()
+        self._input_reader = InputReader()
         self._decisions = DecisionFile()
 
     def refresh(self) -> Overview:
@@ -229,8 +229,8 @@ class CatalogSync:
             return entry.row
         return row or TestRow(folder)
 
-    def determine_content(self, folder: str) -> Content:
-        """Determine the inputs of a test, and record them.
+    def read_inputs(self, folder: str) -> HashedInputs:
+        """Read the inputs of a test, and record them in the catalog.
 
         Parameters
         ----------
@@ -238,10 +238,10 @@ class CatalogSync:
         """
         state = self._read_file_state(folder)
         sheet = self.campaign.raw / folder / SHEET_NAME
-        content = self._keys.determine_content(sheet, parse_content(state.content))
-        new_state = replace(state, content=content.as_text())
+        inputs = self._input_reader.read_inputs(sheet, parse_inputs(state.content))
+        new_state = replace(state, content=inputs.to_json())
         self.catalog.put([Entry(TestRow(folder), new_state, is_row_unchanged=True)])
-        return content
+        return inputs
 
     def _read_file_state(self, folder: str) -> FileState:
         return self.catalog.read_file_states(folder).get(folder, FileState())
@@ -258,9 +258,9 @@ class CatalogSync:
         -------
         The names of the files; only that of the sheet if it is faulty.
         """
-        content = parse_content(self._read_file_state(folder).content)
-        if content is not None and content.stamps:
-            return tuple(content.stamps)
+        inputs = parse_inputs(self._read_file_state(folder).content)
+        if inputs is not None and inputs.stamps:
+            return tuple(inputs.stamps)
         try:
             files = load_test_sheet(sheet).files
         except LabpipeError:
@@ -281,33 +281,33 @@ class CatalogSync:
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
         signature = files.signature if files is not None else ""
-        stored = parse_content(state.content) if state is not None else None
-        present = self._keys.determine_content(sheet, stored) if sheet and signature else None
-        content = present or stored
+        stored = parse_inputs(state.content) if state is not None else None
+        current = self._input_reader.read_inputs(sheet, stored) if sheet and signature else None
+        inputs = current or stored
         new_state = FileState(
-            content.as_text() if content is not None else "",
+            inputs.to_json() if inputs is not None else "",
             signature if sheet is not None else f"{signature} {_WITHOUT_SHEET}",
         )
-        has_same_content = present is None or (stored is not None and stored.key == present.key)
+        has_same_inputs = current is None or (stored is not None and stored.key == current.key)
         has_same_outcome = state is not None and state.outcome == new_state.outcome
         if (
             row is not None
             and has_same_outcome
-            and has_same_content
-            and self._is_current(row, present)
+            and has_same_inputs
+            and self._is_current(row, current)
         ):
-            return None if content == stored else Entry(row, new_state, is_row_unchanged=True)
+            return None if inputs == stored else Entry(row, new_state, is_row_unchanged=True)
         outcome = read_outcome(folder, files)
         rejection = self._find_rejection(folder, _last_key(outcome.row))
         return replace(
-            outcome, row=_complete_row(outcome, present, rejection), file_state=new_state
+            outcome, row=_complete_row(outcome, current, rejection), file_state=new_state
         )
 
-    def _is_current(self, row: TestRow, content: Content | None) -> bool:
-        """Return whether a row is still valid for the present content and decisions."""
+    def _is_current(self, row: TestRow, inputs: HashedInputs | None) -> bool:
+        """Return whether a row is valid for the current inputs and decisions."""
         if row.state == PENDING:
             return True
-        is_stale = content is not None and content.key != row.attempt
+        is_stale = inputs is not None and inputs.key != row.attempt
         if is_stale or row.state == STALE:
             return is_stale and row.state == STALE
         decision = self._find_rejection(row.folder, row.attempt)
@@ -326,9 +326,11 @@ def _last_key(row: TestRow) -> str:
     return row.failed_run if row.state == FAILED else row.run
 
 
-def _complete_row(outcome: Entry, content: Content | None, rejection: Decision | None) -> TestRow:
+def _complete_row(
+    outcome: Entry, inputs: HashedInputs | None, rejection: Decision | None
+) -> TestRow:
     """Add the facts of the test sheet, outdated inputs and the rejection to the row of a test."""
-    row, facts = outcome.row, {} if content is None else content.facts
+    row, facts = outcome.row, {} if inputs is None else inputs.facts
     row = replace(row, **{key: getattr(row, key) or encodable(facts[key]) for key in facts})
     row = replace(row, test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
@@ -336,9 +338,12 @@ def _complete_row(outcome: Entry, content: Content | None, rejection: Decision |
         row = replace(row, specimen=as_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
-    if content is not None and content.key != _last_key(row):
+    if inputs is not None and inputs.key != _last_key(row):
         changes = describe_changes(
-            inputs=outcome.inputs, sheet=row.sheet, protocol=row.resolved, now=content
+            files=outcome.inputs,
+            sheet_sha256=row.sheet,
+            protocol_sha256=row.resolved,
+            current=inputs,
         )
         return replace(row, state=STALE, why=changes)
     if rejection is None:
@@ -362,16 +367,16 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     exports that it pairs are known.
     """
     raw = sync.campaign.raw
-    known = {
+    known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
         for name in sync.list_files(folder, sheet)
     }
     if (raw / PLAN_NAME).is_file():
-        known.add(PLAN_NAME)
+        known_files.add(PLAN_NAME)
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
             for candidate in list_candidates(raw, read_plan(raw)).candidates:
                 if candidate.by_role or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
-                    known |= {path.relative_to(raw).as_posix() for path in files}
-    return sorted(file for file in overview.raw.files if file not in known)
+                    known_files |= {path.relative_to(raw).as_posix() for path in files}
+    return sorted(file for file in overview.raw.files if file not in known_files)

@@ -48,7 +48,7 @@ from labpipe.process.output_paths import (
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
-from labpipe.records.group import Campaign, Group, Sample
+from labpipe.records.group import Campaign, Group, LotRule, Sample
 from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
 from labpipe.report.page_facts import compute_report_id, list_samples
 from labpipe.report.page_tables import name_page_file
@@ -57,6 +57,7 @@ from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
+from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.outliers import mark_outliers
 from labpipe.store.read import read_reported, read_result
 from labpipe.store.replace import locked, replacing_together
@@ -361,6 +362,10 @@ def _make_group(
         samples=tuple(samples_by_source[sample.source] for sample in group.samples),
         numbers=(*main, *numbers.values()),
         notes=(*make_grouping_notes(missing_fields, renamed_spools), *group.notes),
+        lot=judge_lot(
+            [samples_by_source[sample.source] for sample in group.samples],
+            LotRule(settings.coverage, settings.confidence),
+        ),
     )
 
 

@@ -175,7 +175,7 @@ class _Run:
                 sync.catalog.release(folder)
                 continue
             self._claimed[sheet] = folder
-            key = sync.determine_content(folder).key
+            key = sync.read_inputs(folder).key
             yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
 
     def _record(self, outcome: Outcome) -> None:
@@ -245,11 +245,11 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
-            near = sort_by_likeness(code, codes, limit=1)
+            similar = sort_by_likeness(code, codes, limit=1)
             raise UsageError.about(
                 "campaign.no_such_failures", campaign.processed, code=code,
                 found=", ".join(codes) or "no failures",
-                remedy=f"Nearest: {near[0]}." if near else "There is nothing to clear.",
+                remedy=f"Nearest: {similar[0]}." if similar else "There is nothing to clear.",
             )  # fmt: skip
         for folder in chosen:
             path = campaign.processed / folder / FAILURE_FILE

@@ -500,8 +500,10 @@ class Watcher:
             lines = describe_failure(label, outcome.code, outcome.reason)
         else:
             summary = json.loads((outcome.folder / SUMMARY_FILE).read_bytes())
-            others = self._campaign.read_group_values(candidate.sheet)
-            lines = describe_test(label, summary, others, read_display_settings(candidate.sheet))
+            group_values = self._campaign.read_group_values(candidate.sheet)
+            lines = describe_test(
+                label, summary, group_values, read_display_settings(candidate.sheet)
+            )
             self._draw(outcome.folder)
         self._say("\n".join(lines))
 

@@ -85,10 +85,10 @@ def _format_friction(modelled: ModelledBundle) -> Iterator[str]:
     if fit is None:
         return
     write = make_number_writer(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
-    held = f"{write(fit.held):>6} %, 95 %: {write(fit.held_lower)} to {write(fit.held_upper)}"
+    held_share = f"{write(fit.held):>6} %, 95 %: {write(fit.held_lower)} to {write(fit.held_upper)}"
     for label, number in (
         ("share of the wires' axial stiffness that takes part", _format_share(fit.composite_share)),
-        ("share of it that remains once they slip (fitted)", held),
+        ("share of it that remains once they slip (fitted)", held_share),
         ("error on fitted cycles, of the peak force", _format_share(fit.error_fitted)),
         ("error on cycles left out, of the peak force", _format_share(fit.error_held_out)),
     ):

@@ -87,8 +87,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     )
     if not processed:
         return 2  # messages are printed already
-    first, *others = processed
-    print("\n".join((format_test(first), "", *map(format_headline, others))))
+    first, *other_results = processed
+    print("\n".join((format_test(first), "", *map(format_headline, other_results))))
     recipe = ReportOptions(f"Synthetic demo campaign: {out.name}", wires=write_wire_sheet(raw))
     reported = report_tests([out], options=recipe)
     main_figures = [

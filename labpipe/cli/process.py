@@ -144,13 +144,13 @@ def _format_quantity(results: list[Result], display: Mapping[str, str], width: i
     max_lines = 8
     if len(results) <= max_lines:
         return [format_result(result, display, width) for result in results]
-    others = results[max_lines // 2 :]
-    values = [result.value for result in others if result.value is not None]
+    remaining = results[max_lines // 2 :]
+    values = [result.value for result in remaining if result.value is not None]
     lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
     if values:
         display_scale = find_display_unit(results[0].name, results[0].unit, display)
         low, high = display_scale.factor * min(values), display_scale.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
-        name = f"... to {others[-1].name}"
-        lines.append(f"  {name:<{width}} {span} ({len(others)} more in summary.json)")
+        name = f"... to {remaining[-1].name}"
+        lines.append(f"  {name:<{width}} {span} ({len(remaining)} more in summary.json)")
     return lines

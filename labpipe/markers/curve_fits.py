@@ -249,9 +249,9 @@ class FrameFits:
     @property
     def residual(self) -> Floats:
         """Return the root mean square misfit per coordinate, shape (frames,), m."""
-        seen = np.isfinite(self.misfit)
-        squares = np.where(seen, self.misfit, 0.0) ** 2
-        count = seen.sum(axis=(1, 2))
+        is_fitted = np.isfinite(self.misfit)
+        squares = np.where(is_fitted, self.misfit, 0.0) ** 2
+        count = is_fitted.sum(axis=(1, 2))
         mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
         return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
 
@@ -359,11 +359,11 @@ def compute_tip_heights(
     flat = np.concatenate([markers[..., 0], markers[..., 1]], axis=1)
     heights = np.full((len(fits), len(markers)), np.nan)
     for pattern, chosen in _patterns(is_in_sight(markers)):
-        seen = flat[np.ix_(chosen, np.flatnonzero(np.tile(pattern, 2)))]
+        coordinates = flat[np.ix_(chosen, np.flatnonzero(np.tile(pattern, 2)))]
         for number, fit in enumerate(fits):
             weights, height = _height_of_end(*fit, pattern, terms)
             if len(weights):
-                heights[number, chosen] = seen @ weights + height
+                heights[number, chosen] = coordinates @ weights + height
     return heights
 
 

@@ -155,9 +155,9 @@ def _assign_by_label(
     for chain in sorted(chains, key=lambda chain: (-chain.frames, chain.start)):
         if chain.label < 0:
             continue
-        held = markers.setdefault(chain.label, [])
-        taken = any(chain.overlaps(other) for other in held)
-        (rejected if taken or (held and chain in doubles) else held).append(chain)
+        label_chains = markers.setdefault(chain.label, [])
+        taken = any(chain.overlaps(other) for other in label_chains)
+        (rejected if taken or (label_chains and chain in doubles) else label_chains).append(chain)
     return markers, rejected
 
 
@@ -178,8 +178,8 @@ def _eliminate(
     for chain in sorted(rejected, key=lambda chain: chain.start):
         free = [
             label
-            for label, held in markers.items()
-            if not any(chain.overlaps(other) for other in held)
+            for label, label_chains in markers.items()
+            if not any(chain.overlaps(other) for other in label_chains)
         ]
         rivals = [other for other in rejected if other is not chain and chain.overlaps(other)]
         if len(free) == 1 and not rivals:
@@ -192,7 +192,10 @@ def _eliminate(
 
 def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest one."""
-    totals = {label: sum(chain.frames for chain in held) for label, held in markers.items()}
+    totals = {
+        label: sum(chain.frames for chain in label_chains)
+        for label, label_chains in markers.items()
+    }
     longest = max(totals.values(), default=0)
     short = [label for label, frames in totals.items() if 2 * frames < longest]
     return [chain for label in short for chain in markers.pop(label)]

@@ -74,14 +74,14 @@ def make_repair_notes(
 
 
 def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    seen = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
+    visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
         if column not in naming.markers:
             marker = take.names[column]
             yield QualityNote.of(
                 "markers.marker_under_another_label"
-                if column in seen
+                if column in visible_columns
                 else "markers.marker_missing",
                 marker,
                 marker=marker,
@@ -179,10 +179,10 @@ def _jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[Qu
 
 def _ambiguity_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
     pieces = take.tracklets
-    for one, two in links.ambiguous[:_MAX_NOTES]:
-        last = int(pieces.stop[one]) - 1
-        span = take.span(last, int(pieces.start[two]) + 1)
-        names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
+    for first, second in links.ambiguous[:_MAX_NOTES]:
+        last = int(pieces.stop[first]) - 1
+        span = take.span(last, int(pieces.start[second]) + 1)
+        names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
         where, after = f"{names}, {span}", (float(take.time[last]), float(take.time[-1]))
         yield QualityNote.of("markers.label_ambiguous", where, after, names=names, span=span)
     for chain in naming.doubtful:
@@ -200,10 +200,10 @@ def _dropped_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iter
         span, extent = take.span(chain.start, chain.stop), _extent(take.tracklets, chain, measured)
         where, size = f"{names}, {span}", 1e3 * extent
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
-    rest = chains[_MAX_NOTES:]
-    if rest:
-        frames = sum(chain.frames for chain in rest)
-        count = len(rest)
+    unlisted = chains[_MAX_NOTES:]
+    if unlisted:
+        frames = sum(chain.frames for chain in unlisted)
+        count = len(unlisted)
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 

@@ -87,13 +87,13 @@ def compute_ring_centres(
 
 
 def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
-    seen = is_in_sight(positions)
-    complete = seen.all(axis=1)
+    is_visible = is_in_sight(positions)
+    complete = is_visible.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
     centre[complete] = positions[complete].mean(axis=1)
-    for pattern in np.unique(seen[~complete], axis=0):
-        frames = np.flatnonzero((seen == pattern).all(axis=1))
+    for pattern in np.unique(is_visible[~complete], axis=0):
+        frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
             centre[frames] = _centre_from_visible(
                 positions, pattern, frames, np.flatnonzero(complete)
@@ -203,8 +203,8 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     rotation about the axis).
     """
     min_frames_at_rest = 3
-    seen = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
-    markers = markers_lab[:, seen]
+    is_measured = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
+    markers = markers_lab[:, is_measured]
     if markers.shape[1] < 3:
         message = f"{markers.shape[1]} markers seen at rest: expected at least 3"
         raise ValueError(message)
@@ -218,7 +218,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
         markers=(markers - centre) @ rotation.T,
         at_rest=(at_rest - centre) @ rotation.T,
         section=section,
-        columns=np.flatnonzero(seen),
+        columns=np.flatnonzero(is_measured),
         rotation_lab_to_specimen=rotation,
     )
 
@@ -305,18 +305,18 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     lever = np.zeros(sections.count)
     for number in range(sections.count):
         in_section = sections.section == number
-        rest = sections.at_rest[in_section, 1] + 1j * sections.at_rest[in_section, 2]
-        rest = rest - rest.mean()
-        spread = float(np.sqrt(np.sum(np.abs(rest) ** 2)))
+        position_at_rest = sections.at_rest[in_section, 1] + 1j * sections.at_rest[in_section, 2]
+        position_at_rest = position_at_rest - position_at_rest.mean()
+        spread = float(np.sqrt(np.sum(np.abs(position_at_rest) ** 2)))
         if in_section.sum() < 2 or spread < min_spread * max(radius, 1e-9):
             continue
         lever[number] = spread
         angle = slope[:, number, None]
-        seen = sections.markers[:, in_section]
-        across = -np.sin(angle) * seen[..., 0] + np.cos(angle) * seen[..., 1]
-        now = across + 1j * seen[..., 2]
+        section_markers = sections.markers[:, in_section]
+        across = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
+        now = across + 1j * section_markers[..., 2]
         now = now - now.mean(axis=1, keepdims=True)
-        twist[:, number] = np.angle(np.sum(np.conj(rest) * now, axis=1))
+        twist[:, number] = np.angle(np.sum(np.conj(position_at_rest) * now, axis=1))
     return twist, lever
 
 
@@ -354,10 +354,12 @@ def compute_section_centres(
         turned_x = np.cos(angle) * off[:, 0] - np.sin(angle) * across
         turned_y = np.sin(angle) * off[:, 0] + np.cos(angle) * across
         points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, out], axis=2)
-        seen = np.isfinite(points).all(axis=2)
-        total = np.where(seen[..., None], points, 0.0).sum(axis=1)
-        has_points = seen.any(axis=1)
-        centres[has_points, number] = total[has_points] / seen[has_points].sum(axis=1)[:, None]
+        is_measured = np.isfinite(points).all(axis=2)
+        total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
+        has_points = is_measured.any(axis=1)
+        centres[has_points, number] = (
+            total[has_points] / is_measured[has_points].sum(axis=1)[:, None]
+        )
     return centres
 
 

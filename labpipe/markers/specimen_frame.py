@@ -120,29 +120,29 @@ def _frame_of_chain(markers_lab: Floats, rest: Selection, limit: float) -> Speci
 
 def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
     """Return the direction of travel of the clamp, and the rms deviation of its path."""
-    seen = path[np.isfinite(path).all(axis=1)]
-    centred = seen - seen.mean(axis=0) if len(seen) > 1 else np.zeros((2, 3))
+    measured = path[np.isfinite(path).all(axis=1)]
+    centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
     if spread[0] <= 1e-9 * np.sqrt(len(centred)):
         message = "clamp_lab: expected a clamp that moves, found one at rest"
         raise ValueError(message)
-    along = (seen - rest) @ axes[0]
+    along = (measured - rest) @ axes[0]
     sign = np.sign(along[np.abs(along).argmax()])
     return sign * axes[0], float(np.sqrt((spread[1:] ** 2).sum() / len(centred)))
 
 
 def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
     """Return the direction of largest spread across `normal`, and the spread beside it."""
-    seen = points[np.isfinite(points).all(axis=1)]
-    if not len(seen):
+    measured = points[np.isfinite(points).all(axis=1)]
+    if not len(measured):
         message = "markers_lab: expected markers in some frame in which the clamp is seen"
         raise ValueError(message)
-    centred = seen - seen.mean(axis=0)
-    _, axes = np.linalg.eigh(centred.T @ centred / len(seen))
+    centred = measured - measured.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred / len(measured))
     main = axes[:, 2] - (axes[:, 2] @ normal) * normal
     main = _direction(main, "spread of the markers across the travel")
     side = np.cross(normal, main)
-    along = seen @ main
+    along = measured @ main
     sign = np.sign(along[np.abs(along).argmax()])
     return sign * main, float(np.sqrt(np.mean((centred @ side) ** 2)))
 
@@ -151,10 +151,10 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
     """Return distances between markers, m: at rest, or over all frames for other pairs."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
-    for one in range(count):
-        for two in range(one):
-            distance = _typical(positions[:, one] - positions[:, two], rest)
-            distances[one, two] = distances[two, one] = distance
+    for first in range(count):
+        for second in range(first):
+            distance = _typical(positions[:, first] - positions[:, second], rest)
+            distances[first, second] = distances[second, first] = distance
     return distances
 
 
@@ -162,9 +162,9 @@ def _typical(offsets: Floats, rest: Selection) -> float:
     """Return the median length of offsets of shape (frames, 3), m; infinite if there is none."""
     for stretch in (offsets[rest], offsets):
         distance = np.linalg.norm(stretch, axis=1)
-        seen = distance[np.isfinite(distance)]
-        if len(seen):
-            return float(np.median(seen))
+        measured = distance[np.isfinite(distance)]
+        if len(measured):
+            return float(np.median(measured))
     return np.inf
 
 
@@ -178,14 +178,14 @@ def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
 
 
 def _mean(points: Floats, name: str) -> Floats:
-    seen = points[np.isfinite(points).all(axis=-1)]
-    if not len(seen):
+    measured = points[np.isfinite(points).all(axis=-1)]
+    if not len(measured):
         message = (
             f"{name} is not seen in any frame of the stretch at rest: make it ('over') longer, "
             "or correct the labels of the take"
         )
         raise ValueError(message)
-    return np.asarray(seen.mean(axis=0), dtype=np.float64)
+    return np.asarray(measured.mean(axis=0), dtype=np.float64)
 
 
 def _notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:

@@ -155,8 +155,8 @@ def fit_shape(
     straight = _mean_at_rest(relative[:, settled], rest)
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
-    others = offsets.perturb(uncertainties) if clamped else {}
-    models = [(*begin(other, settled=tolerance), other.centre) for other in others.values()]
+    perturbed = offsets.perturb(uncertainties) if clamped else {}
+    models = [(*begin(other, settled=tolerance), other.centre) for other in perturbed.values()]
     heights = compute_tip_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
@@ -172,7 +172,7 @@ def fit_shape(
         tip_systematic=(
             np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
         ),
-        perturbed_tip=dict(zip(others, heights, strict=True)),
+        perturbed_tip=dict(zip(perturbed, heights, strict=True)),
         notes=_notes(names, settled, fit, time),
     )
 
@@ -239,11 +239,11 @@ class _Points:
 
 
 def _check(markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time: Floats) -> None:
-    wanted = (len(time), len(names))
-    if markers.shape != (*wanted, 3) or flags.shape != wanted:
+    expected_shape = (len(time), len(names))
+    if markers.shape != (*expected_shape, 3) or flags.shape != expected_shape:
         message = (
             f"markers_specimen of shape {markers.shape}, flags of shape {flags.shape}: expected "
-            f"{(*wanted, 3)} and {wanted}"
+            f"{(*expected_shape, 3)} and {expected_shape}"
         )
         raise ValueError(message)
 

@@ -71,11 +71,11 @@ class BentAxis:
 
     def y(self, x: Floats) -> Floats:
         """Return y at x of shape (n,), m from mid-span: shape (frames, n), m."""
-        reach = float(np.abs(x).max()) + 1e-6
-        grid = np.linspace(-reach, reach, _GRID_POINTS)
+        half_range = float(np.abs(x).max()) + 1e-6
+        grid = np.linspace(-half_range, half_range, _GRID_POINTS)
         sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
         rise = _integrate(sine / np.sqrt(1.0 - sine**2), grid)
-        cell = np.clip(((x + reach) / (grid[1] - grid[0])).astype(int), 0, _GRID_POINTS - 2)
+        cell = np.clip(((x + half_range) / (grid[1] - grid[0])).astype(int), 0, _GRID_POINTS - 2)
         share = (x - grid[cell]) / (grid[1] - grid[0])
         y = (1.0 - share) * rise[:, cell] + share * rise[:, cell + 1] + self.height[:, None]
         return np.asarray(y, dtype=np.float64)
@@ -300,8 +300,8 @@ def _fit_chunk(points: Floats, span: float, unknown: Floats, steps: int) -> tupl
     has_enough = is_measured.sum(axis=1) >= terms + 3
     x: Floats = np.where(is_measured, points[..., 0], 0.0)
     y: Floats = np.where(is_measured, points[..., 1], 0.0)
-    reach = float(np.abs(x).max()) + 1e-3
-    grid = np.linspace(-reach, reach, _GRID_POINTS)
+    half_range = float(np.abs(x).max()) + 1e-3
+    grid = np.linspace(-half_range, half_range, _GRID_POINTS)
     integrals = _integrate_powers(grid[None], span, terms)[0]
     # Derivatives of the sine by curvatures and tilt.
     columns = np.concatenate([-integrals, np.ones((_GRID_POINTS, 1))], axis=1)

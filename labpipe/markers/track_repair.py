@@ -202,11 +202,11 @@ def _bridge_path(time: Floats, path: Floats, times: Floats) -> Floats:
     leaving = _speed(time, path, np.maximum(before - speed_frames, 0), before) * span
     arriving = _speed(time, path, after, np.minimum(after + speed_frames, len(time) - 1)) * span
     start, stop = path[before], path[after]
-    rest = 1.0 - part
+    remaining_part = 1.0 - part
     bridge: Floats = (
-        start * rest**2 * (1.0 + 2.0 * part)
-        + stop * part**2 * (1.0 + 2.0 * rest)
-        + part * rest * (leaving * rest - arriving * part)
+        start * remaining_part**2 * (1.0 + 2.0 * part)
+        + stop * part**2 * (1.0 + 2.0 * remaining_part)
+        + part * remaining_part * (leaving * remaining_part - arriving * part)
     )
     return bridge
 

@@ -105,13 +105,13 @@ def cut_tracklets(
     -------
     The tracklets.
     """
-    seen = is_in_sight(positions)
-    joined = seen[1:] & seen[:-1]
+    is_visible = is_in_sight(positions)
+    joined = is_visible[1:] & is_visible[:-1]
     joined &= ~_jumps(positions, relative, time, max_jump)
     before = np.pad(joined, ((1, 0), (0, 0)))
     after = np.pad(joined, ((0, 1), (0, 0)))
-    column, start = np.nonzero((seen & ~before).T)
-    stop = np.nonzero((seen & ~after).T)[1] + 1
+    column, start = np.nonzero((is_visible & ~before).T)
+    stop = np.nonzero((is_visible & ~after).T)[1] + 1
     order = np.lexsort((column, start))
     return Tracklets(
         column[order].astype(np.int64), start[order].astype(np.int64), stop[order].astype(np.int64)

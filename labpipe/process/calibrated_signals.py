@@ -228,9 +228,9 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     protocol : names the channel that splits the branches and the one that joins the clocks
     """
     quantities = {} if protocol.curve is None else signals.quantities
-    others = dict(zip(quantities, reversed(quantities), strict=True))
+    counterparts = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
-        other = signals.raw.get(others.get(name, ""))
+        other = signals.raw.get(counterparts.get(name, ""))
         other_values = other.values if other is not None and other.clock == signal.clock else None
         runs = find_stuck_runs(signal.time, signal.values, other_values)
         quantity = quantities.get(name, name)

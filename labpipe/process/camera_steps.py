@@ -88,19 +88,19 @@ def find_specimen_axes(
     tracks, settings = _require_tracks(take, settings)
     if take.repaired is None:
         raise ValueError(format_sentence("process.needs_repair"))
-    rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
+    is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     find_frame = partial(
         find_specimen_frame,
         take.clamp,
         take.repaired.positions,
         out_of_plane_limit=step.max_out_of_plane,
     )
-    frame = find_frame(rest=rest)
+    frame = find_frame(rest=is_at_rest)
     still = _flag_before_motion(tracks.time, frame, take.clamp)
-    if MIN_SAMPLES_NOISE_UNKNOWN <= (rest & still).sum() < rest.sum():
-        rest &= still
-        frame = find_frame(rest=rest)
-        duration, stated = float(np.ptp(tracks.time[rest])), step.over
+    if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & still).sum() < is_at_rest.sum():
+        is_at_rest &= still
+        frame = find_frame(rest=is_at_rest)
+        duration, stated = float(np.ptp(tracks.time[is_at_rest])), step.over
         findings.append(
             Finding.of("process.short_rest_of_clamp", take.role, duration=duration, stated=stated)
         )
@@ -110,9 +110,11 @@ def find_specimen_axes(
     signals = prepared.signals
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
-        travel = travel - np.nanmean(travel[rest])
+        travel = travel - np.nanmean(travel[is_at_rest])
         signals = signals.add_signal("travel", take.make_signal(tracks.time, travel))
-    return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), findings
+    return replace(
+        prepared, signals=signals, take=replace(take, frame=frame, rest=is_at_rest)
+    ), findings
 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
@@ -132,8 +134,8 @@ def fit_specimen_shapes(
     """Carry out ``fit-shape``: the shape and the signal ``compute_deflection``."""
     take, signals = prepared.take, prepared.signals
     tracks, settings = _require_tracks(take, settings)
-    frame, rest, repaired = take.frame, take.rest, take.repaired
-    if frame is None or rest is None or repaired is None:
+    frame, is_at_rest, repaired = take.frame, take.rest, take.repaired
+    if frame is None or is_at_rest is None or repaired is None:
         raise ValueError(format_sentence("process.needs_frame"))
     order = list(frame.order)
     fit = fit_shape(
@@ -149,10 +151,10 @@ def fit_specimen_shapes(
         ),
         terms=step.terms,
         tip=step.tip,
-        rest=rest,
+        rest=is_at_rest,
     )
     findings = list(_make_shape_findings(fit.notes, take.role))
-    misfit, at_rest = compute_rms(fit.residual), compute_rms(fit.residual[rest])
+    misfit, at_rest = compute_rms(fit.residual), compute_rms(fit.residual[is_at_rest])
     if misfit > 3.0 * at_rest + 1e-5 and take.clamp is not None:
         off, quiet = 1e3 * misfit, 1e3 * at_rest
         findings.append(
@@ -161,8 +163,8 @@ def fit_specimen_shapes(
     off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
     if take.clamp is not None:
-        signals = signals.add_signal("deflection", _make_deflection_signal(fit, rest, take))
-        stretch = tracks.time[rest]
+        signals = signals.add_signal("deflection", _make_deflection_signal(fit, is_at_rest, take))
+        stretch = tracks.time[is_at_rest]
         at_rest_for = (float(stretch[0]), float(stretch[-1]))
         signals = replace(
             signals, zero_stretches={**signals.zero_stretches, "deflection": at_rest_for}
@@ -177,8 +179,8 @@ def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     uncertainty is 1 / sqrt(3) of the half-width.
     """
     values = compute_deflection(fit.shape, rest=rest)
-    seen = ~np.isnan(values)
-    _, error = average_level(values[rest & seen], values[~rest])
+    is_measured = ~np.isnan(values)
+    _, error = average_level(values[rest & is_measured], values[~rest])
     change = fit.tip_systematic[:, 1]
     has_change = not np.isnan(change[rest]).all()
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
@@ -209,8 +211,8 @@ def _find_clamp(
         return None, []
     body = tracks.body(settings.clamp)
     if body is None:
-        near = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
-        found = ", ".join(map(repr, near)) or "no rigid body in the take"
+        similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
+        found = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
         raise ProcessingError.about(
             "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=found
         )
@@ -279,11 +281,11 @@ def _select_specimen_tracks(
             if is_unlabelled(name)
             or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
         ]
-    seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
-    if len(seen) < 3:
-        names = ", ".join(seen) or "none"
+    visible_names = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
+    if len(visible_names) < 3:
+        names = ", ".join(visible_names) or "none"
         raise ProcessingError.about(
-            "process.few_markers", role, "markers", count=len(seen), names=names
+            "process.few_markers", role, "markers", count=len(visible_names), names=names
         )
     return candidates, findings
 
@@ -325,9 +327,9 @@ def fit_three_point_shape(
     span = protocol.specimen.span
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
-    rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
+    is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     try:
-        sections = find_sections(repaired.positions, rest=rest, min_distance=step.section)
+        sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
         shape = fit_span(
             sections,
             span=span,
@@ -337,13 +339,13 @@ def fit_three_point_shape(
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
-    bent = replace(
+    bent_shape = replace(
         prepared,
         signals=prepared.signals.add_signal(
-            "mid_span", _make_mid_span_signal(shape, tracks.time, rest, take)
+            "mid_span", _make_mid_span_signal(shape, tracks.time, is_at_rest, take)
         ),
         shape=_make_span_shape(sections, shape, tracks.time, repaired.flags),
-        span=SpanBend(shape, tracks.time, rest),
+        span=SpanBend(shape, tracks.time, is_at_rest),
     )
     note = Finding.of(
         "process.three_point_shape",
@@ -352,7 +354,7 @@ def fit_three_point_shape(
         around=int((shape.lever > 0.0).sum()),
         noise=1e6 * shape.axis.noise,
     )
-    return bent, [note]
+    return bent_shape, [note]
 
 
 def _reject_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:

@@ -186,8 +186,10 @@ def _measure_repeat(
         if waves
         else []
     )
-    known = [lag.value for lag in lags if not isinstance(lag, Failure)]
-    drift_error = float(np.linalg.norm(np.subtract(known[1:], known[0]))) if known else 0.0
+    lag_values = [lag.value for lag in lags if not isinstance(lag, Failure)]
+    drift_error = (
+        float(np.linalg.norm(np.subtract(lag_values[1:], lag_values[0]))) if lag_values else 0.0
+    )
     return Repeat(moved.value, force_lag.value, error, drift_error)
 
 
@@ -413,8 +415,8 @@ def _find_rough_turns(
     """Pair the strokes that load with the rough times at which the force turns."""
     loads = [stroke.sign == strokes[0].sign for stroke in strokes[:-1]]
     if sum(loads) == 1:
-        near = find_sharpest_turn(force.time, force.values, width=align.force_window)
-        return [] if near is None else [(0, near)]
+        turn_time = find_sharpest_turn(force.time, force.values, width=align.force_window)
+        return [] if turn_time is None else [(0, turn_time)]
     return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 
 

@@ -129,8 +129,8 @@ def find_motion_turns(motion: Signal, strokes: tuple[Stroke, ...], *, window: fl
     candidates = []
     for number, (before, after) in enumerate(pairwise(strokes)):
         ends = motion.time[[before.start, before.stop, after.start, after.stop]]
-        reach = min(window, 0.95 * float(min(ends[1] - ends[0], ends[3] - ends[2])))
-        candidate = _fit_turn(motion, number, (float(ends[1]), float(ends[2])), reach)
+        fit_width = min(window, 0.95 * float(min(ends[1] - ends[0], ends[3] - ends[2])))
+        candidate = _fit_turn(motion, number, (float(ends[1]), float(ends[2])), fit_width)
         if candidate is not None:
             candidates.append(candidate)
     dwells_everywhere = _dwells_everywhere(motion, [wait for _, wait in candidates])
@@ -278,9 +278,9 @@ def _measure_corner_deviations(
 ) -> Floats:
     """Return the deviations of the motion from straight lines near the corners, m."""
     since, until = motion.time - turn.arrival.time, motion.time - turn.departure.time
-    near = (since >= -width) & (until <= width) & ~np.isnan(motion.values)
+    is_near = (since >= -width) & (until <= width) & ~np.isnan(motion.values)
     lines = speeds[0] * np.minimum(since, 0.0) + speeds[1] * np.maximum(until, 0.0)
-    return np.asarray((motion.values - turn.arrival.value - lines)[near], dtype=np.float64)
+    return np.asarray((motion.values - turn.arrival.value - lines)[is_near], dtype=np.float64)
 
 
 def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
@@ -295,10 +295,10 @@ def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
 
 def _mean_near(motion: Signal, centre: float) -> tuple[float, float]:
     """Return mean time and value of the finite samples within a quarter of a second of a time."""
-    near = (np.abs(motion.time - centre) <= 0.25) & ~np.isnan(motion.values)
-    if not near.any():
+    is_near = (np.abs(motion.time - centre) <= 0.25) & ~np.isnan(motion.values)
+    if not is_near.any():
         return float("nan"), float("nan")
-    return float(motion.time[near].mean()), float(motion.values[near].mean())
+    return float(motion.time[is_near].mean()), float(motion.values[is_near].mean())
 
 
 MAX_CORNER_ERROR = 0.1
@@ -403,8 +403,15 @@ def _average_events(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reve
     if len(events) < 2:
         return events[0] if events else None
     motion_events, force_events = [event[0] for event in events], [event[1] for event in events]
-    times = np.array([[one.time, two.corner.time] for one, two in events])
-    errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
+    times = np.array(
+        [[motion_event.time, force_event.corner.time] for motion_event, force_event in events]
+    )
+    errors = np.array(
+        [
+            [motion_event.time_error, force_event.corner.time_error]
+            for motion_event, force_event in events
+        ]
+    )
     lag_errors = np.hypot(errors[:, 0], errors[:, 1])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     lags = times[:, 1] - times[:, 0]

@@ -128,8 +128,8 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
     paths: list[Path] = []
     for place, folders, files in os.walk(folder):
         folders[:] = [folder for folder in folders if not folder.startswith(".")]
-        wanted = [name] if name else [file for file in files if not file.startswith(".")]
-        here = [Path(place, file_name) for file_name in wanted]
+        file_names = [name] if name else [file for file in files if not file.startswith(".")]
+        here = [Path(place, file_name) for file_name in file_names]
         paths += [path for path in here if path.name in files or exists_or_is_staged(path)]
     return sorted(paths)
 

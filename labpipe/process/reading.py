@@ -361,11 +361,13 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         ):
             notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
         if not is_exact_name(spec.channel, channel):
-            wanted = " or ".join(map(repr, spec.channel[:3]))
-            wanted += " ..." if len(spec.channel) > 3 else ""
+            expected_names = " or ".join(map(repr, spec.channel[:3]))
+            expected_names += " ..." if len(spec.channel) > 3 else ""
             used = channel.path
             spelling_notes.append(
-                QualityNote.of("process.channel_spelt_otherwise", name, wanted=wanted, used=used)
+                QualityNote.of(
+                    "process.channel_spelt_otherwise", name, wanted=expected_names, used=used
+                )
             )
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)

@@ -231,7 +231,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     """
     tested, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
     try:
-        reduced = reduce_recordings(raw.recordings, protocol, tested=tested)
+        reduced = reduce_recordings(raw.recordings, protocol, tested=tested, specimen=raw.specimen)
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
         raise ProcessingError(message) from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date
 from itertools import pairwise
@@ -72,14 +72,14 @@ def check_rig(
         yield from _check_negative(means, lower_limit, reason)
     if specimen.length is None or block is None or block.clamp is None or shape is None:
         return
-    seen, stated = shape.length, specimen.length
-    if abs(seen - stated) > max(2e-3, 0.02 * stated):
+    measured_length, stated_length = shape.length, specimen.length
+    if abs(measured_length - stated_length) > max(2e-3, 0.02 * stated_length):
         yield Finding.of(
             "process.length_unexpected",
             "specimen.length",
             "displacement",
-            seen=1e3 * seen,
-            stated=1e3 * stated,
+            seen=1e3 * measured_length,
+            stated=1e3 * stated_length,
         )
 
 
@@ -190,15 +190,18 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    seen, measured = _measure_travel(mid_span.values), _measure_travel(motion.signal.values)
-    if abs(seen - measured) <= limits.mid_span_deviation * measured:
+    camera_travel, motion_travel = (
+        _measure_travel(mid_span.values),
+        _measure_travel(motion.signal.values),
+    )
+    if abs(camera_travel - motion_travel) <= limits.mid_span_deviation * motion_travel:
         return prepared, []
     facts = Finding.of(
         "process.mid_span_differs",
         "mid_span",
         "displacement",
-        seen=1e3 * seen,
-        measured=1e3 * measured,
+        seen=1e3 * camera_travel,
+        measured=1e3 * motion_travel,
     )
     return prepared, [facts]
 
@@ -502,8 +505,8 @@ def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limit
     # the force is steep near the peak, and small at the end of unloading
     is_loading = last.direction is Direction.LOADING
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    near = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
-    return sense * end >= turns[-1] - near
+    tolerance = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
+    return sense * end >= turns[-1] - tolerance
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
@@ -525,6 +528,21 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
         )
         for name, certificate, quantities in _certificates(protocol)
     )
+
+
+def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[Finding]:
+    """Note the questions of the protocol that the test sheet does not answer.
+
+    Parameters
+    ----------
+    protocol : with its questions
+    observed : answers of the test sheet, by question
+    """
+    for name, answers in protocol.questions.items():
+        if name not in observed:
+            yield Finding.of(
+                "process.question_open", name, "observation", name=name, answers=", ".join(answers)
+            )
 
 
 def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:

@@ -38,8 +38,8 @@ _KEY_PATHS = (
     | {role: ("files", role) for role in ROLES}
 )
 """Place of each column in a test sheet, in the order of the sheet."""
-LABELS = "labels."
-"""Prefix of columns that are labels of the specimen."""
+TEXT_BLOCKS = ("labels", "observed")
+"""Blocks of the specimen whose texts have columns such as ``labels.cured``."""
 COLUMNS = (*_KEY_PATHS, "because")
 """Columns of a campaign table, in addition to labels and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
@@ -95,9 +95,9 @@ def write_inferred_sheets(
     if not test_folders:
         yield write_inferred_sheet(infer_test(folder, stated))
         return
-    kept = [] if overwrite else existing
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
-    for test in infer_tests([path for path in test_folders if path not in kept], stated):
+    kept_folders = [] if overwrite else existing
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept_folders)
+    for test in infer_tests([path for path in test_folders if path not in kept_folders], stated):
         yield write_inferred_sheet(test)
 
 
@@ -206,9 +206,10 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
     dotted = [column for column in values if "." in column]
     paths |= {
-        column: ("specimen", "labels", column.removeprefix(LABELS))
+        column: ("specimen", block, key)
         for column in dotted
-        if column.startswith(LABELS)
+        for block, _, key in [column.partition(".")]
+        if block in TEXT_BLOCKS
     }
     data: dict[str, Any] = {}
     for column, (*blocks, key) in paths.items():
@@ -245,10 +246,15 @@ def _unknown_column(name: str, written: str, file: Path, place: str) -> Iterator
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
         columns = sort_by_likeness(written, list(COLUMNS))
-        near = ", ".join(map(repr, columns))
+        similar_columns = ", ".join(map(repr, columns))
         yield str(
             ReadError.about(
-                "process.column_unknown", file, place, near=near, name=written, likely=columns[0]
+                "process.column_unknown",
+                file,
+                place,
+                near=similar_columns,
+                name=written,
+                likely=columns[0],
             )
         )
 
@@ -276,8 +282,8 @@ def _describe_faults(
         fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
     ]
     protocol = values.get("protocol")
-    found = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
-    for fault in [*faults, found] if isinstance(found, Fault) else faults:
+    protocol_file = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
+    for fault in [*faults, protocol_file] if isinstance(protocol_file, Fault) else faults:
         column = _column_of_fault(fault)
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column
@@ -295,8 +301,8 @@ def _column_of_fault(fault: Fault) -> str:
             return column
     if fault.missing:
         return fault.missing
-    if path[:2] == ("specimen", "labels"):
-        return f"{LABELS}{path[2]}"
+    if path[0] == "specimen" and len(path) > 2 and path[1] in TEXT_BLOCKS:
+        return f"{path[1]}.{path[2]}"
     return path[1] if path[0] == "overrides" and len(path) > 1 else path[-1]
 
 

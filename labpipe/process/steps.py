@@ -111,12 +111,14 @@ def _find_turn(force: Signal, step: TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
-    near = find_sharpest_turn(force.time, force.values, width=step.window)
+    turn_time = find_sharpest_turn(force.time, force.values, width=step.window)
     reversal = None
-    if near is not None:
-        part = slice(*np.searchsorted(force.time, [near - step.window, near + step.window]))
+    if turn_time is not None:
+        part = slice(
+            *np.searchsorted(force.time, [turn_time - step.window, turn_time + step.window])
+        )
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=near, window=step.window)
+        reversal = fit_reversal(*inside, near=turn_time, window=step.window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
@@ -337,8 +339,8 @@ def _filter_signal(
             filter_step = Butterworth(step.cutoff, 1.0 / _median_step(signal), step.order), 1
         case Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-            filter_step, kept = (Smoothing(window), step.factor), step.factor
-            findings = [Finding.of("process.decimated", name, kept=kept, method=step.method)]
+            filter_step, factor = (Smoothing(window), step.factor), step.factor
+            findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings

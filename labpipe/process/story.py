@@ -29,6 +29,7 @@ from labpipe.process.curve_corrections import (
 )
 from labpipe.process.motion import Motion, find_motion_strokes, split_at_turns
 from labpipe.process.sanity_checks import (
+    check_answers,
     check_calibration_due,
     check_mid_span,
     check_rest,
@@ -47,7 +48,7 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape, Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.kinds import Kind
@@ -73,7 +74,11 @@ class Reduction:
 
 
 def reduce_recordings(
-    recordings: Mapping[str, Recording], protocol: Protocol, *, tested: date | None = None
+    recordings: Mapping[str, Recording],
+    protocol: Protocol,
+    *,
+    tested: date | None = None,
+    specimen: Specimen | None = None,
 ) -> Reduction:
     """Reduce the recordings of one test to stages and results.
 
@@ -82,6 +87,7 @@ def reduce_recordings(
     recordings : by role, with the channel names of the protocol, in SI units
     protocol : resolved
     tested : day of the test, for the certificates of its instruments; None if it is not known
+    specimen : with the labels and answers of its test sheet, if any
 
     Raises
     ------
@@ -91,17 +97,23 @@ def reduce_recordings(
     prepared, new_findings = calibrate(recordings, protocol)
     findings = Findings() + new_findings + check_channels(prepared.signals, protocol)
     findings += check_calibration_due(protocol, tested)
+    findings += check_answers(protocol, {} if specimen is None else specimen.observed)
+    labels = {} if specimen is None else specimen.labels
     prepared, new_findings = run_steps(prepared, protocol)
     findings += new_findings
     if protocol.curve is None or protocol.branches is None:
-        return add_results(_build_reduced_test(prepared, Clocks(), protocol, findings), protocol)
+        return add_results(
+            _build_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol
+        )
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
     prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
     findings += new_findings
     findings = check_signals(prepared, motion, protocol, findings)
-    test = replace(_build_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
+    test = replace(
+        _build_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed
+    )
     return add_results(add_curve(test, motion, protocol, protocol.curve), protocol)
 
 
@@ -221,7 +233,11 @@ def add_curve(
 
 
 def _build_reduced_test(
-    prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
+    prepared: Prepared,
+    clocks: Clocks,
+    protocol: Protocol,
+    findings: Findings,
+    labels: Mapping[str, str],
 ) -> ReducedTest:
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
@@ -240,6 +256,7 @@ def _build_reduced_test(
         centre_uncertainty=0.0 if markers is None else markers.centre_uncertainty,
         compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         limits=protocol.limits,
+        labels=labels,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
     )
     return ReducedTest(

@@ -152,18 +152,18 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
             for end in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < begins < stop:
-            rest = (start, begins)
+            rest_stretch = (start, begins)
         elif start < ends < stop:
-            rest = (ends, stop)
+            rest_stretch = (ends, stop)
         else:
             continue
-        inside = (raw.time >= rest[0]) & (raw.time <= rest[1])
+        inside = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])
         rest_values = raw.values[inside & ~np.isnan(raw.values)]
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
             level, error = average_level(rest_values, raw.values[~inside])
-            zeroed = {**signals.zero_stretches, name: rest}
+            zeroed = {**signals.zero_stretches, name: rest_stretch}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
-            duration, stated = rest[1] - rest[0], stop - start
+            duration, stated = rest_stretch[1] - rest_stretch[0], stop - start
             findings.append(
                 Finding.of("process.short_rest", name, duration=duration, stated=stated)
             )

@@ -45,8 +45,10 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
+from labpipe.protocol.limit_cards import read_limit_card
 from labpipe.protocol.values import (
     QuantityText,
+    ShortForm,
     format_span,
     parse_pattern_text,
     parse_span,
@@ -54,6 +56,7 @@ from labpipe.protocol.values import (
 )
 from labpipe.protocol.yaml_text import FaultsError, Values, convert_errors, refused
 from labpipe.records.declarations import (
+    FromCard,
     Key,
     LargerThan,
     PatternText,
@@ -194,6 +197,8 @@ def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
             return [PlainValidator(partial(parse_whole_number, marker)), WithJsonSchema(schema)]
         case PatternText():
             converted: Any = BeforeValidator(partial(parse_pattern_text, marker))
+        case FromCard():
+            converted = ShortForm(read_limit_card, {"type": "string"})
         case LargerThan():
             quantity = next(other for other in markers if isinstance(other, Quantity))
             converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))

@@ -458,8 +458,8 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
         the origin and x
     """
     line = harness.line
-    held = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
-    first = next((boundary for boundary in held if boundary.at == START), None)
+    holders = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
+    first = next((boundary for boundary in holders if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
         position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
@@ -654,14 +654,14 @@ def _list_places(
 def _find_distant_places(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     places = _list_places(harness, length, Clip, Pin, Grip, String)
     for first, second in combinations(places, 2):
-        reach = second.along - first.along + first.string_length + second.string_length
+        largest_distance = second.along - first.along + first.string_length + second.string_length
         rows = min(len(first.path), len(second.path))
         distances = np.linalg.norm(first.path[:rows] - second.path[:rows], axis=1)
-        if distances.max() > reach * REACH_FACTOR:
+        if distances.max() > largest_distance * REACH_FACTOR:
             yield Fault.of(
                 "protocol.too_far",
                 path or ("boundaries", max(first.number, second.number)),
-                reach=1e3 * reach,
+                reach=1e3 * largest_distance,
                 one=first.name,
                 other=second.name,
                 found=1e3 * distances.max(),
@@ -678,8 +678,14 @@ def _find_distant_places(harness: HarnessFile, length: float, path: KeyPath) -> 
             ]
             between = zip(pairwise(distances_to), pairwise(fixed), strict=True)
             spans += [(sum(pair), second.along - first.along) for pair, (first, second) in between]
-            needed, reach = min(spans, key=lambda span: span[0] - span[1])
-            if needed > reach * REACH_FACTOR:
-                here, needed, reach = path or ("boundaries", number), 1e3 * needed, 1e3 * reach
+            needed, largest_distance = min(spans, key=lambda span: span[0] - span[1])
+            if needed > largest_distance * REACH_FACTOR:
+                here, needed, largest_distance = (
+                    path or ("boundaries", number),
+                    1e3 * needed,
+                    1e3 * largest_distance,
+                )
                 name = ring.name
-                yield Fault.of("protocol.ring_too_far", here, reach=reach, found=needed, ring=name)
+                yield Fault.of(
+                    "protocol.ring_too_far", here, reach=largest_distance, found=needed, ring=name
+                )

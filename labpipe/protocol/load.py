@@ -308,6 +308,7 @@ def resolve(
         *_find_role_faults(sheet, merged.block),
         *find_link_faults(sheet, sheet_path.parent, followed=followed),
         *_find_implausible_sizes(sheet, sheet_document, merged.block),
+        *_find_wrong_answers(sheet, get_block(merged.data, "questions")),
     ]
     placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
     protocol = Protocol.read(merged.data)
@@ -354,10 +355,10 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
     if not missing:
         return None
     document = parse_yaml(read_text(sheet_path), str(sheet_path))
-    others = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
+    other_files = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
     placed = []
     for role, name in missing:
-        like = ", ".join(map(repr, sort_by_likeness(name, others, limit=3))) or "no files"
+        like = ", ".join(map(repr, sort_by_likeness(name, other_files, limit=3))) or "no files"
         fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
         placed.append(document.place(fault))
     return build_error(placed, code="missing_export")
@@ -411,6 +412,20 @@ def _find_implausible_sizes(
         others=sheet.specimen.dimensions,
         ranges=protocol.get("plausible") or {},
     )
+
+
+def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
+    """Find answers to no question of the protocol, and answers that the protocol does not list."""
+    for name, answer in sheet.specimen.observed.items():
+        path, answers = ("specimen", "observed", name), questions.get(name)
+        if name not in questions:
+            remedy = "The protocol asks no questions; use specimen.labels."
+            what = "a question of the protocol:"
+            fault = build_choice_fault(path, name, questions, what, remedy=remedy)
+            yield replace(fault, at="key")
+        elif isinstance(answers, list) and answer not in answers:
+            known = ", ".join(map(repr, answers))
+            yield Fault.of("protocol.no_answer", path, answers=known, found=answer)
 
 
 def _find_role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:

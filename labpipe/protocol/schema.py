@@ -41,6 +41,7 @@ from labpipe.records.declarations import (
     Mass,
     Moment,
     Offset,
+    Quantity,
     Ratio,
     Share,
     Snake,
@@ -50,6 +51,7 @@ from labpipe.records.declarations import (
     Uncertainty,
     WholeNumber,
 )
+from labpipe.records.group import LotRule
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 
@@ -267,8 +269,10 @@ class ElasticLine(Block):
     def between(cls, data: Values) -> Iterator[Fault]:
         """Find a window with one end."""
         if ("from" in data) != ("to" in data):
-            given, missing = ("from", "to") if "from" in data else ("to", "from")
-            yield Fault.of("protocol.half_window", (given,), given=given, missing=missing)
+            given_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
+            yield Fault.of(
+                "protocol.half_window", (given_key,), given=given_key, missing=missing_key
+            )
 
 
 class CurveBlock(Block):
@@ -316,6 +320,9 @@ class Report(Block):
     )
 
 
+LotShare: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, maximum=0.9999)]
+
+
 class Groups(Block):
     """How `labpipe report` groups the samples of one type."""
 
@@ -331,6 +338,10 @@ class Groups(Block):
         0.1,
         description="Spools are pooled only if their share of the variance is significantly below",
     )
+    coverage: LotShare = Field(
+        LotRule().coverage, description="Share of a lot that must reach its force-limit"
+    )
+    confidence: LotShare = Field(LotRule().confidence, description="With which it must do so")
     margin: Share | None = Field(
         None, description="Irrelevant difference of two groups, as a share of the first"
     )
@@ -358,6 +369,10 @@ class Protocol(Block):
     sources: dict[Role, Source] = Field(min_length=1)
     specimen: SpecimenBlock = SpecimenBlock()
     rig: Rig = Rig()
+    questions: dict[Snake, tuple[Text, ...]] = Field(
+        {},
+        description="What the test sheet answers in specimen.observed: the valid answers by name",
+    )
     markers: Markers | None = None
     align: Align = AlignNone()
     steps: tuple[Step, ...] = ()

@@ -272,6 +272,9 @@ class SheetSpecimen(Block):
     labels: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
         {}, description="Other properties of the specimen as text, by name"
     )
+    observed: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
+        {}, description="Answers to the questions of the protocol, by question"
+    )
 
     @property
     def dimensions(self) -> dict[str, float]:
@@ -283,7 +286,8 @@ class SheetSpecimen(Block):
     def record(self) -> Specimen:
         """Return the specimen as the other rooms use it; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
-        return Specimen(self.type, self.spool, self.sample, self.dimensions, bundle, self.labels)
+        names = (self.type, self.spool, self.sample)
+        return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
@@ -418,8 +422,10 @@ def _format_entry(key: str, value: object) -> str:
         {key: value}, sort_keys=False, allow_unicode=not has_rare_breaks, width=float("inf")
     )
     text = _NULL_VALUE.sub(r"\1   # to be filled in", text)
-    first, _, rest = text.partition("\n")
-    is_text_block = isinstance(value, str) and rest  # a comment would become part of the text
+    first_line, _, other_lines = text.partition("\n")
+    is_text_block = (
+        isinstance(value, str) and other_lines
+    )  # a comment would become part of the text
     if value is None or key not in _COMMENTS or is_text_block:
         return text
-    return f"{first:<27} # {_COMMENTS[key]}\n{rest}"
+    return f"{first_line:<27} # {_COMMENTS[key]}\n{other_lines}"

@@ -198,10 +198,10 @@ def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) 
     together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
     certified = _find_standard_uncertainty(certificate)
     if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
-        found = Fault.of(
+        fault = Fault.of(
             "protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together
         )
-        raise FaultsError(found)
+        raise FaultsError(fault)
     return certificate
 
 

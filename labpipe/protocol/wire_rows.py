@@ -205,10 +205,10 @@ class WireRow(Block):
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         area = self.conductor_area_mm2 or 0.0
-        one = self.strand_diameter_mm or math.sqrt(
+        diameter = self.strand_diameter_mm or math.sqrt(
             4.0 * area / (math.pi * sum(self.strands_per_layer))
         )
-        return (one,) * len(self.strands_per_layer)
+        return (diameter,) * len(self.strands_per_layer)
 
     @property
     def copper_area(self) -> float:

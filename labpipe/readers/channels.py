@@ -132,9 +132,11 @@ def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
             error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=same)
             break
     else:
-        near = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
+        similar_paths = dict.fromkeys(
+            path for name in names for path in sort_by_likeness(name, paths)
+        )
         shown, place = (
-            _quote_paths([*near][:5]) or "none",
+            _quote_paths([*similar_paths][:5]) or "none",
             f"channel {' or '.join(map(repr, names[:6]))}",
         )
         error = NoChannelError.about(

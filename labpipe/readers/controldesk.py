@@ -121,9 +121,9 @@ def _channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[Qual
     values = _samples(trace.load())
     total, notes = len(values), []
     if total != len(clock.time):
-        place, wanted = f"channel '{trace.path}'", len(clock.time)
+        place, n_samples = f"channel '{trace.path}'", len(clock.time)
         raise ReadError.about(
-            "readers.channel_length", path, place, wanted=wanted, axis=clock.name, total=total
+            "readers.channel_length", path, place, wanted=n_samples, axis=clock.name, total=total
         )
     if len(blank := np.flatnonzero(~np.isfinite(values))):
         values = np.where(np.isinf(values), np.nan, values)

@@ -133,17 +133,18 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         points.
     """
     table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
-    wanted = (deflection, force)
-    columns = [_find_column(table, column) for column in wanted]
+    columns_to_read = (deflection, force)
+    columns = [_find_column(table, column) for column in columns_to_read]
     if columns[0] == columns[1]:
         raise ReadError.about("readers.one_column_twice", path, table.head, number=columns[0] + 1)
     factors = [
-        _compute_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)
+        _compute_unit_factor(table, i, column)
+        for i, column in zip(columns, columns_to_read, strict=True)
     ]
     rows, points = _read_points(table, columns)
     across, up = (
         column.sign * factor * values
-        for column, factor, values in zip(wanted, factors, points, strict=True)
+        for column, factor, values in zip(columns_to_read, factors, points, strict=True)
     )
 
     def place(point: int, column: int) -> str:

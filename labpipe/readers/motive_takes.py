@@ -133,8 +133,10 @@ def _read_workbook(path: Path) -> Recording:
     clear_sheet_cache()
     rows = sheets[name]
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
-    wanted = {column: header.names[column] for column in header.needed_columns}
-    columns, notes = read_sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
+    wanted_columns = {column: header.names[column] for column in header.needed_columns}
+    columns, notes = read_sheet_columns(
+        rows, header.rows, wanted_columns, (path, f"sheet '{name}'")
+    )
     notes += compare_row_counts(header.stated_rows, len(columns[0]))
     return _table_recording("motive-xlsx", header, columns, notes, path)
 

@@ -97,8 +97,8 @@ def read_sheet_columns(
     -------
     As `read_columns`.
     """
-    wanted = ([row[i] if i < len(row) else "" for i in names] for row in rows[first:])
-    text, columns = format_sheet_rows(wanted), range(len(names))
+    wanted_cells = ([row[i] if i < len(row) else "" for i in names] for row in rows[first:])
+    text, columns = format_sheet_rows(wanted_cells), range(len(names))
     body = Body(text.encode(), [*names.values()], columns, first + 1, "\t", ".", sheet=where[1])
     values, notes = read_columns(body, where[0])
     return dict(zip(names, values.values(), strict=True)), notes

@@ -269,5 +269,5 @@ def _make_switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
         others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]
         if name not in unlabelled and others and missing.any():
             ranges = [f"{start}-{stop - 1}" for start, stop in find_runs(missing)[:3]]
-            rows, seen = ", ".join(ranges), ", ".join(others)
-            yield QualityNote.of("readers.label_switch", name, rows=rows, others=seen)
+            rows, other_names = ", ".join(ranges), ", ".join(others)
+            yield QualityNote.of("readers.label_switch", name, rows=rows, others=other_names)

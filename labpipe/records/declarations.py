@@ -114,6 +114,11 @@ class Existing:
 
 
 @dataclass(frozen=True, slots=True)
+class FromCard:
+    """A block that YAML may also name: the content of a card that comes with labpipe."""
+
+
+@dataclass(frozen=True, slots=True)
 class TaggedChoice:
     """Annotation of a union of kinds of settings that are distinguished by a key.
 

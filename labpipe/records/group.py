@@ -392,6 +392,85 @@ class Difference:
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
+class Answer(StrEnum):
+    """Whether a sample or a lot reaches the smallest force allowed."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True, slots=True)
+class SampleVerdict:
+    """Whether a sample reaches its limit.
+
+    Parameters
+    ----------
+    by_number : as a standard compares it
+    with_interval : not told where the 95 % interval contains the limit, or the number is doubtful
+    """
+
+    by_number: Answer
+    with_interval: Answer
+
+    @property
+    def text(self) -> str:
+        """Return both, such as ``pass (cannot tell with its interval)``."""
+        if self.by_number is self.with_interval:
+            return str(self.by_number)
+        return f"{self.by_number} ({self.with_interval} with its interval)"
+
+
+@dataclass(frozen=True, slots=True)
+class LotRule:
+    """What a lot must show.
+
+    Parameters
+    ----------
+    coverage : share of the lot that must reach the limit
+    confidence : with which it does
+    """
+
+    coverage: float = 0.99
+    confidence: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """Samples of a group against the smallest force allowed; numbers are shares of the limit.
+
+    Parameters
+    ----------
+    answer : of the lot
+    limit : N; None if the samples have several limits or none
+    verdicts : by test
+    rule : coverage and confidence
+    n : samples with a number
+    mean, deviation, smallest : of the samples; NaN without samples, the deviation of one
+    bound : one-sided lower tolerance bound; NaN for one sample
+    cpk : (mean - limit) / (3 standard deviations); NaN without scatter
+    n_needed : samples with which this mean and deviation would pass; None if no number would
+    reasons : for the answer, then caveats
+    """
+
+    answer: Answer
+    limit: float | None
+    verdicts: Mapping[str, SampleVerdict]
+    rule: LotRule
+    n: int
+    mean: float
+    deviation: float
+    smallest: float
+    bound: float
+    cpk: float
+    n_needed: int | None
+    reasons: tuple[Reason, ...] = ()
+
+    def describe_share(self, share: float) -> str:
+        """Write a share of the limit in N, or as a share where the limits differ."""
+        return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
     """Samples of one type, tested by one protocol.
@@ -406,6 +485,7 @@ class Group:
     band_scaled : the same for force / peak force of each sample; None if not requested
     notes : on the group as a whole
     fields : grouping fields with the same value in all samples, as text by field
+    lot : the samples against the smallest force allowed; None if the protocol asks for none
     """
 
     name: str
@@ -416,6 +496,7 @@ class Group:
     band_scaled: Band | None = None
     notes: tuple[QualityNote, ...] = ()
     fields: Mapping[str, str] = field(default_factory=dict)
+    lot: Lot | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -186,6 +186,7 @@ class Specimen:
     dimensions : m, by name, such as ``length``
     bundle : composition of a harness bundle; None for any other specimen
     labels : further properties in the test sheet, by name
+    observed : answers to the questions of the protocol, by question; they make no groups
     """
 
     type: str
@@ -194,6 +195,7 @@ class Specimen:
     dimensions: Mapping[str, float] = field(default_factory=dict)
     bundle: Bundle | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    observed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fields(self) -> Mapping[str, str]:

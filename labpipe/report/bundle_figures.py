@@ -66,9 +66,9 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
         _make_row(stiffness, scales[stiffness.group]) for stiffness in campaign.bounded_stiffnesses
     )
     quantities = ("Bending stiffness", "All slips", "Wires slip", "Nothing slips")
-    heads = ("Test", *map(next(iter(scales.values())).label, quantities), "Share of the way")
+    headings = ("Test", *map(next(iter(scales.values())).label, quantities), "Share of the way")
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
-    return Table("Between slipping and sticking", heads, rows, notes)
+    return Table("Between slipping and sticking", headings, rows, notes)
 
 
 def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
@@ -250,7 +250,7 @@ def _plot_section(model: BundleModel, axes: Axes) -> None:
         axes.add_patch(Circle(tuple(centre), radius, edgecolor="black", linewidth=0.5, **look))
     bore = model.bundle.conduit_bore or 0.0
     if bore:
-        x, y = (LENGTH.factor * value for value in model.middle)
+        x, y = (LENGTH.factor * coordinate for coordinate in model.middle)
         radius = LENGTH.factor * bore / 2.0
         axes.add_patch(Circle((x, y), radius, **read_look("bore_of_conduit")))
     outer_radius = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
@@ -266,7 +266,7 @@ def _plot_principal_directions(model: BundleModel, axes: Axes) -> None:
 
     If the stiffness is equal in all directions, the lines are along y and x.
     """
-    x, y = (LENGTH.factor * value for value in model.neutral)
+    x, y = (LENGTH.factor * coordinate for coordinate in model.neutral)
     half_length = 1.06 * LENGTH.factor * model.layout.radius
     angle = model.principal_angle
     stiffest, flexible = read_look("stiffest_direction"), read_look("most_flexible_direction")
@@ -291,10 +291,10 @@ def _plot_moment_bounds(model: BundleModel, axes: Axes) -> None:
         (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
         (slip, "wires_slip", model.is_doubtful[is_positive]),
     ):
-        for part, opacity in split_doubtful(~is_doubtful):
-            axes.plot(x[part], moment[part], **read_look(look_name, alpha=opacity))
-    for limit in (model.low, model.high):
-        moment = MOMENT.factor * limit * model.curvature[is_positive]
+        for is_in_part, opacity in split_doubtful(~is_doubtful):
+            axes.plot(x[is_in_part], moment[is_in_part], **read_look(look_name, alpha=opacity))
+    for stiffness in (model.low, model.high):
+        moment = MOMENT.factor * stiffness * model.curvature[is_positive]
         axes.plot(x, moment, **read_look("bundle_without_yielding"))
     set_log_axes(axes, x)
     axes.set_ylabel(MOMENT.label("Bending moment"))

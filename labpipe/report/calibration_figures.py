@@ -252,7 +252,7 @@ def _fill_force(
 
 
 def _plot_thinned(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
-    rows = find_extremes(values, bins=120)
+    rows = find_extremes(values, n_bins=120)
     style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
     axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
 
@@ -481,7 +481,7 @@ def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
 def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     """Draw samples, their mean with its band, the model with its band; describe the agreement."""
     for sample in group.samples.values():
-        rows = find_extremes(sample.force, bins=100)
+        rows = find_extremes(sample.force, n_bins=100)
         _plot_force(axes, sample.displacement[rows], sample.force[rows], "measured_sample")
     _draw_measured(group.band, axes)
     if group.prediction is not None:

@@ -108,7 +108,7 @@ def write_percent(share: float) -> str:
 
     Examples
     --------
-    >>> percent(0.0193), percent(1.0), percent(math.nan)
+    >>> write_percent(0.0193), write_percent(1.0), write_percent(math.nan)
     ('1.9 %', '100 %', '')
     """
     if not math.isfinite(share):

@@ -250,8 +250,8 @@ def fix_fonts(page: Figure) -> Figure:
     installed = {font.name for font in fontManager.ttflist}
     settings: Any = mpl.rcParams
     families = settings["font.family"]
-    wanted = [font for family in families for font in settings[f"font.{family}"]]
-    fonts = [font for font in wanted if font in installed]
+    preferred_fonts = [font for family in families for font in settings[f"font.{family}"]]
+    fonts = [font for font in preferred_fonts if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
     page.set_dpi(120)

@@ -55,6 +55,7 @@ from labpipe.report.wording import (
     write_number,
     write_title,
 )
+from labpipe.statistics.lots import FORCE_LIMIT, find_result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,12 +107,23 @@ def draw_force_displacement(result: TestResult) -> Figure:
         panels[0].set_title("As recorded", loc="left")
         panels[1].set_title("As processed", loc="left")
     plot_filtered(result, panels[-1])
+    _draw_limit(result, panels)
     if len(panels) > 1:
         panels[-1].set_ylabel("")
     count = max((branch.cycle for branch in _branches(result)), default=0)
     if count > _MAX_CYCLE_COLOURS:
         _draw_colour_bar(page, panels, count)
     return add_title(page, write_title(result), write_footnote(result))
+
+
+def _draw_limit(result: TestResult, panels: list[Axes]) -> None:
+    """Draw the smallest force allowed, if the protocol asks for one."""
+    limit = find_result(result.results, FORCE_LIMIT)
+    if limit is None or limit.value is None:
+        return
+    for axes in panels:
+        axes.axhline(limit.value * find_unit(result.display, "force").factor, **read_look("limit"))
+        add_key(axes, "smallest force allowed", **read_look("limit"))
 
 
 def plot_raw(result: TestResult, axes: Axes) -> None:
@@ -187,7 +199,7 @@ def _plot(
     result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = 350, **look: Any
 ) -> None:
     """Draw a thinned line of force against displacement, in SI, in the display units."""
-    rows = find_extremes(y, bins=bins)
+    rows = find_extremes(y, n_bins=bins)
     x_unit, y_unit = find_units(result.display, "displacement", "force")
     axes.plot(x[rows] * x_unit.factor, y[rows] * y_unit.factor, **look)
 
@@ -494,7 +506,7 @@ def _with_half(value: float, interval: Interval, factor: float) -> str:
 def _plot_over_time(
     result: TestResult, axes: Axes, time: Floats, values: Floats, **look: Any
 ) -> None:
-    rows = find_extremes(values, bins=900)
+    rows = find_extremes(values, n_bins=900)
     axes.plot(time[rows] * find_unit(result.display, "time").factor, values[rows], **look)
     axes.margins(x=0.01)
 

@@ -42,7 +42,7 @@ from labpipe.report.group_plots import (
     make_mean_lines,
 )
 from labpipe.report.page_facts import make_stems
-from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis
+from labpipe.report.plot_records import Axis, LegendEntry, Line, Plot, clip_range, make_axis
 from labpipe.report.wording import (
     Scale,
     describe_counts,
@@ -92,10 +92,10 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
     """
     for line in plot.lines:
         draw: Any = axes.fill if line.is_closed else axes.plot
-        draw(line.x, line.y, **_look(line.look))
-    for key in plot.keys:
-        is_area = key.look.startswith("band")
-        add_key(axes, shorten(key.label, 100), is_area=is_area, **_look(key.look))
+        draw(line.x, line.y, **_look(line.css_class))
+    for entry in plot.legend:
+        is_area = entry.css_class.startswith("band")
+        add_key(axes, shorten(entry.label, 100), is_area=is_area, **_look(entry.css_class))
     axes.set(xlim=(plot.x.low, plot.x.high), ylim=(plot.y.low, plot.y.high))
     axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
     axes.locator_params(axis="x", nbins=6)
@@ -103,8 +103,8 @@ def plot_lines(plot: Plot, axes: Axes) -> None:
         axes.set_title(shorten(plot.heading, 40), loc="left")
     if plot.kind == "shapes":
         axes.set_aspect("equal", adjustable="box", anchor="W")
-    if plot.y.names:
-        axes.set_yticks(range(0, -len(plot.y.names), -1), plot.y.names)
+    if plot.y.row_names:
+        axes.set_yticks(range(0, -len(plot.y.row_names), -1), plot.y.row_names)
         axes.tick_params(axis="y", length=0)
 
 
@@ -210,11 +210,11 @@ def _curve_plot(
             *make_band_lines(band, x_unit.factor, y_unit.factor, look, stem),
             *make_mean_lines(band, x_unit.factor, y_unit.factor, look, stem),
         ]
-        keys.append(Key(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
+        keys.append(LegendEntry(f"mean {look}", f"{label} (n = {group.band.n})", "group", stem))
     if not lines:
         return None
-    kinds = {line.look.partition(" ")[0] for line in lines}
-    keys += [Key(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
+    kinds = {line.css_class.partition(" ")[0] for line in lines}
+    keys += [LegendEntry(kind, label) for kind, label in _SIGNS.items() if kind in kinds]
     x = make_axis("Displacement", x_unit.unit, [line.x for line in lines])
     y = _force_axis("Force / peak force" if is_scaled else "Force", bands, y_unit)
     title = f"Mean force against displacement of {write_count(len(family.groups), 'group')}."
@@ -273,10 +273,10 @@ def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
             mean = number.mean.chosen
             place = DotRow(-row, scale.factor, look, stem)
             lines += make_dot_lines("dot", mean.mean, mean.interval, place)
-    shown = [line.x for line in lines if not line.look.startswith("interval")]
+    shown = [line.x for line in lines if not line.css_class.startswith("interval")]
     x_axis = make_clipped_axis(write_label(name), scale, lines, shown)
     y_axis = Axis("", "", 0.5 - len(numbers), 0.5, family.labels)
     title = f"{write_label(name)} of {write_count(len(numbers), 'group')}, with 95 % intervals."
-    keys = [Key("sample", "sample"), Key("dot", "mean")]
+    keys = [LegendEntry("sample", "sample"), LegendEntry("dot", "mean")]
     heading = write_label(name)
     return Plot("numbers", "", title, "", x_axis, y_axis, lines, keys, (180, 200), heading)

@@ -17,7 +17,15 @@ from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
 from labpipe.records.result import Status
 from labpipe.report.issues import write_sentence
 from labpipe.report.page_facts import PageTest, PageTests, make_key
-from labpipe.report.plot_records import Axis, Key, Line, Plot, clip_range, make_axis, simplify_line
+from labpipe.report.plot_records import (
+    Axis,
+    LegendEntry,
+    Line,
+    Plot,
+    clip_range,
+    make_axis,
+    simplify_line,
+)
 from labpipe.report.wording import (
     Scale,
     find_display,
@@ -29,6 +37,7 @@ from labpipe.report.wording import (
     write_count,
     write_label,
 )
+from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 _BAND_POINTS = 28
 """Largest number of points of a mean, or of one edge of a band."""
@@ -187,6 +196,7 @@ def _curve_plot(view: _GroupView) -> Plot | None:
         *(line for sample in group.samples for line in _event_lines(view, sample)),
     ]
     x = make_axis("Displacement", view.x_unit.unit, [line.x for line in lines])
+    lines += _limit_lines(view, x)
     y = _force_axis(view, band)
     title = (
         f"Force against displacement of {write_count(len(group.samples), 'sample')}: {group.name}."
@@ -194,6 +204,18 @@ def _curve_plot(view: _GroupView) -> Plot | None:
     caption = write_sentence(band.reason.message) if band.reason else ""
     keys = _keys(view, lines, f"mean of {band.n} {band.members}")
     return Plot("curves", view.stem, title, caption, x, y, lines, keys, (660, 240))
+
+
+def _limits(view: _GroupView) -> list[float]:
+    """Return the smallest forces allowed of the samples, N, each once."""
+    limits = (_value(sample, FORCE_LIMIT) for sample in view.group.samples)
+    return sorted({limit for limit in limits if limit is not None})
+
+
+def _limit_lines(view: _GroupView, x: Axis) -> Iterator[Line]:
+    """Yield a line for each smallest force allowed."""
+    for limit in _limits(view):
+        yield Line("limit", np.array([x.low, x.high]), np.full(2, limit * view.y_unit.factor))
 
 
 def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axis:
@@ -210,6 +232,7 @@ def _force_axis(view: _GroupView, band: Band, *, is_scaled: bool = False) -> Axi
         if np.isfinite(curve.force).any()
         for edge in (float(np.nanmin(curve.force)), float(np.nanmax(curve.force)))
     ]
+    forces += [] if is_scaled else _limits(view)
     low, high = clip_range(forces, [*band.lower, *band.upper], 0.5)
     whole = clip_range([low, high], [*band.lower_all, *band.upper_all], np.inf)
     if whole[1] - whole[0] <= 1.25 * (high - low):
@@ -243,7 +266,7 @@ def _line(
 ) -> Line:
     """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
-    rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
+    rows = simplify_line(branch.displacement, force, max_points=points, tolerance=_MAX_OFFSET_SHARE)
     x, y = branch.displacement[rows] * view.x_unit.factor, force[rows] * view.y_unit.factor
     return Line(look, x, y, test)
 
@@ -328,7 +351,7 @@ def make_band_lines(
 def _band_rows(band: Band, values: Floats) -> Ints:
     """Find the points with which a band or a mean is drawn."""
     return simplify_line(
-        band.displacement, values, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+        band.displacement, values, max_points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
     )
 
 
@@ -354,26 +377,26 @@ def make_mean_lines(
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[Key]:
+def _keys(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[LegendEntry]:
     """Make the key of a plot: its tests if they are few, else its spools; then the other signs."""
-    group, looks = view.group, {line.look.partition(" ")[0] for line in lines}
+    group, looks = view.group, {line.css_class.partition(" ")[0] for line in lines}
     spools = {sample.specimen.spool for sample in group.samples}
     is_few = len(group.samples) <= _MAX_DETAILED_SAMPLES
     if is_few and (view.tests is not None or len(spools) == 1):  # the page shows or hides each
         keys = [
-            Key(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
+            LegendEntry(f"curve {view.colour(sample)}", sample.test, "t", str(view.number(sample)))
             for sample in group.samples
         ]
     else:
         keys = [
-            Key(f"curve {colour}", f"spool {spool}", "class", colour)
+            LegendEntry(f"curve {colour}", f"spool {spool}", "class", colour)
             for spool, colour in {
                 sample.specimen.spool: view.colour(sample) for sample in group.samples
             }.items()
         ]
     labels = {"mean": mean, **_KEY_LABELS}
     return keys + [
-        Key(look, label, "class", look) for look, label in labels.items() if look in looks
+        LegendEntry(look, label, "class", look) for look, label in labels.items() if look in looks
     ]
 
 
@@ -385,6 +408,7 @@ _KEY_LABELS = {
     "window": "window of a stiffness fit",
     "segment": "fitted segments",
     "measured": "measured, before repair of slips",
+    "limit": "smallest force allowed",
     "slip": "slip",
     "failure": "failure",
     "rejected": "rejected: not in any mean",
@@ -407,7 +431,7 @@ def _shape_plot(view: _GroupView) -> Plot | None:
         return None
     unit, width = view.x_unit.unit, _SMALL_PLOT[0]
     x_axis = make_axis("Along the specimen", unit, [line.x for line in lines])
-    y_axis = make_axis("Deflection", unit, [line.y for line in lines], room=0.06)
+    y_axis = make_axis("Deflection", unit, [line.y for line in lines], margin=0.06)
     ratio = (y_axis.high - y_axis.low) / (x_axis.high - x_axis.low)
     height = min(max(round(width * ratio), min_height), max_height)
     scale = max((x_axis.high - x_axis.low) / width, (y_axis.high - y_axis.low) / height)
@@ -501,11 +525,15 @@ def _number_plots(group: Group) -> Iterator[Plot]:
         scale = find_number_unit(group, number)
         names: dict[str, int] = {}
         lines = list(_dot_rows(group, number, scale.factor, names))
-        values = [line.x for line in lines if not line.look.startswith("interval")]
+        if group.lot is not None and number.name in (PEAK_OVER_LIMIT, "peak_force.1"):
+            limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
+            places = np.full(2, scale.factor * (np.nan if limit is None else limit))
+            lines.append(Line("limit", places, np.array([0.5, 0.5 - len(names)])))
+        values = [line.x for line in lines if not line.css_class.startswith("interval")]
         x = make_clipped_axis(write_label(number.name), scale, lines, values)
         y = Axis("", "", 0.5 - len(names), 0.5, tuple(names))
-        looks = {line.look.partition(" ")[0] for line in lines}
-        keys = [Key(look, label) for look, label in _DOT_LABELS.items() if look in looks]
+        looks = {line.css_class.partition(" ")[0] for line in lines}
+        keys = [LegendEntry(look, label) for look, label in _DOT_LABELS.items() if look in looks]
         title = f"Each sample's numbers, with 95 % intervals: {group.name}."
         caption = f"In the tables only: {others}." if others else ""
         size = (262, 20 + 11 * len(names))
@@ -517,6 +545,7 @@ _DOT_LABELS = {
     "doubtful": "doubtful",
     "dot": "mean, 95 %",
     "ring": "marked as outlier",
+    "limit": "smallest allowed",
 }
 
 

@@ -101,7 +101,7 @@ def write_sentence(message: str) -> str:
 
     Examples
     --------
-    >>> sentence("the branch ends at 4.2 mm")
+    >>> write_sentence("the branch ends at 4.2 mm")
     'The branch ends at 4.2 mm.'
     """
     text = replace_names(message)

@@ -36,6 +36,7 @@ from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
 from labpipe.report.group_plots import find_first_loading, make_group_plots
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
+from labpipe.report.lot_tables import make_lot_table, make_verdict_table
 from labpipe.report.page_facts import (
     PageTest,
     PageTests,
@@ -64,9 +65,9 @@ from labpipe.report.page_tables import (
     make_test_rows,
 )
 from labpipe.report.plot_records import (
-    Strip,
+    MeanStrip,
     clip_range,
-    make_strip,
+    make_mean_strip,
     simplify_line,
     write_sparkline,
 )
@@ -190,7 +191,13 @@ def _first_screen(
         "answers": min(len(answer_rows), max_answers),
         "decisions": min(len(open_ones), max_decisions),
     }
-    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
+    lots = make_lot_table(campaign, names)
+    room = (
+        screen_lines
+        - (len(lots.rows) + 2 if lots else 0)
+        - folds["answers"]
+        - lines_per_decision * folds["decisions"]
+    )
     samples = list_samples(campaign)
     recorded = name_roles(samples)
     return {
@@ -198,6 +205,7 @@ def _first_screen(
         "facts": _facts(campaign, letterhead),
         "instruments": list_instruments(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
+        "lots": lots,
         "answers": answer_rows,
         "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
@@ -285,7 +293,7 @@ class KeyRow(NamedTuple):
     name: str
     stem: str
     n: int
-    strip: Strip | None
+    strip: MeanStrip | None
     cells: tuple[Cell, ...]
     spark: str
 
@@ -358,7 +366,7 @@ def _key_rows(
         strip = None
         if has_heads and number_and_mean is not None:
             interval = _find_interval(*number_and_mean)[0].interval
-            strip = make_strip(strip_ends, interval, number_and_mean[1].mean)
+            strip = make_mean_strip(strip_ends, interval, number_and_mean[1].mean)
         cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
         rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
     return rows
@@ -404,7 +412,7 @@ def _spark(group: Group) -> str:
         if first is None:
             return ""
         x, y = first.displacement, first.force
-    rows = simplify_line(x, y, points=24, tolerance=0.01)
+    rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
 
 
@@ -489,6 +497,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "rejected": tests.rejected(stem),
         "plots": make_group_plots(group, stem, tests),
         "numbers": make_number_table(group),
+        "verdicts": make_verdict_table(group),
         "budget": budget,
         "causes": causes,
         "samples": make_sample_tables(group, tests),
@@ -704,15 +713,15 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)
-    wanted = [
+    figures_to_save = [
         drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
         for drawing in list_group_figures(group)
     ]
-    wanted += list_family_figures(campaign)
-    wanted += list_bounds_figures(campaign)
+    figures_to_save += list_family_figures(campaign)
+    figures_to_save += list_bounds_figures(campaign)
     return save_pages(
-        wanted,
+        figures_to_save,
         folder,
         png="png" in extras.formats,
         pdf="pdf" in extras.formats,

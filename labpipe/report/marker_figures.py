@@ -306,7 +306,7 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
 
     mine = _are_markers(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, bins=_PIXEL_BINS)
+    flags = thin_flags(shape.flags[:, mine], _FLAGS_BY_RANK, n_bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= find_unit(result.display, "time").factor
     for flag, colour in FLAG_COLOURS.items():
@@ -340,7 +340,7 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
         _plot_errors(result, axes, time, bodies)
     else:
         visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-        rows = find_extremes(visible, bins=_PIXEL_BINS)
+        rows = find_extremes(visible, n_bins=_PIXEL_BINS)
         axes.plot(time[rows], visible[rows], drawstyle="steps-post")
         axes.set_ylabel("Visible markers")
         axes.set_ylim(0, len(tracks.names) + 0.5)
@@ -352,7 +352,7 @@ def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[Rigi
     y_unit = find_unit(result.display, "displacement")
     for body in bodies:
         error = body.error * y_unit.factor
-        rows = find_extremes(error, bins=_PIXEL_BINS)
+        rows = find_extremes(error, n_bins=_PIXEL_BINS)
         axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
     axes.set_ylabel(y_unit.label("Body error"))
     axes.set_ylim(bottom=0.0)

@@ -79,7 +79,7 @@ def make_stems(names: Iterable[str]) -> list[str]:
 
     Examples
     --------
-    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
+    >>> make_stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
     ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
     """
     stems: list[str] = []

@@ -30,7 +30,7 @@ from labpipe.report.page_facts import (
     describe_operators,
     make_key,
 )
-from labpipe.report.plot_records import Strip, clip_range, make_strip
+from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.wording import (
     describe_counts,
     find_display,
@@ -70,7 +70,7 @@ class Cell:
     mark: str = ""
     tip: str = ""
     sort: float | None = None
-    drawing: Strip | None = None
+    drawing: MeanStrip | None = None
     link: str = ""
 
 
@@ -144,7 +144,7 @@ def _number_row(
     )
 
 
-def _number_strip(number: GroupNumber) -> Strip:
+def _number_strip(number: GroupNumber) -> MeanStrip:
     """Draw samples, mean and interval of a number on their own scale."""
     max_dots, max_reach = 12, 1.5  # reach of intervals beside the values, of their range
     values = [value.value for value in number.values.values() if value.value is not None]
@@ -153,7 +153,7 @@ def _number_strip(number: GroupNumber) -> Strip:
     mean = nan if chosen is None else chosen.mean
     ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
-    return make_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
+    return make_mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
@@ -443,7 +443,7 @@ def name_page_file(label: str) -> str:
 
     Examples
     --------
-    >>> page_file("wires/A2-085-1")
+    >>> name_page_file("wires/A2-085-1")
     'tests/wires__A2-085-1.html'
     """
     return f"tests/{label.replace('/', '__')}.html"

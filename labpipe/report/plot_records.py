@@ -1,8 +1,8 @@
-"""Records of plots, which the page draws as SVG and files by matplotlib; thinning of their lines.
+"""Describe plots independently of how they are drawn, and thin their lines.
 
-The page draws a plot with the template ``plots.html``, files with `group_figures`. On the page,
-the lines of a plot are also its data: they have whole coordinates from 0 to 65535 between the ends
-of both axes, from which the script of the page enlarges the plot.
+The template ``plots.html`` draws a `Plot` as SVG on the page of a report; `group_figures` draws it
+with matplotlib for a file. On the page, the coordinates of a line are integers from 0 to 65535
+between the ends of an axis. The script of the page computes the values of a line from them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
 
-FULL = 65535
-"""Width and height of the area of a plot, in its own coordinates of 16 bits."""
+GRID_SIZE = 65535
+"""Width and height of the area of a plot on the page, in 16-bit coordinates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,50 +29,61 @@ class Axis:
 
     Parameters
     ----------
-    name, unit : typeset; the unit of a pure number is empty
-    low, high : ends, in `unit`
-    names : of rows at 0, -1, -2 and so on, which replace the numbers; the page does not write them
+    name, unit : typeset name and unit of the quantity; the unit of a pure number is empty
+    low, high : values at the ends of the axis, in `unit`
+    row_names : names of the rows at 0, -1, -2 and so on, instead of numbers. Files show them; the
+        page does not
     """
 
     name: str
     unit: str
     low: float
     high: float
-    names: tuple[str, ...] = ()
+    row_names: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
         """Return name and unit, such as ``Force (N)``."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
-    def find_ticks(self, max_count: int) -> list[tuple[float, str]]:
-        """Find round numbers along the axis.
+    def find_ticks(self, max_steps: int) -> list[tuple[float, str]]:
+        """Find round numbers for the ticks of the axis.
 
         Parameters
         ----------
-        max_count : number of steps, at most
+        max_steps : largest number of steps between the ends of the axis
 
         Returns
         -------
-        The place of each from 0 to 1, and its text; none for an axis with names.
+        Position of each tick, from 0 at the low end to 1 at the high end, and its text. Empty for
+        an axis with row names.
+
+        Raises
+        ------
+        ValueError
+            If both ends of the axis are equal.
 
         Examples
         --------
         >>> [text for _, text in Axis("Force", "N", -0.4, 10.4).find_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
-        nice_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
-        flat_span = 1e-12
-        if self.names:
+        round_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
+        rounding = 1e-12  # in steps
+        if self.row_names:
             return []
         span = self.high - self.low
-        power = 10.0 ** floor(log10(span / max_count))
-        step = next(power * step for step in nice_steps if power * step * max_count >= span)
-        first = int(np.ceil(self.low / step - flat_span))
-        last = int(np.floor(self.high / step + flat_span))
+        power = 10.0 ** floor(log10(span / max_steps))
+        step = next(
+            power * round_step
+            for round_step in round_steps
+            if power * round_step * max_steps >= span
+        )
+        first_number = int(np.ceil(self.low / step - rounding))
+        last_number = int(np.floor(self.high / step + rounding))
         return [
             ((number * step - self.low) / span, f"{number * step:.6g}".replace("-", "\u2212"))
-            for number in range(first, last + 1)
+            for number in range(first_number, last_number + 1)
         ]
 
 
@@ -82,14 +93,14 @@ class Line:
 
     Parameters
     ----------
-    look : its class on the page, such as ``curve c2`` with the number of its colour
+    css_class : class on the page, such as ``curve c2`` with the number of the colour
     x, y : shape (n,), in the units of the axes; NaN interrupts the line
-    test : number of its test on the page; None for no single test
-    group : stem of its group if the plot shows several groups; else empty
-    is_closed : fill the area within the line
+    test : number of the test on the page; None if the line does not belong to a single test
+    group : stem of the file names of the group; empty if the plot shows a single group
+    is_closed : whether the area within the line is filled
     """
 
-    look: str
+    css_class: str
     x: Floats
     y: Floats
     test: int | None = None
@@ -97,11 +108,12 @@ class Line:
     is_closed: bool = False
 
     def write_path(self, x: Axis, y: Axis) -> str:
-        """Write the line as a path of SVG: its first point, then whole steps; again after a gap.
+        """Write the line as an SVG path in integer coordinates, interrupted at gaps.
 
         Parameters
         ----------
-        x, y : axes of the plot
+        x, y : axes of the plot. A point outside of them by more than the length of an
+            axis is moved to that distance
 
         Examples
         --------
@@ -110,43 +122,48 @@ class Line:
         >>> line.write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
-        finite = np.isfinite(self.x) & np.isfinite(self.y)
-        x_grid = _grid_numbers(self.x, x)
-        y_grid = FULL - _grid_numbers(self.y, y)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(np.int8)))
-        strokes = [
-            _stroke(x_grid[start:stop], y_grid[start:stop])
+        is_finite = np.isfinite(self.x) & np.isfinite(self.y)
+        x_grid = _convert_to_grid(self.x, x)
+        y_grid = GRID_SIZE - _convert_to_grid(self.y, y)
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], is_finite, [False]]).astype(np.int8))
+        )
+        segments = [
+            _write_segment(x_grid[start:stop], y_grid[start:stop])
             for start, stop in zip(edges[::2], edges[1::2], strict=True)
         ]
-        return "".join(strokes) + ("z" if self.is_closed and strokes else "")
+        return "".join(segments) + ("z" if self.is_closed and segments else "")
 
 
-def _grid_numbers(values: Floats, axis: Axis) -> Floats:
-    scaled: Floats = np.rint(FULL * (np.nan_to_num(values) - axis.low) / (axis.high - axis.low))
-    return np.clip(scaled, -FULL, 2 * FULL)
+def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
+    scaled: Floats = np.rint(
+        GRID_SIZE * (np.nan_to_num(values) - axis.low) / (axis.high - axis.low)
+    )
+    return np.clip(scaled, -GRID_SIZE, 2 * GRID_SIZE)
 
 
-def _stroke(x_grid: Floats, y_grid: Floats) -> str:
-    first = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
+def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
+    start = f"M{x_grid[0]:.0f} {y_grid[0]:.0f}"
     if len(x_grid) == 1:
-        return f"{first}h0"
+        return f"{start}h0"
     steps = np.column_stack([np.diff(x_grid), np.diff(y_grid)]).astype(np.int64).ravel().tolist()
-    return f"{first}l{' '.join(map(str, steps))}".replace(" -", "-")
+    return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
-    """Entry of the key below a plot.
+class LegendEntry:
+    """Entry of the legend of a plot.
 
     Parameters
     ----------
-    look : class of its sign
-    label : beside the sign
-    attribute, value : by which the page finds the lines of the entry: ``t``, ``class`` or
-        ``group``, and its value; empty if the entry switches no lines
+    css_class : class of the line that is drawn in the entry
+    label : text of the entry
+    attribute : attribute by which the page finds the lines that the entry shows and hides: ``t``
+        (test), ``class`` or ``group``; empty if the entry does not switch lines
+    value : value of this attribute
     """
 
-    look: str
+    css_class: str
     label: str
     attribute: str = ""
     value: str = ""
@@ -158,15 +175,17 @@ class Plot:
 
     Parameters
     ----------
-    kind : ``curves``, ``means``, ``moment``, ``numbers``, ``scaled`` or ``shapes``
-    group : stem of its group; empty for several groups
+    kind : ``curves`` (force over displacement), ``means`` (mean curves of groups), ``moment``
+        (moment over curvature), ``numbers`` (one dot per result), ``scaled`` (force over peak
+        force) or ``shapes`` (shapes of specimens)
+    group : stem of the file names of the group; empty if the plot shows several groups
     title : alternative text
-    caption : how to read the plot
+    caption : explanation below the plot on the page
     x, y : axes
-    lines : from the lowest to the topmost
-    keys : entries of the key
-    size : width and height of the area of the lines, points
-    heading : above the plot if a figure has several plots
+    lines : in the order of drawing; the last is on top
+    legend : entries of the legend
+    size : width and height of the area between the axes, points
+    heading : heading of the panel, for a figure of several panels
     """
 
     kind: str
@@ -176,55 +195,62 @@ class Plot:
     x: Axis
     y: Axis
     lines: Sequence[Line]
-    keys: Sequence[Key] = field(default=())
+    legend: Sequence[LegendEntry] = field(default=())
     size: tuple[int, int] = (640, 280)
     heading: str = ""
 
 
-def make_axis(name: str, unit: str, values: Iterable[Floats], *, room: float = 0.03) -> Axis:
+def make_axis(name: str, unit: str, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:
     """Make an axis that shows all values, with a margin at both ends.
 
     Parameters
     ----------
-    name, unit : of the axis
-    values : in `unit`; values that are not finite are ignored
-    room : margin at each end, as a share of the range of the values
+    name, unit : typeset name and unit of the quantity
+    values : arrays in `unit`; values that are not finite are ignored. Without finite values, the
+        axis shows 0 to 1
+    margin : margin at each end, as a share of the range of the values
     """
-    ends = [
-        end
-        for value in values
-        if (finite := value[np.isfinite(value)]).size
-        for end in (float(finite.min()), float(finite.max()))
+    limits = [
+        limit
+        for array in values
+        if (finite := array[np.isfinite(array)]).size
+        for limit in (float(finite.min()), float(finite.max()))
     ] or [0.0, 1.0]
-    low, high = min(ends), max(ends)
+    low, high = min(limits), max(limits)
     span = (high - low) or abs(high) or 1.0
-    return Axis(name, unit, low - room * span, high + room * span)
+    return Axis(name, unit, low - margin * span, high + margin * span)
 
 
-def clip_range(values: Iterable[float], wide: Iterable[float], room: float) -> tuple[float, float]:
-    """Return a range that includes all values, and of wide intervals as much as keeps values apart.
+def clip_range(
+    values: Iterable[float], interval_ends: Iterable[float], max_extension: float
+) -> tuple[float, float]:
+    """Return a range that includes all values, and intervals up to a distance from the values.
+
+    Wide intervals are cut off, so that the values remain distinguishable.
 
     Parameters
     ----------
-    values : to be shown; without any, 0 and 1
-    wide : ends of intervals or bands; numbers that are not finite are ignored here and in `values`
-    room : limit of the range beyond the values, as a share of their range; none for a single value
+    values : values to show, 0 and 1 if there are none. Numbers that are not finite are ignored here
+        and in `interval_ends`
+    interval_ends : ends of intervals or bands
+    max_extension : largest extension of the range beyond the values at each end, as a share of
+        their range. Not applied if all values are equal
     """
-    shown = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
-    low, high = min(shown), max(shown)
-    reach = room * (high - low) if high > low else inf
-    every = [*shown, *(float(end) for end in wide if isfinite(end))]
-    return max(min(every), low - reach), min(max(every), high + reach)
+    finite = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
+    low, high = min(finite), max(finite)
+    extension = max_extension * (high - low) if high > low else inf
+    all_ends = [*finite, *(float(end) for end in interval_ends if isfinite(end))]
+    return max(min(all_ends), low - extension), min(max(all_ends), high + extension)
 
 
-class Strip(NamedTuple):
-    """Drawing of a mean in a cell of a table; places are from 0 to 120.
+class MeanStrip(NamedTuple):
+    """Drawing of a mean in a cell of a table, in pixels: 0 to 120 between the ends of its scale.
 
     Parameters
     ----------
-    mean : place; None without a mean
-    bar : places of the ends of its interval; empty without one
-    dots : places of samples
+    mean : position of the mean; None without a mean
+    bar : positions of the ends of its interval; empty without an interval
+    dots : positions of the samples
     """
 
     mean: int | None
@@ -232,96 +258,97 @@ class Strip(NamedTuple):
     dots: tuple[int, ...]
 
 
-def make_strip(
+def make_mean_strip(
     ends: tuple[float, float], interval: Interval | None, mean: float, samples: Sequence[float] = ()
-) -> Strip:
-    """Make the drawing of a mean, its interval and its samples on a scale.
+) -> MeanStrip:
+    """Make the drawing of a mean, its interval and its samples.
 
     Parameters
     ----------
-    ends : of the scale
-    interval : of the mean, if any; in the unit of the ends
-    mean : in the unit of the ends; NaN without a mean
-    samples : in the unit of the ends
+    ends : values at the ends of the scale; values outside are drawn 2 % beyond the end
+    interval : interval of the mean; None without an interval
+    mean : NaN without a mean
+    samples : values of the samples; values that are not finite are ignored
     """
     strip_width = 120
 
-    def place(value: float) -> int:
+    def convert_to_pixel(value: float) -> int:
         share = (value - ends[0]) / ((ends[1] - ends[0]) or 1.0)
         return round(strip_width * min(max(share, -0.02), 1.02))
 
     bar: tuple[int, ...] = ()
     if interval is not None and isfinite(interval.lower + interval.upper):
-        bar = place(interval.lower), place(interval.upper)
-    dots = tuple(place(value) for value in samples if isfinite(value))
-    return Strip(place(mean) if isfinite(mean) else None, bar, dots)
+        bar = convert_to_pixel(interval.lower), convert_to_pixel(interval.upper)
+    dots = tuple(convert_to_pixel(value) for value in samples if isfinite(value))
+    return MeanStrip(convert_to_pixel(mean) if isfinite(mean) else None, bar, dots)
 
 
 def write_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes as a path of SVG that fills its frame."""
-    axes = make_axis("", "", [x], room=0.0), make_axis("", "", [y], room=0.05)
+    """Write a small curve without axes as an SVG path, scaled to the size of its frame."""
+    axes = make_axis("", "", [x], margin=0.0), make_axis("", "", [y], margin=0.05)
     return Line("", x, y).write_path(*axes)
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]
-"""Negative distance of the furthest sample; first, furthest and last sample."""
+"""Negative distance of the furthest sample from the line through the first and the last sample of a
+segment; indices of the first, the furthest and the last sample."""
 
 
-def find_extremes(values: Floats, *, bins: int) -> Ints:
-    """Find the samples of a thinned line that keeps its extremes.
+def find_extremes(values: Floats, *, n_bins: int) -> Ints:
+    """Find the samples that a thinned line needs to keep its extremes and gaps.
 
     Parameters
     ----------
-    values : shape (n,), in order of drawing
-    bins : of equal length, at least 1
+    values : shape (n,), in the order of drawing
+    n_bins : number of bins, which have equal numbers of samples; at least 1
 
     Returns
     -------
-    Sorted sample numbers: the lowest and the highest sample of each bin, which keep the width of
-    noise, the first NaN of each bin, which keeps gaps, and both ends of the line. All samples if
-    there are at most four per bin.
+    Sorted indices: the lowest and the highest sample of each bin, the first NaN of each bin, and
+    both ends of the line. All samples if there are at most four per bin.
 
     Raises
     ------
     ValueError
-        If `bins` is less than 1.
+        If `n_bins` is less than 1.
     """
-    if bins < 1:
-        message = f"bins: expected at least 1, found {bins}"
+    if n_bins < 1:
+        message = f"n_bins: expected at least 1, found {n_bins}"
         raise ValueError(message)
     count = len(values)
-    if count <= 4 * bins:
+    if count <= 4 * n_bins:
         return np.arange(count, dtype=np.int64)
-    starts = np.linspace(0, count, bins + 1).astype(np.int64)
-    bin_number = np.repeat(np.arange(bins), np.diff(starts))
+    starts = np.linspace(0, count, n_bins + 1).astype(np.int64)
+    bin_number = np.repeat(np.arange(n_bins), np.diff(starts))
     # sorted by bin, then by value: NaN is last within each bin
-    order = np.lexsort((values, bin_number))
-    blank = np.isnan(values)
-    n_finite = np.add.reduceat(~blank, starts[:-1])
-    highest = order[starts[:-1] + np.maximum(n_finite - 1, 0)]
-    gaps = np.flatnonzero(blank)
-    first_gaps = gaps[np.unique(bin_number[gaps], return_index=True)[1]]
+    sorted_samples = np.lexsort((values, bin_number))
+    lowest = sorted_samples[starts[:-1]]
+    is_missing = np.isnan(values)
+    n_present = np.add.reduceat(~is_missing, starts[:-1])
+    highest = sorted_samples[starts[:-1] + np.maximum(n_present - 1, 0)]
+    missing = np.flatnonzero(is_missing)
+    first_missing = missing[np.unique(bin_number[missing], return_index=True)[1]]
     ends = [0, count - 1]
-    return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
+    return np.unique(np.concatenate([lowest, highest, first_missing, ends]))
 
 
 def simplify_line(
-    positions: Floats, values: Floats, *, points: int, tolerance: float = 0.002
+    positions: Floats, values: Floats, *, max_points: int, tolerance: float = 0.002
 ) -> Ints:
-    """Find the samples of a simplified line that keeps its shape.
+    """Find the samples that a simplified line needs to keep its shape.
 
     Parameters
     ----------
-    positions, values : shape (n,), in order of drawing
-    points : largest number of samples; the ends of gaps are kept even beyond it
-    tolerance : distance from the line that cannot be seen, as a share of the range of the values
+    positions, values : shape (n,), in the order of drawing
+    max_points : largest number of samples; the ends of gaps are kept even if there are more
+    tolerance : largest difference of a value from the simplified line, as a share of the range of
+        the values; reached only if `max_points` allows it
 
     Returns
     -------
-    Sorted sample numbers: both ends, then one after another the sample whose value is furthest
-    from the line through the samples so far, until all are within the tolerance. Corners, steps
-    and the largest excursions of noise remain; of a gap, its ends and its first NaN. Without finite
-    samples, the first one.
+    Sorted indices of the samples. Both ends of the line are kept, and both ends and the first
+    sample of each gap. Then the sample furthest from the simplified line is added, until all are
+    within the tolerance. Without finite samples, the index of the first sample.
 
     Notes
     -----
@@ -331,35 +358,35 @@ def simplify_line(
     finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
     if not len(finite):
         return np.arange(min(len(values), 1), dtype=np.int64)
-    broken = np.flatnonzero(np.diff(finite) > 1)
-    starts = np.concatenate([finite[:1], finite[broken + 1]])
-    stops = np.concatenate([finite[broken], finite[-1:]])
-    rows = {*starts.tolist(), *stops.tolist(), *(finite[broken] + 1).tolist()}
+    before_gaps = np.flatnonzero(np.diff(finite) > 1)
+    starts = np.concatenate([finite[:1], finite[before_gaps + 1]])
+    stops = np.concatenate([finite[before_gaps], finite[-1:]])
+    kept = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
-        _furthest_sample(positions, values, int(start), int(stop))
+        _find_furthest_sample(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
-    while segments and len(rows) < points:
+    while segments and len(kept) < max_points:
         distance, start, furthest, stop = heapq.heappop(segments)
         if -distance <= max_distance:
             break
-        rows.add(furthest)
-        heapq.heappush(segments, _furthest_sample(positions, values, start, furthest))
-        heapq.heappush(segments, _furthest_sample(positions, values, furthest, stop))
-    return np.array(sorted(rows), dtype=np.int64)
+        kept.add(furthest)
+        heapq.heappush(segments, _find_furthest_sample(positions, values, start, furthest))
+        heapq.heappush(segments, _find_furthest_sample(positions, values, furthest, stop))
+    return np.array(sorted(kept), dtype=np.int64)
 
 
-def _furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
-    """Find the sample between two that is furthest from the line through them."""
+def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
+    """Find the sample of a segment that is furthest from the line through its ends."""
     if stop - start < 2:
         return (0.0, start, start, stop)
     x, y = positions[start : stop + 1], values[start : stop + 1]
     width = x[-1] - x[0]
-    # along a vertical segment, the samples count instead of their places
+    # a vertical segment has no width: interpolate by the index of the sample
     share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
-    # two ufuncs take half as long as np.clip, and this runs 100 times a curve
+    # two ufuncs take half as long as np.clip, and this runs 100 times per curve
     share = np.minimum(np.maximum(share, 0.0), 1.0)
     distance = np.abs(y - y[0] - (y[-1] - y[0]) * share)
     furthest = int(np.argmax(distance))
@@ -367,43 +394,46 @@ def _furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -
 
 
 def thin_flags(
-    flags: NDArray[np.uint8], flags_by_rank: Sequence[int], *, bins: int
+    flags: NDArray[np.uint8], flags_by_rank: Sequence[int], *, n_bins: int
 ) -> NDArray[np.uint8]:
-    """Thin flags along time and keep the worst.
+    """Thin flags along time; keep the worst flag of each bin of frames.
 
     Parameters
     ----------
     flags : shape (frames, points)
-    flags_by_rank : all flags, the worst last
-    bins : largest number of columns
+    flags_by_rank : the flags 0 to n - 1 in order of severity, the worst last
+    n_bins : largest number of bins
 
     Returns
     -------
-    Shape (columns, points): the worst flag within each bin of frames.
+    Shape (bins, points): the worst flag of each point within each bin.
     """
-    frames, order = len(flags), np.array(flags_by_rank, dtype=np.uint8)
-    ranks = np.argsort(order).astype(np.uint8)[flags]
-    starts = np.unique(np.linspace(0, frames, min(bins, frames), endpoint=False).astype(np.int64))
-    thinned: NDArray[np.uint8] = order[
-        np.maximum.reduceat(ranks, starts, axis=0) if frames else ranks
+    n_frames, by_rank = len(flags), np.array(flags_by_rank, dtype=np.uint8)
+    ranks = np.argsort(by_rank).astype(np.uint8)[flags]
+    starts = np.unique(
+        np.linspace(0, n_frames, min(n_bins, n_frames), endpoint=False).astype(np.int64)
+    )
+    thinned: NDArray[np.uint8] = by_rank[
+        np.maximum.reduceat(ranks, starts, axis=0) if n_frames else ranks
     ]
     return thinned
 
 
-def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
-    """Split a line into its sure part and its doubtful part, which is drawn lighter.
+def split_doubtful(is_reliable: Flags) -> Iterator[tuple[Flags, float]]:
+    """Split a line into a reliable part and a doubtful part, which is drawn lighter.
 
     Parameters
     ----------
-    sure : shape (n,); true up to some point, at least at the first
+    is_reliable : shape (n,); true from the first point, which must be reliable, up to some point
 
     Yields
     ------
-    Whether each point belongs to the part, shape (n,), and the opacity of the part. The doubtful
-    part starts with the last sure point; there is none if all points are sure.
+    For each part: whether each point belongs to it, shape (n,), and its opacity. The doubtful part
+    starts at the last reliable point, so that the line has no gap. If all points are reliable, only
+    one part is yielded.
     """
-    yield sure, 1.0
-    if not sure.all():
-        doubtful = ~sure
-        doubtful[int(sure.sum()) - 1] = True
-        yield doubtful, 0.35
+    yield is_reliable, 1.0
+    if not is_reliable.all():
+        is_doubtful = ~is_reliable
+        is_doubtful[int(is_reliable.sum()) - 1] = True
+        yield is_doubtful, 0.35

@@ -13,6 +13,7 @@ from labpipe.records.group import (
     Difference,
     Group,
     GroupNumber,
+    Lot,
     MeanInterval,
     Sample,
 )
@@ -28,6 +29,7 @@ from labpipe.report.comparisons import (
     name_field,
 )
 from labpipe.report.issues import Cause, Issue, find_causes, find_notes
+from labpipe.report.lot_tables import make_lot_record, make_verdict_cells
 from labpipe.report.page_facts import (
     compute_report_id,
     describe_days,
@@ -85,7 +87,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Notes
     -----
-    At most eleven sheets after the first, for any number of groups.
+    At most twelve sheets after the first, for any number of groups.
     """
     footer = f"{campaign.title}  \u00b7  report {compute_report_id(campaign)}"
     about = About(campaign.title, (*_facts(campaign), *how_to_read(BOOK)), footer)
@@ -111,6 +113,9 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         yield make_sheet(BOOK, "answers", map(_answer, pairs))
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
     yield make_sheet(BOOK, "key numbers", map(_key_record, by_protocol))
+    lots = [make_lot_record(group, group.lot) for group in campaign.groups if group.lot]
+    if lots:
+        yield make_sheet(BOOK, "lots", lots)
     yield make_sheet(BOOK, "means", _means(campaign))
     yield _tests_sheet(campaign)
     results = (
@@ -247,12 +252,13 @@ def _tests_sheet(campaign: Campaign) -> Sheet:
     last = ("decision", "key of the run")
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
-    records = [_test(group, sample) for group, sample in every]
+    lots = {group.name: group.lot for group in campaign.groups}
+    records = [_test(group, sample, lots.get(group)) for group, sample in every]
     heads = [*(head for head in unite_heads(records) if head not in last), *last]
     return make_sheet(BOOK, "tests", records, heads=heads)
 
 
-def _test(group: str, sample: Sample) -> Record:
+def _test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
     main = [result for result in sample.results if is_main(result.name)]
     numbers: Record = {}
@@ -272,6 +278,7 @@ def _test(group: str, sample: Sample) -> Record:
         "protocol": sample.protocol,
         "day": "" if sample.date is None else str(sample.date),
         "operator": sample.operator,
+        **make_verdict_cells(sample, lot),
         **sizes,
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
         "failed numbers": sum(result.status is Status.FAILED for result in main),

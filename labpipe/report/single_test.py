@@ -1,4 +1,4 @@
-"""Page of a single test: facts, numbers, figures, notes, recorded files."""
+"""Render the HTML page of a single test: facts, numbers, figures, notes and exports."""
 
 from __future__ import annotations
 
@@ -23,52 +23,59 @@ from labpipe.report.wording import (
     write_heading,
     write_with_interval,
 )
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
-    """Write the page of a test.
+    """Render the page of a test.
 
     Parameters
     ----------
-    result : of the test; figures that its protocol names are drawn
-    report : id of the report that links to the page; may be empty
+    result : result of the test, with the names of the figures to draw
+    report : identifier of the report that links to the page; empty if there is none
 
     Returns
     -------
-    An HTML document that needs no other file, no network and no script.
+    A self-contained HTML document without scripts.
     """
-    inputs = tuple(
+    export_rows = tuple(
         (Cell(source.role), Cell(source.file), Cell(source.sha256)) for source in result.inputs
     )
-    names = [name for name in result.figures if name in FIGURES]
+    figure_names = [name for name in result.figures if name in FIGURES]
     with style(is_journal=is_for_journal(result)):
         figures = [
-            (encode_figure(FIGURES[name](result)), f"{name} of {result.test}") for name in names
+            (encode_figure(FIGURES[name](result)), f"{name} of {result.test}")
+            for name in figure_names
         ]
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
-    looks = make_style(write_css_string(footer), "")
+    css = make_style(write_css_string(footer), "")
     return fill_template(
         "single_test.html",
         result=result,
         report=report,
-        style=looks,
-        style_hash=compute_style_hash(looks),
-        facts=_facts(result),
-        numbers=_numbers(result),
+        style=css,
+        style_hash=compute_style_hash(css),
+        facts=_list_facts(result),
+        numbers=_make_number_table(result),
         figures=figures,
-        notes=_notes(result),
-        exports=Table("Exports", ("Role", "File", "SHA-256"), inputs),
+        notes=_make_note_table(result),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), export_rows),
     )
 
 
-def _facts(result: TestResult) -> list[tuple[str, str]]:
+def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     specimen = result.specimen
-    x_unit = find_unit(result.display, "displacement")
-    sizes = [
-        f"{name.replace('_', ' ')} {x_unit.factor * size:.4g} {x_unit.unit}"
+    length_scale = find_unit(result.display, "displacement")
+    dimensions = [
+        f"{name.replace('_', ' ')} {length_scale.factor * size:.4g} {length_scale.unit}"
         for name, size in specimen.dimensions.items()
     ]
-    fields = [f"{name.replace('_', ' ')} {word}" for name, word in specimen.labels.items()]
+    labels = [f"{name.replace('_', ' ')} {label}" for name, label in specimen.labels.items()]
+    observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
+    peak_over_limit = find_result(result.results, PEAK_OVER_LIMIT)
+    verdict = []
+    if peak_over_limit is not None:
+        verdict = [("Verdict", "; ".join([judge_sample(peak_over_limit).text, *observations]))]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
@@ -76,7 +83,8 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
     )
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
-        ("Dimensions", ", ".join([*sizes, *fields]) or DASH),
+        *verdict,
+        ("Dimensions", ", ".join([*dimensions, *labels]) or DASH),
         (
             "Tested",
             f"{result.date or 'on an unknown day'} by {result.operator or 'an unnamed operator'}",
@@ -87,17 +95,19 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
     ]
 
 
-def _numbers(result: TestResult) -> Table:
-    heads = ("Number", "Value, 95 %", "State", "Why", "Largest causes of the interval")
-    reasons = ["", *(join_sentences(result.reasons) for result in result.results)]
-    rows = tuple(
-        _number_row(result, row_result, "As above." if why and why == above else why)
-        for row_result, why, above in zip(result.results, reasons[1:], reasons, strict=False)
-    )
-    return Table("Numbers of this test", heads, rows)
+def _make_number_table(result: TestResult) -> Table:
+    headings = ("Number", "Value, 95 %", "State", "Why", "Largest causes of the interval")
+    rows = []
+    reason_above = ""
+    for number in result.results:
+        reason = join_sentences(number.reasons)
+        is_repeated = bool(reason) and reason == reason_above
+        rows.append(_make_number_row(result, number, "As above." if is_repeated else reason))
+        reason_above = reason
+    return Table("Numbers of this test", headings, tuple(rows))
 
 
-def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...]:
+def _make_number_row(result: TestResult, number: Result, reason: str) -> tuple[Cell, ...]:
     unit = find_display_unit(number.name, number.unit, result.display)
     value = DASH
     if number.value is not None:
@@ -108,22 +118,22 @@ def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...
         Cell(write_heading(number.name, unit.unit), tip=number.name),
         Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
         Cell(str(number.status), tip=", ".join(number.codes)),
-        Cell(why),
-        Cell("; ".join(_largest_parts(number))),
+        Cell(reason),
+        Cell("; ".join(_list_largest_causes(number))),
     )
 
 
-def _largest_parts(result: Result) -> Iterator[str]:
-    n_largest = 3
-    rows = sorted(zip(result.shares, result.budget, strict=True), key=lambda row: -row[0])
-    for share, part in rows[:n_largest]:
-        if share >= 0.01:
-            yield f"{part.cause} {100 * share:.0f} %"
+def _list_largest_causes(number: Result) -> Iterator[str]:
+    n_largest, min_share = 3, 0.01
+    shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
+    for share, contribution in shares[:n_largest]:
+        if share >= min_share:
+            yield f"{contribution.cause} {100 * share:.0f} %"
 
 
-def _notes(result: TestResult) -> Table:
-    order = [Severity.ERROR, Severity.WARNING, Severity.INFO]
-    notes = sorted(result.quality, key=lambda note: order.index(note.severity))
+def _make_note_table(result: TestResult) -> Table:
+    severities = [Severity.ERROR, Severity.WARNING, Severity.INFO]
+    notes = sorted(result.quality, key=lambda note: severities.index(note.severity))
     rows = tuple(
         (
             Cell(replace_names(note.where), tip=note.code),

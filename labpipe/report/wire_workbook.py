@@ -77,7 +77,7 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     if count <= max_rows or not len(use):
         return np.arange(count, dtype=np.int64)
     x, y = np.log(table.curvature[use]), np.log(table.moment[use])
-    rows = use[simplify_line(x, y, points=max_rows - 1, tolerance=0.0)]
+    rows = use[simplify_line(x, y, max_points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 

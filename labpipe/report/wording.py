@@ -14,6 +14,7 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results import KINDS
+from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def shorten(name: str, max_length: int) -> str:
 
     Examples
     --------
-    >>> shortened("TWB-B1-19-PVC-half-lap", 12)
+    >>> shorten("TWB-B1-19-PVC-half-lap", 12)
     'TWB-B1…f-lap'
     """
     if len(name) <= max_length:
@@ -151,13 +152,13 @@ def write_label(name: str) -> str:
 
     Examples
     --------
-    >>> as_label("peak_force.2")
+    >>> write_label("peak_force.2")
     'Peak force, cycle 2'
-    >>> as_label("stiffness_first_per_peak_force")
+    >>> write_label("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
-    >>> as_label("bending_stiffness_at_3")
+    >>> write_label("bending_stiffness_at_3")
     'Bending stiffness at 3 1/m'
-    >>> as_label("slip_drop.1")
+    >>> write_label("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, part = name.partition(".")
@@ -201,8 +202,8 @@ def replace_names(sentence: str) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number describes the specimen, rather than a slip or the clocks."""
-    return not name.startswith(("slip_", "clock_"))
+    """Return whether a number describes the specimen, not a slip, the clocks or a limit."""
+    return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:
@@ -235,8 +236,12 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
-    wanted = display.get(_QUANTITIES.get(unit, ""))
-    return Scale(1.0, unit) if wanted is None else Scale(1.0 / find_si_factor(wanted, unit), wanted)
+    display_unit = display.get(_QUANTITIES.get(unit, ""))
+    return (
+        Scale(1.0, unit)
+        if display_unit is None
+        else Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
+    )
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -281,11 +286,11 @@ def typeset_unit(unit: str) -> str:
 
     Examples
     --------
-    >>> unit_words("N*mm^2")
+    >>> typeset_unit("N*mm^2")
     'N·mm²'
-    >>> unit_words("um/N")
+    >>> typeset_unit("um/N")
     'µm/N'
-    >>> unit_words("1")
+    >>> typeset_unit("1")
     ''
     """
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(SUPERSCRIPTS), unit)
@@ -369,7 +374,7 @@ def find_last_place(
 
     Examples
     --------
-    >>> place_of(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> find_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
     numbers = [factor * number for number in (value, *_ends(interval))]
@@ -390,8 +395,8 @@ def make_number_writer(
 
     Examples
     --------
-    >>> shown = plain_numbers(0.052284, Interval(0.046271, 0.058296), 1e3)
-    >>> shown(0.052284), shown(0.046271)
+    >>> write = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> write(0.052284), write(0.046271)
     ('52.3', '46.3')
     """
     place = find_last_place(value, interval, factor, digits)
@@ -425,8 +430,8 @@ def _round_together(numbers: Iterable[float], place: int) -> list[str]:
 
 def round_to_place(number: float, place: int) -> str:
     """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
-    near = round(number, -place)
-    return f"{near + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
+    rounded = round(number, -place)
+    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
 
 
 def write_with_interval(
@@ -442,14 +447,14 @@ def write_with_interval(
 
     Returns
     -------
-    ``value ± half`` if both sides of the interval differ by at most a tenth, else ``value (lower
-    to upper)``; the value alone without an interval.
+    ``value ± half`` if both sides of the interval differ by at most a tenth, else
+    ``value (lower to upper)``; the value alone without an interval.
 
     Examples
     --------
-    >>> with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> write_with_interval(0.052284, Interval(0.046271, 0.058296), 1e3)
     '52.3 ± 6.0'
-    >>> with_interval(1.26, Interval(1.15, 1.44))
+    >>> write_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
     max_uneven_share = 0.1  # difference of both sides of the interval, of the longer one

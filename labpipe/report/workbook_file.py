@@ -230,8 +230,8 @@ class _WorkbookWriter:
         """Return the format of a cell, created once."""
         key = f"{number} {sorted(look)}" if look else number
         if key not in self.forms:
-            wanted = {"valign": "top", **({"num_format": number} if number else {}), **look}
-            self.forms[key] = self.book.add_format(wanted)
+            properties = {"valign": "top", **({"num_format": number} if number else {}), **look}
+            self.forms[key] = self.book.add_format(properties)
         return self.forms[key]
 
     def read_me(self, about: About, sheets: Sequence[Sheet]) -> None:
@@ -275,8 +275,8 @@ class _WorkbookWriter:
                 _write_text(page, 0, i, head, self.head)
             return
         columns = [{"header": head, "header_format": self.head} for head in heads]
-        look = {"columns": columns, "style": "Table Style Light 1"}
-        page.add_table(0, 0, len(sheet.rows), len(heads) - 1, look)
+        table_options = {"columns": columns, "style": "Table Style Light 1"}
+        page.add_table(0, 0, len(sheet.rows), len(heads) - 1, table_options)
         places = [find_column_place(column) for column in zip(*sheet.rows, strict=True)]
         wrapped = [head in sheet.wrapped for head in sheet.heads]
         for number, row in enumerate(sheet.rows, start=1):
@@ -302,9 +302,9 @@ class _WorkbookWriter:
     ) -> None:
         if not word:
             return
-        look: dict[str, Any] = {"quote_prefix": True} if word[0] in _RISKY else {}
-        look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
-        _write_text(page, *place, word, self.form(**look))
+        cell_format: dict[str, Any] = {"quote_prefix": True} if word[0] in _RISKY else {}
+        cell_format |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+        _write_text(page, *place, word, self.form(**cell_format))
 
     def _draw(self, page: Any, sheet: Sheet) -> None:
         """Place the charts in rows of two, below the table or beside a long one."""
@@ -378,13 +378,13 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
             "values": [name, first, line.y_column, last, line.y_column],
             "line": {"color": colour, "width": 1.5, "dash_type": dash},
         })  # fmt: skip
-    look: dict[str, Any] = {
+    axis_options: dict[str, Any] = {
         "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
-    look |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    drawn.set_x_axis({"name": _escape_formula(chart.x_label), **look})
-    drawn.set_y_axis({"name": _escape_formula(chart.y_label), **look})
+    axis_options |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
+    drawn.set_x_axis({"name": _escape_formula(chart.x_label), **axis_options})
+    drawn.set_y_axis({"name": _escape_formula(chart.y_label), **axis_options})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
     drawn.set_legend({"position": "right", "font": {"size": 9}})
@@ -480,11 +480,11 @@ def choose_number_format(value: float, place: int) -> str:
 
     Examples
     --------
-    >>> number_format(52.284, -1)
+    >>> choose_number_format(52.284, -1)
     '0.0'
-    >>> number_format(3.1e-5, -6)
+    >>> choose_number_format(3.1e-5, -6)
     '0.000000'
-    >>> number_format(3.1e-7, -8)
+    >>> choose_number_format(3.1e-7, -8)
     '0.0E+00'
     """
     plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.cycles import Energy, PeakDisplacement, PeakForce, ResidualDisplacement
-from labpipe.results.failures import EnergyToBreak, FailureResult
+from labpipe.results.failures import EnergyToBreak, FailureResult, PeakForceDisplacement
+from labpipe.results.force_limit import ForceLimit
 from labpipe.results.kinds import ClockResult, Kind
 from labpipe.results.plateau import Plateau
 from labpipe.results.shapes import MidSpan, MomentCurvature, TipTravel, Twist
@@ -38,6 +39,7 @@ KINDS: tuple[type[Kind], ...] = (
     *(UnloadingStiffness, LoadingStiffness, Hardening, InitialStiffness, LineStiffness),
     *(NormalisedStiffness, Modulus, ComplianceResult, TwoSegments, Kink),
     *(PeakForce, PeakDisplacement, Energy, ResidualDisplacement, FailureResult, EnergyToBreak),
+    *(PeakForceDisplacement, ForceLimit),
     *(SlipResults, SlackResult, Plateau, BendingStiffness),
     *(ElasticModulus, ProofStress, YieldStress, TensileStrength),
     *(MaximumForceElongation, BreakElongation),

@@ -148,10 +148,10 @@ def find_marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) ->
     ValueError
         If no frame has a curve.
     """
-    seen = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
-    if not len(seen):
+    fitted_frames = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
+    if not len(fitted_frames):
         raise ValueError(format_sentence("results.no_fitted_frame"))
-    direction = shape.coefficients[seen[0], :, 1] / shape.length
+    direction = shape.coefficients[fitted_frames[0], :, 1] / shape.length
     ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
     places = shape.arc_length[_flag_markers(shape)]
     return MarkerLayout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
@@ -275,10 +275,10 @@ def compute_curvature_gain(
     With n = (-sin, cos) and t = (cos, sin): d kappa = n . d r'' - 2 kappa t . d r', where r'' and
     r' are linear in the markers by the least-squares operator of the fit.
     """
-    seen = np.isfinite(markers).all(axis=2)
+    is_visible = np.isfinite(markers).all(axis=2)
     gain = np.full(shape.angle.shape, np.nan)
-    for pattern in np.unique(seen, axis=0):
-        chosen = (seen == pattern).all(axis=1)
+    for pattern in np.unique(is_visible, axis=0):
+        chosen = (is_visible == pattern).all(axis=1)
         operators = _make_operators(layout, layout.arc_length[pattern], arc_length)
         if operators is None:
             continue

@@ -155,21 +155,25 @@ def find_unloading_end(
         slope = float(compute_slope(from_end[foot], f[foot]))
     is_falling = not np.isnan(zero_time)
     zero = float(t[last]) + zero_time if is_falling else float(t[last])
-    rest = t > zero + 0.2
+    is_after_zero = t > zero + 0.2
     has_reached_zero = is_falling and slope * (t[-1] - zero) < -3.0 * limit
-    is_at_rest = has_reached_zero and _is_resting(t[rest], d, f[rest], rest, limit)
-    if is_at_rest if like is None else like.kind == "at rest" and rest.any():
-        at_rest = as_slice(finite[rest])
+    is_at_rest = has_reached_zero and _is_resting(
+        t[is_after_zero], d, f[is_after_zero], is_after_zero, limit
+    )
+    if is_at_rest if like is None else like.kind == "at rest" and is_after_zero.any():
+        at_rest = as_slice(finite[is_after_zero])
 
         def mean(displacement: Floats, force: Floats) -> Floats:
             del force
             return np.asarray(displacement[..., at_rest].mean(axis=-1))
 
-        return UnloadingEnd("at rest", limit, int(rest.sum()), mean)
-    near = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
-    if near.sum() < _MIN_CROSSING_SAMPLES:
-        raise UnavailableError.of("results.few_before_zero", count=int(near.sum()), zero=zero)
-    of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, near))
+        return UnloadingEnd("at rest", limit, int(is_after_zero.sum()), mean)
+    is_before_zero = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
+    if is_before_zero.sum() < _MIN_CROSSING_SAMPLES:
+        raise UnavailableError.of(
+            "results.few_before_zero", count=int(is_before_zero.sum()), zero=zero
+        )
+    of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, is_before_zero))
     of = partial(_extrapolate_to_zero, foot=of_foot if is_falling else None, near=of_near)
     compute_rows = partial(
         _extrapolate_rows_to_zero,
@@ -178,15 +182,15 @@ def find_unloading_end(
         limit=limit,
         lowest_limit=lowest_limit,
     )
-    return UnloadingEnd("followed", limit, int(near.sum()), of, compute_rows)
+    return UnloadingEnd("followed", limit, int(is_before_zero.sum()), of, compute_rows)
 
 
 def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
-    near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-    require_samples(int(near.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, after = as_slice(finite[near]), time[near] - middle
+    is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
+    require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
+    samples, after = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
     weights = compute_polynomial_weights(after, degree=2).T
 
     def of(displacement: Floats, force: Floats) -> Floats:
@@ -260,9 +264,11 @@ def _extrapolate_rows_to_zero(
         *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
     )
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
-    near = (t >= start) & (t <= zeros[:, np.newaxis])
-    middle, level, slope = fit_chosen_lines(near, t, d[:, part])
-    ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
+    is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
+    middle, level, slope = fit_chosen_lines(is_before_zero, t, d[:, part])
+    ended = (
+        (end >= 0) & (end < len(time) - 3) & (is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
+    )
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
@@ -420,12 +426,16 @@ def find_cycle_samples(curve: Curve | Trace, branches: list[Branch]) -> slice:
 
 def _find_turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
-    rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
-    seen = find_loading_sign(curve, curve.displacement) * curve.displacement[rest]
-    if np.isnan(seen).all():
-        return rest.stop - 1
+    between_branches = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
+    displacement = (
+        find_loading_sign(curve, curve.displacement) * curve.displacement[between_branches]
+    )
+    if np.isnan(displacement).all():
+        return between_branches.stop - 1
     is_top = curve.branches[number - 1].direction is Direction.LOADING
-    return rest.start + int(np.nanargmax(seen) if is_top else np.nanargmin(seen))
+    return between_branches.start + int(
+        np.nanargmax(displacement) if is_top else np.nanargmin(displacement)
+    )
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
@@ -570,7 +580,7 @@ def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def _estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
+def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     At a turn of the motion, it rises up to the crossing of the lines through two samples on each
@@ -583,13 +593,17 @@ def _estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     if not 0 < top < len(seen) - 1:
         return 0.0
     up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
-    reach = up if travel[top + 1] > travel[top] and down > break_ratio * up else 0.5 * min(up, down)
+    rise_beyond_top = (
+        up if travel[top + 1] > travel[top] and down > break_ratio * up else 0.5 * min(up, down)
+    )
     if travel[top + 1] < travel[top] and 1 < top < len(seen) - 2:
         rise, fall = seen[top - 1] - seen[top - 2], seen[top + 1] - seen[top + 2]
         if rise + fall > 0.0:
             after = (seen[top + 1] - seen[top - 1] + fall - rise) / (rise + fall)
-            reach = min(reach, max(seen[top - 1] + rise * (1.0 + after) - seen[top], 0.0))
-    return float(reach) if np.isfinite(reach) else 0.0
+            rise_beyond_top = min(
+                rise_beyond_top, max(seen[top - 1] + rise * (1.0 + after) - seen[top], 0.0)
+            )
+    return float(rise_beyond_top) if np.isfinite(rise_beyond_top) else 0.0
 
 
 def _choose_largest_sample(
@@ -609,11 +623,11 @@ def _choose_largest_sample(
         find_loading_sign(trace, values),
         find_cycle_samples(trace, select_cycle(trace, number)),
     )
-    seen = sense * values[stretch]
-    if np.isnan(seen).all():
+    signed_values = sense * values[stretch]
+    if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
-    reach = _estimate_rise_beyond_top(seen, travel) / steps
+    reach = estimate_rise_beyond_top(signed_values, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         signed = sense * getattr(trace, quantity)[..., stretch]
@@ -621,7 +635,7 @@ def _choose_largest_sample(
 
     @cache
     def samples() -> SampleNoise | None:
-        peak = stretch.start + int(np.nanargmax(seen))
+        peak = stretch.start + int(np.nanargmax(signed_values))
         return SampleNoise.around(test, trace, quantity, stretch, peak)
 
     def in_noise(drawn: Trace) -> tuple[Floats]:
@@ -631,7 +645,7 @@ def _choose_largest_sample(
         noise = getattr(drawn, quantity) - values
         return (numbers(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
 
-    return Reading(numbers, int((~np.isnan(seen)).sum()), in_noise)
+    return Reading(numbers, int((~np.isnan(signed_values)).sum()), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

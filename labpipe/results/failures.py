@@ -18,13 +18,21 @@ from labpipe.records.declarations import CURVE, Needs, Output
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.cycles import choose_work_samples, find_loading_sign
+from labpipe.results.cycles import (
+    PerCycle,
+    choose_work_samples,
+    estimate_rise_beyond_top,
+    find_cycle_samples,
+    find_gap_at_peak,
+    find_loading_sign,
+    select_cycle,
+)
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import find_finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +330,57 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
 def _find_step_doubts(failure: FailurePoint) -> tuple[Reason, ...]:
     """Return a doubt if the failure was not the first sudden loss of force."""
     return (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeakForceDisplacement(PerCycle):
+    """``displacement_at_peak_force.<cycle>`` (m): where the force of a cycle is largest."""
+
+    result: ClassVar = "displacement-at-peak-force"
+    outputs: ClassVar = (
+        Output("displacement_at_peak_force", "m", "Displacement at peak force", CURVE, first=1),
+    )
+    complete_branches: ClassVar = 1
+    reads: ClassVar = (0.0, 1.25)
+    method: ClassVar = "displacement at the largest force of the cycle, in the sense of loading"
+
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+        """Choose the sample of the largest force of each curve."""
+        return partial(_choose_largest_force, test, number=number)
+
+    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
+        """Return a doubt about missing samples at the peak."""
+        return find_gap_at_peak(test, branches, "force")
+
+
+def _choose_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
+    """Choose the displacement at the largest force; noise may choose a neighbour of that sample.
+
+    If the specimen breaks there, the peak lies up to a step after the sample.
+    """
+    part = find_cycle_samples(trace, select_cycle(trace, number))
+    finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
+    if not len(finite):
+        raise UnavailableError.of("results.no_sample")
+    senses = [find_loading_sign(trace, values) for values in (trace.displacement, trace.force)]
+    place, force = (
+        sense * values[finite]
+        for sense, values in zip(senses, (trace.displacement, trace.force), strict=True)
+    )
+    top = int(np.argmax(force))
+    breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+    draw_noise = _make_noise_function(test, trace, int(finite[top]))
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        displacement, signed = trace.displacement[..., finite], senses[1] * trace.force[..., finite]
+        largest = np.argmax(signed, axis=-1)[..., np.newaxis]
+        steps = np.gradient(displacement, axis=-1) * trace.steps_beyond * breaks
+        return (np.take_along_axis(displacement + steps, largest, axis=-1)[..., 0],)
+
+    def in_noise(drawn: Trace) -> tuple[Floats]:
+        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
+
+    return Reading(numbers, len(finite), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -142,8 +142,8 @@ class Kind(ABC):
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            seen = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
-            why = [doubt for doubt in seen if doubt.code in _CURVE_ERRORS]
+            found_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
+            why = [doubt for doubt in found_doubts if doubt.code in _CURVE_ERRORS]
             reasons_in_order = (
                 [*why, outcome] if outcome.code in _EXPLAINED_FAILURES else [outcome, *why]
             )
@@ -152,8 +152,8 @@ class Kind(ABC):
         signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
         own_doubts = outcome.doubts if isinstance(outcome, Measured) else ()
         own = [reason for quantity, reason in own_doubts if quantity in ("", *declared.rests_on)]
-        seen = test.collect_doubts((*declared.rests_on, *signs), during)
-        reasons = tuple(dict.fromkeys([*seen, *doubts, *own]))
+        found_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
+        reasons = tuple(dict.fromkeys([*found_doubts, *doubts, *own]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
         remarks = remark, added if drops and declared.is_raised_by_slips else ""

@@ -115,17 +115,17 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 
 
 def _collect_law_data(test: BendingTest, frames: FittedFrames) -> LawData:
-    layout, rest = test.layout, test.specimen_at_rest
+    layout, at_rest = test.layout, test.specimen_at_rest
     line = Line.through(layout.arc_length, layout.length)
-    still = evaluate_curves(rest.coefficients, layout.length, line.arc_length)
+    still = evaluate_curves(at_rest.coefficients, layout.length, line.arc_length)
     return LawData(
         line=line,
         moment=test.compute_moments(frames.coefficients, frames.means.force, line.arc_length),
-        moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
+        moment_at_rest=test.compute_moments(at_rest.coefficients, np.zeros(1), line.arc_length)[0],
         angle_at_rest=still.angle[0],
         markers=frames.means.markers[..., :2],
-        markers_at_rest=rest.markers[:, :2],
-        rest_weight=rest.frames / frames.means.per_mean,
+        markers_at_rest=at_rest.markers[:, :2],
+        rest_weight=at_rest.frames / frames.means.per_mean,
         centre_offset=layout.centre_offset,
     )
 
@@ -167,13 +167,13 @@ class _CommonErrors:
         self, *, reading: Floats | None = None, pull: TipPull | None = None, finer: bool = False
     ) -> LawData:
         """Return the data with another force, pull at the tip, or one more coefficient."""
-        test, frames, rest = self.test, self.frames, self.test.specimen_at_rest
+        test, frames, at_rest = self.test, self.frames, self.test.specimen_at_rest
         places, no_load = self.loaded.line.arc_length, np.zeros(1)
         reading = frames.means.force if reading is None else reading
         if finer and frames.finer is not None:
-            curves, still = frames.finer, rest.finer
+            curves, still = frames.finer, at_rest.finer
         else:
-            curves, still = frames.coefficients, rest.coefficients
+            curves, still = frames.coefficients, at_rest.coefficients
         return replace(
             self.loaded,
             moment=test.compute_moments(curves, reading, places, pull=pull),
@@ -199,13 +199,13 @@ class _CommonErrors:
 
     def move_centres(self, more: float) -> LawData:
         """Return the data with marker centres farther from the axis."""
-        test, rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
+        test, at_rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
         layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
-        along = evaluate_curves(rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
+        along = evaluate_curves(at_rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
         lift = more * np.array([-np.sin(along), np.cos(along), 0.0])
         curves, still = (
             layout.fit(markers + lift).coefficients
-            for markers in (self.frames.means.markers, rest.markers[None])
+            for markers in (self.frames.means.markers, at_rest.markers[None])
         )
         return replace(
             self.loaded,
@@ -548,16 +548,18 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
     """
     max_rounds = 12
     convergence_share = 1e-7
-    seen = np.isfinite(loaded.moved)
-    measured = np.where(seen, loaded.moved, 0.0)
+    is_measured = np.isfinite(loaded.moved)
+    measured = np.where(is_measured, loaded.moved, 0.0)
     shapes = LawShapes.of(loaded, basis)
     compliance = _estimate_uniform_compliance(shapes, measured)
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
         residuals = _subtract_offsets(
-            np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight
+            np.where(is_measured, measured - moved, 0.0)[..., None], is_measured, loaded.rest_weight
         )
-        design = _subtract_offsets(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
+        design = _subtract_offsets(
+            np.where(is_measured[..., None], design, 0.0), is_measured, loaded.rest_weight
+        )
         flat, residual = design.reshape(-1, design.shape[2]), residuals.ravel()
         normal = flat.T @ flat
         better = _solve(normal, flat.T @ residual + normal @ compliance)
@@ -567,26 +569,28 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
             break
     spread = _inverse(normal)
     pushes = np.einsum("kj,nmj->knm", spread, design)
-    covariance = _estimate_covariance(pushes[:, :-1], residuals[:-1, :, 0], seen)
+    covariance = _estimate_covariance(pushes[:, :-1], residuals[:-1, :, 0], is_measured)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
         sensitivity=pushes[:, :-1],
-        residual=float(np.sqrt((residuals[:-1] ** 2).sum() / max(int(seen.sum()), 1))),
-        n=int(seen.sum()),
+        residual=float(np.sqrt((residuals[:-1] ** 2).sum() / max(int(is_measured.sum()), 1))),
+        n=int(is_measured.sum()),
         variance=float(np.trace(covariance @ normal)) / len(compliance),
     )
 
 
 def _estimate_uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
     """Return one compliance for all knots with about the observed movement of the markers."""
-    one = np.ones(shapes.turns.shape[2])
-    moved = shapes.predict(0.0 * one)[1] @ one
+    unit_compliance = np.ones(shapes.turns.shape[2])
+    moved = shapes.predict(0.0 * unit_compliance)[1] @ unit_compliance
     scale = float((moved**2).sum())
     if not scale > 0.0:
         raise ValueError(format_sentence("results.no_change_of_moment"))
-    return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
+    return np.asarray(
+        unit_compliance * abs(float((moved * measured).sum())) / scale, dtype=np.float64
+    )
 
 
 def _subtract_offsets(values: Floats, seen: Flags, rest_weight: float) -> Floats:

@@ -183,7 +183,7 @@ def collect_rest_evidence(
     deflection = average_blocks(curve.displacement[part], n_blocks)
     force = average_blocks(curve.force[part], n_blocks)
     reached = deflection[force >= weight]
-    reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
+    deflection_at_weight = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
     ahead, slackened = float("nan"), np.zeros(0)
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
@@ -193,17 +193,17 @@ def collect_rest_evidence(
         )  # the string has begun to pull
         ahead = _finite_median((travel.values[part] - behind)[is_early])
         slackened = _read_slack_forces(travel.values, curve, first)
-    rest = curve.force[: first.start]
-    rest = rest[np.isfinite(rest)]
-    scatter = float(rest.std()) if len(rest) else 0.0
+    rest_force = curve.force[: first.start]
+    rest_force = rest_force[np.isfinite(rest_force)]
+    scatter = float(rest_force.std()) if len(rest_force) else 0.0
     return RestEvidence(
         ahead=ahead,
         sag=_measure_sag(shape, first),
-        reach=reach,
+        reach=deflection_at_weight,
         weight=weight,
         lowest=_find_lowest_mean(curve.force[first.stop :]),
         slackened=_finite_median(slackened),
-        error=scatter / float(np.sqrt(min(len(rest), _MEAN_SAMPLES) or 1)),
+        error=scatter / float(np.sqrt(min(len(rest_force), _MEAN_SAMPLES) or 1)),
         own_weight=own_weight,
     )
 
@@ -369,8 +369,8 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
-    rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, notes = _make_tip_pull(test, curve, shape, first, rest)
+    is_at_rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
+    pull, other, notes = _make_tip_pull(test, curve, shape, first, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     branch, cycle = _number_frames(curve, shape.time)
     frames = BendingTest(
@@ -379,12 +379,12 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         branch=branch,
         cycle=cycle,
         first=curve.branches.index(first),
-        rest=rest,
+        rest=is_at_rest,
         centre_offset=test.setup.centre_offset,
         free_tip=test.setup.free_tip,
         pull=pull,
         errors=BendingErrors(
-            force_noise=_finite_deviation(force[rest]),
+            force_noise=_finite_deviation(force[is_at_rest]),
             force_zero=test.force.zero_error,
             force_scale=test.force.relative_error,
             offset=test.setup.offset_uncertainty,

@@ -198,9 +198,13 @@ class Tangents:
         onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
         # One place for all curves: noise moves it by a small part of a tangent.
         d, half, middle = self.path.displacement, 0.5 * self.length, float(np.nanmean(onset))
-        near = middle + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
-        is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
-        stretches = _Stretches.of(d, near[is_inside], half)
+        tangent_positions = middle + self.length * np.linspace(
+            0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1
+        )
+        is_inside = (tangent_positions <= d.max() - 0.5 * half) & (
+            tangent_positions >= d.min() + 0.5 * half
+        )
+        stretches = _Stretches.of(d, tangent_positions[is_inside], half)
         usable = stretches.is_enough
         rows = stretches.expand(stretches.compute_weights()[1])[usable]
         reached = _find_first_place(stretches.places[usable], f @ rows.T, slope)

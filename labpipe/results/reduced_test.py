@@ -96,6 +96,7 @@ class Setup:
     free_tip : whether the shape may bend up to its tip
     compliance_stated : whether the protocol states the compliance of frame and grips
     limits : of the lab
+    labels : of the test sheet, by name
     """
 
     sizes: Mapping[str, float] = field(default_factory=dict)
@@ -109,6 +110,7 @@ class Setup:
     free_tip: bool = False
     compliance_stated: bool = False
     limits: Limits = LIMITS
+    labels: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

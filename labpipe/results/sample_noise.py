@@ -75,8 +75,8 @@ class SampleNoise:
         block_samples = _mean_step(trace.time) / _mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
-        reach = max(1, int(max_samples / block_samples))
-        part = slice(max(stretch.start, at - reach), min(stretch.stop, at + reach + 1))
+        n_blocks = max(1, int(max_samples / block_samples))
+        part = slice(max(stretch.start, at - n_blocks), min(stretch.stop, at + n_blocks + 1))
         block_time = trace.time[part]
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
         low, high = np.searchsorted(signal.time, ends).tolist()
@@ -112,18 +112,21 @@ class SampleNoise:
         variance = self.deviations.var()
         if self.blocks is not None:
             variance += noise[:, self.blocks[0] : self.blocks[-1] + 1].var()
-        near = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
+        near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
         # Of more than half of the samples, every position would have the same deviations.
-        near = near[near < near[0] + (len(smooth) + 1) // 2]
-        reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
-        part = slice(max(int(near[0]) - reach, 0), min(int(near[-1]) + reach + 1, len(smooth)))
+        near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
+        filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
+        part = slice(
+            max(int(near_peak[0]) - filter_reach, 0),
+            min(int(near_peak[-1]) + filter_reach + 1, len(smooth)),
+        )
         windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
         rows = self.chance.integers(0, len(windows), len(noise))
         cuts = [cut - part.start for cut in self.cuts]
-        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near - part.start]
+        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - part.start]
         if self.blocks is not None:
-            samples += noise[:, self.blocks[near]]
-        raised: Floats = (smooth[near] + sense * samples).max(axis=1) - smooth.max()
+            samples += noise[:, self.blocks[near_peak]]
+        raised: Floats = (smooth[near_peak] + sense * samples).max(axis=1) - smooth.max()
         return sense * raised
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:

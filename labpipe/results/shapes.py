@@ -273,12 +273,12 @@ class MidSpan(Window):
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
         inside &= (travelled >= self.start) & (travelled <= self.stop)
-        bent = bend.shape.axis
+        bent_axis = bend.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
-        moment = 0.25 * bent.span * force
+        moment = 0.25 * bent_axis.span * force
         if "large-deflection" in self.corrections:
-            sag = np.clip(bent.deflection, 0.0, None)
-            moment = moment + 0.5 * force * bent.support_slope * sag
+            sag = np.clip(bent_axis.deflection, 0.0, None)
+            moment = moment + 0.5 * force * bent_axis.support_slope * sag
         return fit_secant_stiffness(time, curvature, moment, inside)
 
 
@@ -368,14 +368,14 @@ def _measure_at_turn(
 
 def _compute_turn_weights(time: Floats, values: Floats, window: float) -> Floats:
     """Return the weights of frames in the value of two parabolas that meet at time zero."""
-    near = np.isfinite(values) & (np.abs(time) <= window)
-    t = time[near]
+    is_near = np.isfinite(values) & (np.abs(time) <= window)
+    t = time[is_near]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
     ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
     weights = np.zeros(len(time))
-    weights[near] = np.linalg.pinv(design)[0]
+    weights[is_near] = np.linalg.pinv(design)[0]
     return weights
 
 
@@ -403,8 +403,8 @@ class Twist(Kind):
         section = int(sections_with_twist[np.argmin(np.abs(x[sections_with_twist]))])
         note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         frames = _Frames.of(test, parts)
-        others = [shape.twist[:, other] for other in sections_with_twist if other != section]
-        similar = [other for other in others if np.isfinite(other).any()]
+        other_twists = [shape.twist[:, other] for other in sections_with_twist if other != section]
+        similar = [other for other in other_twists if np.isfinite(other).any()]
         twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)

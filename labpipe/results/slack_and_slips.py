@@ -175,8 +175,8 @@ def _candidate_drops(window: _Window, place: int, longest: int) -> Floats:
     begins = np.arange(first, last, start_step)
     lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
     drops = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
-    near: Floats = drops[drops.sum(axis=1) <= window.high - 5]
-    return near
+    candidates: Floats = drops[drops.sum(axis=1) <= window.high - 5]
+    return candidates
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,9 +243,11 @@ def _estimate_correlation(f: Floats) -> float:
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
     power = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
-    seen = float(np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power))
+    estimated_correlation = float(
+        np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power)
+    )
     factors, expected = _expected_correlations(width)
-    return float(np.interp(seen, expected, factors))
+    return float(np.interp(estimated_correlation, expected, factors))
 
 
 @cache
@@ -403,8 +405,8 @@ def _choose_block_size(d: Floats, longest: float | None) -> tuple[int, int]:
     """Return the samples per block, and the blocks of the longest slip."""
     min_slip_blocks = 8
     travel = float(np.ptp(d))
-    reach = min(0.02 * travel, 1e-3) if longest is None else longest
-    samples = reach / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
+    block_length = min(0.02 * travel, 1e-3) if longest is None else longest
+    samples = block_length / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
     size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_SEARCHED_SAMPLES))
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 

@@ -372,8 +372,8 @@ class LoadingSlope:
         """
         stretch, inside = self.slope.inside()
         path = self.slope.path[stretch][inside]
-        near = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
-        return float(near.mean())
+        is_near_start = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
+        return float(is_near_start.mean())
 
     def compute_rows(self, displacement: Floats, force: Floats) -> Floats:
         """Return the stiffness of branches with noise, each with its own take-up.
@@ -613,13 +613,13 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
         if not test.cycles:
             raise test.make_error(NO_LOADING)
-        first, *others = test.cycles
+        first, *later_cycles = test.cycles
         stiffness = LoadingStiffness(over=self.over)
         before = stiffness.make_decider(test, 1)
         base = return_failure(test.measure_one)(before)
         plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
         numbers = []
-        for later in others:
+        for later in later_cycles:
             after = stiffness.make_decider(test, later[0].cycle)
             decide = combine_numbers(
                 lambda _, after, first: divide(after, first), after, _require_first_cycle(before)

@@ -558,9 +558,9 @@ def _yield_samples(pull: Pull) -> tuple[int, int]:
     # falls again.
     risen = plateau - np.fmin.accumulate(plateau) > clear
     start = int(np.argmax(risen)) if risen.any() else 0
-    rest = plateau[start:]
-    if start and np.nanmax(np.fmax.accumulate(rest) - rest) > clear:
-        return upper, upper + start + int(np.nanargmin(rest))
+    later_stress = plateau[start:]
+    if start and np.nanmax(np.fmax.accumulate(later_stress) - later_stress) > clear:
+        return upper, upper + start + int(np.nanargmin(later_stress))
     return upper, upper + int(np.nanargmin(plateau))
 
 
@@ -639,11 +639,11 @@ class MaximumForceElongation(TensionResult):
 def _flat_top(pull: Pull) -> slice:
     """Return the samples around the largest stress that differ from it by less than noise."""
     around = slice(max(pull.peak - 50, 0), pull.peak + 50)
-    near = pull.stress >= pull.stress[pull.peak] - 2.0 * _noise(pull.stress[around])
-    before = np.flatnonzero(~near[: pull.peak])
-    after = np.flatnonzero(~near[pull.peak :])
+    is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _noise(pull.stress[around])
+    before = np.flatnonzero(~is_near_peak[: pull.peak])
+    after = np.flatnonzero(~is_near_peak[pull.peak :])
     start = int(before[-1]) + 1 if len(before) else 0
-    return slice(start, pull.peak + int(after[0]) if len(after) else len(near))
+    return slice(start, pull.peak + int(after[0]) if len(after) else len(is_near_peak))
 
 
 def _strain_at(pull: Pull, sample: int, *, is_plastic: bool) -> float:

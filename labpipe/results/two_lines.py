@@ -72,8 +72,8 @@ class _BreakScan:
         _, _, norms = self.sum_hinges(breaks)
         shr = sxr - breaks * sr
         gain = np.where(norms > 0.0, shr * shr / np.where(norms > 0.0, norms, 1.0), 0.0)
-        rest: Floats = float(self.r @ self.r) - gain
-        return rest
+        squares: Floats = float(self.r @ self.r) - gain
+        return squares
 
     def _above(self, places: Floats) -> Floats:
         """Return sums over the samples beyond each place, shape (5, ...)."""
@@ -251,8 +251,12 @@ class Hinges:
         gain_before, top_gain, gain_behind = np.take_along_axis(
             gain, top[:, None] + [-1, 0, 1], axis=1
         ).T
-        bent = 2.0 * top_gain - gain_before - gain_behind
-        off = 0.5 * (gain_behind - gain_before) / np.where(bent > 0.0, bent, np.inf)
+        gain_curvature = 2.0 * top_gain - gain_before - gain_behind
+        off = (
+            0.5
+            * (gain_behind - gain_before)
+            / np.where(gain_curvature > 0.0, gain_curvature, np.inf)
+        )
         best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
         return best
 
@@ -459,9 +463,9 @@ class TwoSegments(_TwoLines):
         start, stop = read = fit.hinges.ends
         bend, during = place.value, test.find_loading_interval(*read)
         slips = find_marked_slips(test, read)  # one bends both
-        one, other = (output.name for output in self.outputs[:2])
+        first_name, second_name = (output.name for output in self.outputs[:2])
         numbers = ((first, slips), (second, slips), (place, slips + fit.find_break_doubts))
-        sides = ((one, 1, (max(start, 0.0), bend)), (other, 2, (max(bend, 0.0), stop)))
+        sides = ((first_name, 1, (max(start, 0.0), bend)), (second_name, 2, (max(bend, 0.0), stop)))
         return Computed(
             tuple(
                 self.make_result(test, number, output=output, during=during, doubts=doubts)
@@ -477,7 +481,7 @@ class TwoSegments(_TwoLines):
                 )
                 for name, number, window in sides
             },
-            fit.make_lines(one, other),
+            fit.make_lines(first_name, second_name),
         )
 
 

@@ -217,13 +217,13 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
     left_out: dict[str, dict[str, Reason]] = {}
     for name, ways in find_mixed_methods(samples).items():
         usual = max(ways, key=lambda way: len(ways[way]))
-        others = {
+        reasons_of_tests = {
             key: Reason.of("statistics.made_otherwise", way=way or "no stated method", usual=usual)
             for way, keys in ways.items()
             if way != usual
             for key in keys
         }
-        left_out[name] = others
+        left_out[name] = reasons_of_tests
     return left_out
 
 
@@ -266,8 +266,8 @@ def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     >>> list_minority_tests({"2 mm": ["a", "b"], "1 mm": ["f"]})
     ('f',)
     """
-    *others, _ = sorted(tests.values(), key=len)
-    return tuple(dict.fromkeys(test for entries in others for test in entries))
+    *minorities, _ = sorted(tests.values(), key=len)
+    return tuple(dict.fromkeys(test for entries in minorities for test in entries))
 
 
 def describe_values(tests: Mapping[str, Sequence[str]]) -> str:

@@ -189,11 +189,11 @@ def compare_groups(
     One per result that has a mean in both groups and one unit, in the order of `names`, without a
     verdict (`judge_family`), with a caveat if the methods of the two differ.
     """
-    one = {number.name: number for number in first.numbers}
-    two = {number.name: number for number in second.numbers}
+    first_numbers = {number.name: number for number in first.numbers}
+    second_numbers = {number.name: number for number in second.numbers}
     differences = []
-    for name in names or one:
-        first_number, second_number = one.get(name), two.get(name)
+    for name in names or first_numbers:
+        first_number, second_number = first_numbers.get(name), second_numbers.get(name)
         if first_number is None or second_number is None or first_number.unit != second_number.unit:
             continue
         if first_number.mean is not None and second_number.mean is not None:

@@ -382,8 +382,11 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
     """Sort causes in the order of budgets and figures, `SCATTER` first and unknown ones last."""
-    every, known = set(causes), (SCATTER, *IS_COMMON)
-    return [*(cause for cause in known if cause in every), *sorted(every.difference(known))]
+    all_causes, known_causes = set(causes), (SCATTER, *IS_COMMON)
+    return [
+        *(cause for cause in known_causes if cause in all_causes),
+        *sorted(all_causes.difference(known_causes)),
+    ]
 
 
 def _of_mean(mean: MeanInterval) -> dict[str, float]:
@@ -532,13 +535,15 @@ def subtract_changes(
     ----------
     first, second : changes of two means of tests on one rig, where a cause acts on both
     """
-    one, two = (
+    first_changes, second_changes = (
         {contribution.cause: contribution.change for contribution in contributions}
         for contributions in (first, second)
     )
     return tuple(
-        Contribution(cause, two.get(cause, 0.0) - one.get(cause, 0.0), is_common=True)
-        for cause in dict.fromkeys([*one, *two])
+        Contribution(
+            cause, second_changes.get(cause, 0.0) - first_changes.get(cause, 0.0), is_common=True
+        )
+        for cause in dict.fromkeys([*first_changes, *second_changes])
     )
 
 

@@ -36,9 +36,9 @@ class _TestStep:
 
     Parameters
     ----------
-    index : of the value
-    p_value : of the value
-    tied_indices : of the other values that are equally far from the mean of their spool
+    index : index of the value
+    p_value : p-value of the value
+    tied_indices : indices of other values that are equally far from the mean of their spool
     """
 
     index: int
@@ -76,7 +76,7 @@ class OutlierTest:
         ----------
         max_p_value : false-alarm rate for this number
         """
-        # A significant step marks all earlier steps: each has the smallest p-value from it on.
+        # Each step gets the smallest p-value from it on: a significant step marks all earlier ones.
         p_values = [
             min(step.p_value for step in self.steps[position:])
             for position in range(len(self.steps))

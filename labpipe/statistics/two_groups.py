@@ -72,14 +72,16 @@ def compute_contrast(
     if first.interval is None or second.interval is None:
         return None
     is_log = first.is_log and second.is_log
-    one, two = (first.middle, second.middle) if is_log else (1.0, 1.0)
-    common = [_over(mean.common, size) for mean, size in ((first, one), (second, two))]
+    first_scale, second_scale = (first.middle, second.middle) if is_log else (1.0, 1.0)
+    common = [
+        _over(mean.common, size) for mean, size in ((first, first_scale), (second, second_scale))
+    ]
     room = None
     if margin is not None:
         room = log1p(margin) if is_log else margin * abs(first.mean)
     return Contrast(
-        difference=log(two / one) if is_log else second.middle - first.middle,
-        errors=(_error(first) / one, _error(second) / two),
+        difference=log(second_scale / first_scale) if is_log else second.middle - first.middle,
+        errors=(_error(first) / first_scale, _error(second) / second_scale),
         counts=(first.n, second.n),
         shared=combine_changes(subtract_changes(*common)),
         margin=room or None,
@@ -186,8 +188,11 @@ def compare_means(
     -------
     With its own p-values and no verdict: see `judge_family`.
     """
-    one, two = first[1].chosen, second[1].chosen
-    difference, contrast = subtract_means(one, two), compute_contrast(one, two, margin)
+    first_mean, second_mean = first[1].chosen, second[1].chosen
+    difference, contrast = (
+        subtract_means(first_mean, second_mean),
+        compute_contrast(first_mean, second_mean, margin),
+    )
     nothing = float("nan")
     return Difference(
         name=name,
@@ -195,7 +200,7 @@ def compare_means(
         first=first[0],
         second=second[0],
         difference=difference,
-        margin=None if margin is None or one.mean == 0.0 else margin * abs(one.mean),
+        margin=None if margin is None or first_mean.mean == 0.0 else margin * abs(first_mean.mean),
         contrast=contrast,
         p=nothing if contrast is None else compute_difference_p(contrast),
         p_equivalent=nothing if contrast is None else compute_equivalence_p(contrast),

@@ -173,9 +173,9 @@ class Target:
             # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
             encoded = [read_text.encode() for read_text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
-        rest = tuple(max(size, 1) for size in values.shape[1:])
-        rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(rest)), 1)  # at most all rows
-        chunk = (max(min(rows, len(values)), 1), *rest)
+        row_shape = tuple(max(size, 1) for size in values.shape[1:])
+        rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(row_shape)), 1)  # at most all rows
+        chunk = (max(min(rows, len(values)), 1), *row_shape)
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
@@ -270,16 +270,16 @@ def _instead_of_hdf5(path: Path) -> str:
 
 
 def _check_schema(path: Path, root: Any) -> None:
-    schema, known = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
+    schema, current_schema = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
     if schema is None:
-        raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=known)
-    if schema != known:
-        is_newer = schema > known
+        raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=current_schema)
+    if schema != current_schema:
+        is_newer = schema > current_schema
         raise StoreError.about(
             "store.newer_schema" if is_newer else "store.other_schema",
             path,
             layout.SCHEMA_ATTRIBUTE,
-            known=known,
+            known=current_schema,
             schema=schema,
         )
 

@@ -40,11 +40,13 @@ _CHANNEL_TEXTS: Final = {
     "unit_in_file": "unit_in_file",
     "calibration": "calibration",
 }
+_SPECIMEN_WORDS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
+"""Attributes of the names and words of each mapping of a specimen."""
 _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
-    """Write dimensions, labels and bundle.
+    """Write dimensions, labels, observations and bundle.
 
     Parameters
     ----------
@@ -57,9 +59,10 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     target.write_texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
-    if specimen.labels:
-        target.write_texts("labels", tuple(specimen.labels))
-        target.write_texts("label_words", tuple(specimen.labels.values()))
+    for name, (keys, words) in _SPECIMEN_WORDS.items():
+        if named := getattr(specimen, name):
+            target.write_texts(keys, tuple(named))
+            target.write_texts(words, tuple(named.values()))
     if specimen.bundle is not None:
         _write_bundle(target.open_group("bundle"), specimen.bundle)
 
@@ -85,18 +88,19 @@ def read_specimen(root: Any) -> Specimen:
     ----------
     root : open result file
     """
-    named = {name: read_text(root, where) for name, where in _SPECIMEN_TEXTS.items()}
+    named: dict[str, Any] = {
+        name: read_text(root, where) for name, where in _SPECIMEN_TEXTS.items()
+    }
     group = root[layout.SPECIMEN]
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(read_texts(group, "dimensions"), values, strict=True))
     bundle = _bundle(group["bundle"]) if "bundle" in group else None
-    has_labels = "labels" in group.attrs
-    labels = (
-        zip(read_texts(group, "labels"), read_texts(group, "label_words"), strict=True)
-        if has_labels
-        else ()
-    )
-    return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=dict(labels))
+    words: dict[str, Any] = {
+        name: dict(zip(read_texts(group, keys), read_texts(group, texts), strict=True))
+        for name, (keys, texts) in _SPECIMEN_WORDS.items()
+        if keys in group.attrs
+    }
+    return Specimen(**named, **words, dimensions=dimensions, bundle=bundle)
 
 
 def _bundle(group: Any) -> Bundle:
@@ -153,8 +157,8 @@ def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
-        wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
-        names.append(make_link_name(wanted, target.group))
+        link_name = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
+        names.append(make_link_name(link_name, target.group))
         dataset = target.write_array(
             names[-1], clock.time, list_datasets(Clock)["time"], clock.unit
         )

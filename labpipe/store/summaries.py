@@ -16,6 +16,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
 from labpipe.store.replace import locked, replacing
 
 SUMMARY_FILE = "summary.json"
@@ -52,6 +53,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
             "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
         },
         "results": [build_result_entry(entry) for entry in result.results],
+        **_verdict(result),
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}
             for note in result.quality
@@ -110,11 +112,18 @@ def _specimen(specimen: Specimen) -> dict[str, object]:
     bundle = specimen.bundle
     about = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
     optional = {"bundle": about | (content["bundle"] or {}), "labels": content["labels"]}
+    optional["observed"] = content["observed"]
     return {
         **{name: content[name] for name in ("type", "spool", "sample")},
         **content["dimensions"],
         **{name: entry for name, entry in optional.items() if entry},
     }
+
+
+def _verdict(result: TestResult) -> dict[str, object]:
+    """Return the verdict on a test whose protocol asks for a limit."""
+    share = find_result(result.results, PEAK_OVER_LIMIT)
+    return {} if share is None else {"verdict": to_json(judge_sample(share))}
 
 
 def build_result_entry(result: Result) -> dict[str, object]:
@@ -149,7 +158,9 @@ def build_result_entry(result: Result) -> dict[str, object]:
 
 
 def _inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
-    return [{"role": one.role, "file": one.file, "sha256": one.sha256} for one in inputs]
+    return [
+        {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
+    ]
 
 
 def check_summary(result: TestResult, path: Path) -> None:

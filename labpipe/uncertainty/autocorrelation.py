@@ -318,9 +318,9 @@ def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
     unit = np.empty((len(covariances), spent, spent))
     for one in range(spent):
         for other in range(spent):
-            both = np.correlate(basis[one], basis[other], mode="full")
-            lagged = both[count - 1 :].copy()
-            lagged[1:] += both[: count - 1][::-1]
+            correlations = np.correlate(basis[one], basis[other], mode="full")
+            lagged = correlations[count - 1 :].copy()
+            lagged[1:] += correlations[: count - 1][::-1]
             unit[:, one, other] = covariances @ lagged
     return unit
 

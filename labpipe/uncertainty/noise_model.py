@@ -266,8 +266,10 @@ def estimate_noise(
     # Constant branches, saturated or frozen, contain no noise.
     moves = [_range_of(branch) > 0.0 for branch in branches]
     span = max(map(_range_of, branches), default=0.0)
-    both = [_without_gaps(*pair) for pair in compress(zip(branches, smooth, strict=True), moves)]
-    branches, smooth = [branch for branch, _ in both], [curve for _, curve in both]
+    branch_pairs = [
+        _without_gaps(*pair) for pair in compress(zip(branches, smooth, strict=True), moves)
+    ]
+    branches, smooth = [branch for branch, _ in branch_pairs], [curve for _, curve in branch_pairs]
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // copies
     if longest <= SHORT_RECORD_SAMPLES:
@@ -298,8 +300,10 @@ def estimate_noise(
     is_level = power <= _CORNER_VARIANCE_RATIO * np.median(power)
     is_alike = is_level.copy()
     for _ in range(max_rounds):
-        seen = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
-        best = spectra[np.argmax(SpectrumPosterior.combine([seen], processes.prior).chances)]
+        window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
+        best = spectra[
+            np.argmax(SpectrumPosterior.combine([window_likelihood], processes.prior).chances)
+        ]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
@@ -308,7 +312,7 @@ def estimate_noise(
         is_alike[is_alike] = ~odd
     still = [*_rest_middles(before, width), *_rest_middles(behind, width, is_behind=True)]
     is_seen = np.ones(len(spectra), np.bool_) if still else _seen_in_pieces(processes, width)
-    parts = [seen, *(_part_likelihood(processes, *rest) for rest in still)]
+    parts = [window_likelihood, *(_part_likelihood(processes, *rest) for rest in still)]
     more = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
         more = power[power >= np.median(power)].mean() / power[is_alike].mean()
@@ -534,15 +538,15 @@ def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
     lowest = np.inf
     for correlation in correlations:
         # What is left of a polynomial is one of the same degree.
-        rest = values[1:] - correlation * values[:-1] if correlation else values
-        skipped = count - len(rest)
-        for degrees, left, ends in _best_cuts(_sums_of_squares(rest)):
+        innovations = values[1:] - correlation * values[:-1] if correlation else values
+        skipped = count - len(innovations)
+        for degrees, left, ends in _best_cuts(_sums_of_squares(innovations)):
             spent = sum(degrees) + 2 * len(degrees) - 1 + skipped
             if count - spent - 2 <= 0:
                 continue
             penalty = spent * np.log(count) / (count - spent - 2)
             least = max(left, rounding, np.finfo(float).tiny)
-            criterion = np.log(least / len(rest)) + penalty
+            criterion = np.log(least / len(innovations)) + penalty
             if criterion < lowest:
                 lowest = criterion
                 cuts = [skipped + end for end in ends]

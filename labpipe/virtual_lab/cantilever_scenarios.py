@@ -468,9 +468,9 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If an equilibrium does not exist.
     """
-    rig, rest = _attach_string(test)
+    rig, state_at_rest = _attach_string(test)
     cycles: list[list[Segment]] = []
-    state, max_curvature, starts = rest.state, 0.0, []
+    state, max_curvature, starts = state_at_rest.state, 0.0, []
     for number in range(1, test.cycles + 1):
         starts.append(state)
         # loops of a rate-independent law close
@@ -479,7 +479,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
             continue
         segments, state, max_curvature = _Cycle(test, rig, number).walk(state, max_curvature)
         cycles.append(segments)
-    return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
+    return MechanicalPath(test, rig, state_at_rest, tuple(s for cycle in cycles for s in cycle))
 
 
 def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
@@ -509,9 +509,9 @@ class _Cycle:
         """Load and unload; return segments, final state, and the largest curvature so far."""
         segments: list[Segment] = []
         progress = 2.0 * self.test.stroke * (self.number - 1)
-        for goal in (self.test.stroke, 0.0):
-            for shapes in self._solve_branch(state, goal, max_curvature):
-                segments.append(_build_segment(shapes, self.number, goal > 0.0, progress))
+        for target in (self.test.stroke, 0.0):
+            for shapes in self._solve_branch(state, target, max_curvature):
+                segments.append(_build_segment(shapes, self.number, target > 0.0, progress))
                 state, progress = shapes[-1].state, float(segments[-1].progress[-1])
                 max_curvature = _find_largest_curvature(shapes, max_curvature)
         return segments, state, max_curvature

@@ -147,7 +147,9 @@ def _describe_specimen(scenario: Scenario) -> dict[str, object]:
     }
     match scenario:
         case TensileScenario():
-            return entries | {"length": _format_mm(scenario.length)}
+            words = {"labels": dict(scenario.labels), "observed": dict(scenario.observed)}
+            entries["length"] = _format_mm(scenario.length)
+            return entries | {name: block for name, block in words.items() if block}
         case ConduitScenario():
             span = _format_mm(scenario.test.span)
             return entries | {"span": span, "bundle": _describe_bundle(scenario.bundle)}

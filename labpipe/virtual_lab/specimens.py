@@ -496,8 +496,8 @@ def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     limits = bundle.slip_curvature * mean / distance
     stiffnesses = bundle.friction_share * rigid[off_axis]
     glue = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
-    held = bundle.glue_share * float(np.sum(outer))
-    return np.append(limits, glue), np.append(stiffnesses, held)
+    glue_stiffness = bundle.glue_share * float(np.sum(outer))
+    return np.append(limits, glue), np.append(stiffnesses, glue_stiffness)
 
 
 def _compute_moment(law: PlayLaw, curvature: Floats) -> Floats:

@@ -174,6 +174,7 @@ class TensileScenario:
     export : layout
     section : m, dimensions of the section that differ from the protocol, by name
     date : ISO date for the test sheet and the exports
+    labels, observed : words of the test sheet on the specimen and on the tested sample, by name
     """
 
     name: str
@@ -190,6 +191,8 @@ class TensileScenario:
     export: ExportLayout = ExportLayout()
     section: tuple[tuple[str, float], ...] = ()
     date: str = "2026-03-09"
+    labels: tuple[tuple[str, str], ...] = ()
+    observed: tuple[tuple[str, str], ...] = ()
 
     @property
     def last_displacement(self) -> float:
@@ -212,6 +215,8 @@ GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
 _CORRUGATED = BilinearLaw(1.80e3, 0.55e3, 19e-3, knee=18e-3, slack=0.4e-3, toe=0.4e-3)
 _TAPE = BilinearLaw(12.0e3, 2.1e3, 6.5e-3, knee=3e-3, slack=0.5e-3, toe=0.8e-3)
+_CRIMP = BilinearLaw(0.8e3, 0.2e3, 1.0e-3, knee=0.4e-3, toe=0.2e-3)
+"""Of a strength of 1 N, reached 2 mm after the foot."""
 _BAR = BilinearLaw(1.55e8, 1.55e8, 1.0, slack=20e-6, toe=0.3e-6)
 
 _R_CONTROLLER = FrameInstruments(
@@ -336,6 +341,50 @@ def build_pet_tape(
         failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
         export=ExportLayout("N"),
         date="2026-03-11",
+    )
+
+
+def build_crimp_pull(
+    specimen_type: str,
+    sample: int,
+    *,
+    strength: float,
+    conductor: str,
+    separation: str,
+    gain_error: float = 0.0,
+) -> TensileScenario:
+    """Build a pull of a crimp at 25 mm/min until contact and conductor separate.
+
+    Parameters
+    ----------
+    specimen_type, sample : for the test sheet
+    strength : N, largest force, 2.3 mm after the start
+    conductor : its section, as the test sheet states it
+    separation : kind of separation; of a slip the force falls over 3 mm
+    gain_error : of the load cell
+    """
+    speed = 25e-3 / 60.0
+    law = replace(_CRIMP.scaled(strength), slack=0.2e-3)
+    fails_at = law.foot + 2.0e-3
+    slip = Failure(fails_at, duration=3e-3 / speed, residue=0.0)
+    breaks = Failure(fails_at, duration=0.01, residue=0.0)
+    return TensileScenario(
+        name=f"{specimen_type}-{sample}",
+        protocol="crimp-pull",
+        specimen_type=specimen_type,
+        spool="reel-1",
+        sample=str(sample),
+        length=0.15,
+        law=law,
+        frame=LoadFrame(speed=speed, stroke=20e-3, overrun=3.5e-3 / speed),
+        instruments=replace(
+            _build_instruments(100.0, gain_error), white_noise=0.05, slow_noise=0.05, tare=0.4
+        ),
+        failure=slip if separation == "slip" else breaks,
+        export=ExportLayout("N"),
+        date="2026-03-12",
+        labels=(("conductor", conductor),),
+        observed=(("separation", separation),) if separation else (),
     )
 
 

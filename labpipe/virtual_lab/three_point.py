@@ -364,8 +364,8 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.law(), arc_length)
-    rest = half.release(make_unbent_plays(half.law, test.n_stations))
-    loading = [rest, *_solve_branch(half, rest, test.stroke, is_unloading=False)]
+    state_at_rest = half.release(make_unbent_plays(half.law, test.n_stations))
+    loading = [state_at_rest, *_solve_branch(half, state_at_rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
 

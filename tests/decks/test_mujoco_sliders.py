@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -114,6 +115,22 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     assert np.max(np.abs(places @ [0.0, -np.sin(towards), np.cos(towards)])) < 0.2e-3
 
 
+@pytest.mark.parametrize(
+    ("share", "residual", "ratio"), [(0.35, 8.46, 1.023), (0.65, 11.50, 1.040), (1.0, 15.18, 1.053)]
+)
+def test_the_example_lets_limits_grow(share: float, residual: float, ratio: float) -> None:
+    """A2 by the numbers of PHYSICS 13: what remains of 50 mm, and the second peak."""
+    pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
+    script = runpy.run_path(str(EXAMPLES.with_name("mujoco_growing.py")))
+    deck = write_mujoco_plane_deck(example("A2"), length=LENGTH, isotropic_share=share)
+    first = 0.1312
+    tip = 1e3 * script["bend"](deck, [first, 0.0, ratio * first, 0.0])[:, 1]
+    assert tip[0] == pytest.approx(50.0, rel=0.002)
+    assert tip[1] == pytest.approx(residual, rel=0.012)
+    assert tip[2] == pytest.approx(50.0, rel=0.005)
+    assert tip[3] > tip[1]
+
+
 def _checked(deck: str) -> list[float]:
     """Load, deflection, and that without yielding, of the check at the head of a deck."""
     match = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
@@ -159,6 +176,7 @@ def test_numbers_out_of_range(approved: Approve) -> None:
         lambda: write_mujoco_plane_deck(table, length=0.0),
         lambda: write_mujoco_plane_deck(table, nodes=2),
         lambda: write_mujoco_plane_deck(table, sliders=0),
+        lambda: write_mujoco_plane_deck(table, isotropic_share=1.2),
     ]
     for mass in (0.0, -1.0, np.nan):
         light = replace(table, mass_per_length=mass)

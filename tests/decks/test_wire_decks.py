@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from labpipe import __version__
 from labpipe.mechanics.decks import DECKS, deck_texts, write_decks
@@ -40,13 +41,17 @@ from labpipe.mechanics.decks.lookup import (
     write_sliders_csv,
     write_sliders_json,
 )
+from labpipe.mechanics.decks.unloading import find_bends, make_table_strands
 from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
 from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_wire_sliders
+from labpipe.mechanics.law.plays import make_unbent_plays, respond
+from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
+from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
 from tests.approved import Approve
-from tests.builders.stranded_wires import wire
+from tests.builders.stranded_wires import contacts_of, wire
 from tests.builders.wire_tables import loss_card, wire_table
 
 
@@ -490,6 +495,77 @@ def test_the_json_table() -> None:
     assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"
     )
+
+
+@pytest.mark.parametrize("share", [None, 0.65])
+def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
+    """Against the law for moments as the input, and first slopes by hand."""
+    table = wire_table("A2")
+    table = replace(table, spec=replace(table.spec, isotropic_share=share))
+    numbers = json.loads(write_lookup_json(table))["loss_card"]["unloading"]
+    bends = np.array(numbers["released_from"])
+    assert bends.tolist() == [5.0, 12.0, 23.5]
+    assert numbers["isotropic_share"] == ([0.35, 1.0] if share is None else [share, share])
+    section = wire("A2")
+    moment = np.interp(bends, table.curvature, table.moment)
+    columns = np.array(numbers["wire"]["kept"]).T
+    shares, kept_shares = [*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]
+    for m, kept in zip(shares, kept_shares, strict=True):
+        law = cyclic_law(
+            section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
+        )
+        history = respond(law, moment, make_unbent_plays(law, len(bends))).plays
+        after = respond(law, np.zeros(len(bends)), history).curvature
+        assert kept == pytest.approx(after / bends, abs=0.004)
+    least, most = np.array(numbers["wire"]["lost"]).T
+    assert np.all(numbers["masing"]["lost"] < least)
+    assert np.all(least <= most)
+    elastic = 1.0 - moment / (table.moment[1] / table.curvature[1] * bends)
+    assert numbers["isotropic"]["kept"] == pytest.approx(elastic)
+
+
+def test_bends_that_a_table_does_not_reach() -> None:
+    assert find_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
+    assert find_bends(table_of([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
+    assert find_bends(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
+
+
+def test_the_growing_slider_of_the_json() -> None:
+    """By the words of its `use`: along a loop as the law, first loading as without it."""
+    table = wire_table("A2")
+    content = json.loads(write_sliders_json(table))
+    block, slips = content["growing"], np.array(content["slip_curvatures"])
+    assert (block["isotropic_share"], block["share_interval"]) == (0.675, [0.35, 1.0])
+    assert set(content["units"]) >= {"slid", "limits", "spring_beside", "sliders_beside"}
+    slid, limits = np.array(block["slid"]), np.array(block["limits"])
+    slope = (limits[-1] - limits[-2]) / (slid[-1] - slid[-2])
+
+    def limit(q: float) -> float:
+        return float(np.interp(q, slid, limits) + slope * max(q - slid[-1], 0.0))
+
+    p, q, stops, moments = 0.0, 0.0, np.zeros(len(slips)), []
+    path = np.array([5.0, 23.5, 10.0, 1.0, -20.0, 3.0, 30.0])
+    for kappa, change in zip(path, np.diff(path, prepend=0.0), strict=True):
+        t = block["stiffness"] * (kappa - p)
+        if abs(t) > limit(q):
+            total = abs(t) + block["stiffness"] * q
+            after = brentq(lambda x: limit(x) + block["stiffness"] * x - total, 0.0, 1e3)  # noqa: B023
+            p, q = p + (after - q) * np.sign(t), after
+        stops = np.clip(stops + change, -slips, slips)
+        moment = block["spring_beside"] * kappa + stops @ np.array(block["sliders_beside"])
+        moments.append(moment + block["stiffness"] * (kappa - p))
+    law = share_hardening(fit_wire_sliders(table), make_table_strands(table), 0.675)
+    rests, expected = make_unbent_rests(law, 1), []
+    for kappa in path:
+        step = slide(law, np.array([kappa]), rests)
+        rests = step.rests
+        expected.append(step.moment[0])
+    assert moments == pytest.approx(expected, rel=1e-9)
+    assert moments[:2] == pytest.approx(
+        np.interp(path[:2], table.curvature, table.moment), rel=5e-3
+    )
+    masing = replace(table, spec=replace(table.spec, isotropic_share=0.0))
+    assert json.loads(write_sliders_json(masing))["growing"] is None
 
 
 def test_rows_of_the_csv_make_the_law() -> None:

@@ -22,7 +22,7 @@ from tests.store.builders_result import build_result
     st.integers(1, 20),
 )
 def test_thinned_line_is_as_wide_and_as_broken_as_the_samples(values: Floats, bins: int) -> None:
-    kept = find_extremes(values, bins=bins)
+    kept = find_extremes(values, n_bins=bins)
     assert (np.diff(kept) > 0).all()
     if len(values):
         assert kept[0] == 0
@@ -39,17 +39,17 @@ def test_worst_flag_of_a_stretch_wins() -> None:
     flags[503, 1] = 0
     flags[504, 1] = 2
     by_rank = (1, 2, 0)
-    thin = thin_flags(flags, by_rank, bins=10)
+    thin = thin_flags(flags, by_rank, n_bins=10)
     assert thin[:, 0].tolist() == [1] * 10
     assert thin[:, 1].tolist() == [1] * 5 + [0] + [1] * 4
-    np.testing.assert_array_equal(thin_flags(flags[:7], by_rank, bins=10), flags[:7])
-    assert thin_flags(flags[:0], by_rank, bins=10).shape == (0, 2)
+    np.testing.assert_array_equal(thin_flags(flags[:7], by_rank, n_bins=10), flags[:7])
+    assert thin_flags(flags[:0], by_rank, n_bins=10).shape == (0, 2)
 
 
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     x = np.linspace(0.0, 50.0, 2001)
     force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
-    kept = simplify_line(x, force, points=60)
+    kept = simplify_line(x, force, max_points=60)
     assert len(kept) < 10
     assert 10.0 in x[kept]
     assert {30.0, 30.025} <= set(x[kept].round(3).tolist())
@@ -60,17 +60,17 @@ def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
 def test_gaps_standstill_and_noise_in_bends() -> None:
     force = np.arange(100.0)
     force[40:45] = np.nan
-    assert simplify_line(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
+    assert simplify_line(np.arange(100.0), force, max_points=10).tolist() == [0, 39, 40, 45, 99]
     up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
-    assert {50, 99, 100} <= set(simplify_line(np.zeros(150), up, points=20).tolist())
-    assert simplify_line(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
-    assert simplify_line(np.zeros(0), np.zeros(0), points=5).tolist() == []
+    assert {50, 99, 100} <= set(simplify_line(np.zeros(150), up, max_points=20).tolist())
+    assert simplify_line(np.zeros(3), np.full(3, np.nan), max_points=5).tolist() == [0]
+    assert simplify_line(np.zeros(0), np.zeros(0), max_points=5).tolist() == []
     noise = np.random.default_rng(1).normal(size=3000)
-    kept = simplify_line(np.arange(3000.0), noise, points=50)
+    kept = simplify_line(np.arange(3000.0), noise, max_points=50)
     assert len(kept) == 50
     assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(kept.tolist())
-    with pytest.raises(ValueError, match="bins: expected at least 1, found 0"):
-        find_extremes(np.zeros(3), bins=0)
+    with pytest.raises(ValueError, match="n_bins: expected at least 1, found 0"):
+        find_extremes(np.zeros(3), n_bins=0)
 
 
 def with_protocol(text: str) -> Rig:

@@ -42,12 +42,14 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
     group = build_group("A", troubled_samples())
     number = group.numbers[1]
     plot = make_file_plots(group)["numbers"][1]
-    assert plot.y.names == (
+    assert plot.y.row_names == (
         "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
         "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
     )  # fmt: skip
-    dots = {float(line.y[0]): line for line in plot.lines if not line.look.startswith("interval")}
-    assert dots[0].look == "doubtful c0"
+    dots = {
+        float(line.y[0]): line for line in plot.lines if not line.css_class.startswith("interval")
+    }
+    assert dots[0].css_class == "doubtful c0"
     assert -5.0 not in dots  # it has no number
     assert number.mean is not None
     assert dots[-8.0].x == pytest.approx(1e-3 * number.mean.chosen.mean)

@@ -25,7 +25,7 @@ from labpipe.report.page_facts import (
     list_instruments,
 )
 from labpipe.report.page_tables import make_test_rows, name_page_file
-from labpipe.report.plot_records import FULL, Axis, Line, Plot
+from labpipe.report.plot_records import GRID_SIZE, Axis, Line, Plot
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
@@ -139,7 +139,7 @@ def points(path: str, x: Axis, y: Axis) -> list[Floats]:
     strokes = []
     for stroke in filter(None, re.split("M", path.rstrip("z"))):
         numbers = np.array(re.findall(r"-?\d+", stroke), dtype=np.float64)
-        steps = np.reshape(numbers, (-1, 2)).cumsum(axis=0) / FULL
+        steps = np.reshape(numbers, (-1, 2)).cumsum(axis=0) / GRID_SIZE
         across = x.low + steps[:, 0] * (x.high - x.low)
         strokes.append(np.column_stack([across, y.high - steps[:, 1] * (y.high - y.low)]))
     return strokes
@@ -150,8 +150,8 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
     y[40] = np.nan
     first, second = points(Line("curve", x, y).write_path(X, Y), X, Y)
-    np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
-    np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
+    np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / GRID_SIZE)
+    np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / GRID_SIZE)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
@@ -187,12 +187,12 @@ def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
 def test_curves_are_drawn_where_they_are() -> None:
     sample = build_sample("s1", "a")
     plot = panels(build_group("A", [sample], scaled=False))["curves"]
-    (line,) = (line for line in plot.lines if line.look == "curve c0")
+    (line,) = (line for line in plot.lines if line.css_class == "curve c0")
     assert len(line.x) <= 90
     curve = sample.loading[0]
     force = np.interp(line.x / 1e3, curve.displacement, curve.force)
     np.testing.assert_allclose(line.y, force, atol=1e-9)
-    assert "mean" not in [line.look for line in plot.lines]
+    assert "mean" not in [line.css_class for line in plot.lines]
 
 
 def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
@@ -210,6 +210,6 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
     assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
     assert np.isnan(shapes.lines[0].x).sum() == 3
-    looks = [line.look for line in moment.lines]
+    looks = [line.css_class for line in moment.lines]
     assert looks == ["band c0", "band c1", "curve c0", "curve c1"]
     assert moment.lines[2].y[-1] == pytest.approx(0.02)

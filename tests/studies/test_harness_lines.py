@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.decks.lookup import write_sliders_json
+from labpipe.mechanics.decks.unloading import release
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
     compute_slider_moment,
@@ -203,6 +204,19 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert of_deck.mass_per_length == pytest.approx(section.mass_per_length)
     assert (deck.name, deck.limit_source) == ("A2", wire.limit_source)
     assert deck.limit == pytest.approx(wire.limit)
+    assert deck.has_unknown_share
+    assert deck.best == wire.best
+    for share in (0.35, 0.675, 1.0):
+        laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]
+        kept, expected = (release(law, np.array([5.0, 12.0, 23.5])).kept for law in laws)
+        assert kept == pytest.approx(expected, rel=1e-6)
+    stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))
+    (tmp_path / "known.json").write_text(write_sliders_json(stated), encoding="utf-8")
+    of_known = material(tmp_path, "{sliders: known.json, diameter: 1.6 mm}")
+    assert not of_known.distributions
+    assert of_known.sections[0]({}).law.growing[0].stiffness == pytest.approx(
+        deck.sections[0]({"isotropic_share": 0.5}).law.growing[0].stiffness
+    )
     stiffer = deck.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
     assert stiffer.law.stiffnesses == pytest.approx(2.0 * of_deck.law.stiffnesses)
     assert stiffer.law.stiffness == pytest.approx(2.0 * of_deck.law.stiffness)
@@ -228,11 +242,14 @@ def test_files_without_a_law(tmp_path: Path, approved: Approve) -> None:
     deck = {"stiffness": 1e-4, "stiffnesses": [-1.0], "slip_curvatures": [1.0]}
     ranged = deck | {"range": {"curvature": [0.1, 9.0]}, "torsional_stiffness": 1e-4}
     none = {"reason": "it stiffens"}
-    for name, content in {"list": [], "none": none, "open": deck, "low": ranged}.items():
+    grown = {"stiffness": 1e-4, "slid": [0.0, 1.0], "limits": [1e-4, 2e-4], "isotropic_share": 0.5}
+    shared = ranged | {"stiffnesses": [1.0], "growing": grown | {"share_interval": [0.5, 2.0]}}
+    decks = {"list": [], "none": none, "open": deck, "low": ranged, "shared": shared}
+    for name, content in decks.items():
         (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
     (tmp_path / "damaged.json").write_bytes(b"\xff")
     sections = ["{wire: A22}", "{wire: A2, calibration: damaged.json}"]
-    for name in ("damaged.json", "list.json", "none.json", "open.json", "low.json"):
+    for name in ("damaged.json", "list.json", "none.json", "open.json", "low.json", "shared.json"):
         sections.append(f"{{sliders: {name}, diameter: 2 mm}}")
     messages = []
     for section in sections:

@@ -31,6 +31,7 @@ from labpipe.mechanics.decks.deck_law import (
     make_ansys_name,
     shorten_name,
 )
+from labpipe.mechanics.decks.unloading import Release, release_elastically
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
@@ -82,6 +83,12 @@ def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) 
     return "\n".join(lines) + "\n"
 
 
+def _unloading(table: WireTable, law: Thinned) -> tuple[str, Release]:
+    """Return the rule of a section that unloads with its first slope, and its release."""
+    first_slope = float(law.moment[1] / law.curvature[1])
+    return "with its first slope", release_elastically(table, first_slope)
+
+
 def _abaqus_comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
     return (
         *list_facts(table, shorten_name(table.name)),
@@ -89,7 +96,9 @@ def _abaqus_comments(table: WireTable, law: Thinned, label: str) -> tuple[str, .
         f"{law.error:.2g} of the wire's moment.",
         "Without ELASTIC and LINEAR: elastic-plastic, unloads with the first slope. No cycles.",
         *describe_deck_losses(
-            table, describe_isotropic_loss(table, law.error, "assuming isotropic hardening")
+            table,
+            describe_isotropic_loss(table, law.error, "assuming isotropic hardening"),
+            *_unloading(table, law),
         ),
         "The response beyond the last point is not documented: compare SK1, SK2 with the range.",
         f"M1 and M2 are uncoupled: in skew bending the wire is up to "
@@ -170,8 +179,8 @@ def _ansys_comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
         f"allowed;",
         f"the lines between them are within {law.error:.2g} of the wire's moment.",
         "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",
-        "where a wire follows Masing's rule. Not for cycles.",
-        *describe_deck_losses(table, loss, wide=line_width),
+        "friction included. Not for cycles.",
+        *describe_deck_losses(table, loss, *_unloading(table, law), wide=line_width),
         "BSM1 and BSM2 are uncoupled: in skew bending the wire is",
         f"up to {100.0 * compute_skew_bending_error(table):.2g} % too stiff.",
         f"BSAX: at constant twist, to a strain of {_MAX_STRAIN:g}.",

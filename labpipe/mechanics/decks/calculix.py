@@ -30,6 +30,7 @@ from labpipe.mechanics.decks.deck_law import (
     list_facts,
     shorten_name,
 )
+from labpipe.mechanics.decks.unloading import Release, release_elastically
 from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
@@ -107,8 +108,8 @@ def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMe
 @lru_cache(maxsize=4)
 def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
-    points, quads = _mesh_half_disc()
-    corners = np.unique(quads[:, :4])
+    points, quadrangles = _mesh_half_disc()
+    corners = np.unique(quadrangles[:, :4])
     stations = [
         np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]
@@ -121,13 +122,13 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
         np.column_stack([np.full(len(station_points), x), points[station_points]])
         for x, station_points in zip(station_x, stations, strict=True)
     ]
-    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quads) for i in range(n_bricks_along)]
+    bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quadrangles) for i in range(n_bricks_along)]
     return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
 
 
-def _stack_bricks(numbers: Ints, quads: Ints) -> Ints:
+def _stack_bricks(numbers: Ints, quadrangles: Ints) -> Ints:
     """Return the bricks of one layer, from the node numbers at its three stations."""
-    below, middle, above = (number[quads] for number in numbers)
+    below, middle, above = (number[quadrangles] for number in numbers)
     corners, mid_sides = slice(0, 4), slice(4, 8)
     faces = (below[:, corners], above[:, corners], below[:, mid_sides], above[:, mid_sides])
     return np.concatenate([*faces, middle[:, corners]], axis=1)
@@ -243,8 +244,19 @@ def _describe_model(table: WireTable, material: EquivalentMaterial) -> tuple[str
         f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
         *_describe_accuracy(material),
         "On unloading the bar follows its first slope, unlike a wire. Not for cycles.",
-        *describe_deck_losses(table, _describe_deck_loss(material)),
+        *describe_deck_losses(
+            table,
+            _describe_deck_loss(material),
+            "a bar with its first slope",
+            _release_bar(table, material),
+        ),
     )
+
+
+def _release_bar(table: WireTable, material: EquivalentMaterial) -> Release:
+    """Compute the release of the bar; its fibres do not yield again before zero moment."""
+    second_moment = np.pi / 64.0 * material.diameter**4
+    return release_elastically(table, material.modulus * second_moment)
 
 
 def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:
@@ -264,11 +276,11 @@ def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:
 
 def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
     """Describe the moment error of the bar, and the range in which it is small."""
-    largest = int(np.argmax(np.abs(material.error)))
+    position = int(np.argmax(np.abs(material.error)))
     yield (
-        f"there its moment is up to {100.0 * abs(material.error[largest]):.2g} % "
-        f"{'above' if material.error[largest] > 0.0 else 'below'} the wire's "
-        f"(at {material.curvature[largest]:.4g} 1/m)."
+        f"there its moment is up to {100.0 * abs(material.error[position]):.2g} % "
+        f"{'above' if material.error[position] > 0.0 else 'below'} the wire's "
+        f"(at {material.curvature[position]:.4g} 1/m)."
     )
     for tolerance in (0.01, 0.003):  # of the moment
         start = material.holds_from(tolerance)
@@ -281,10 +293,10 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
 
 def _describe_deck_loss(material: EquivalentMaterial) -> str:
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    above, below = (format_percent(float(part.max())) for part in (error[~is_linear], error))
+    hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
     return (
-        f"This deck: error on first loading up to {above} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {below} below."
+        f"This deck: error on first loading up to {hardening} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
     )
 
 

@@ -12,6 +12,11 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe import __version__
+from labpipe.mechanics.decks.unloading import (
+    Release,
+    collect_unloading_numbers,
+    describe_unloading,
+)
 from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, compute_turn_loss, make_table_card
 from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats
@@ -169,7 +174,7 @@ def make_abaqus_label(name: str) -> str:
 
     Examples
     --------
-    >>> abaqus_label("FLRY-B_0.35")
+    >>> make_abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
     return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
@@ -189,7 +194,7 @@ def make_ansys_name(name: str) -> str:
 
     Examples
     --------
-    >>> ansys_name("FLRY-B 0.35")
+    >>> make_ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
     remainder = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
@@ -209,7 +214,7 @@ def make_file_stem(name: str) -> str:
 
     Examples
     --------
-    >>> file_stem("A2")
+    >>> make_file_stem("A2")
     'A2'
     """
     max_length = 100
@@ -230,7 +235,7 @@ def shorten_name(name: str, max_length: int = 100) -> str:
 
     Examples
     --------
-    >>> on_one_line("a name that goes on and on", 12)
+    >>> shorten_name("a name that goes on and on", 12)
     'a name th...'
     """
     line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
@@ -296,15 +301,14 @@ def describe_deck_loss(first: float, way_back: float, turn: float, why: str) -> 
     return (
         f"This deck: error on first loading up to {format_percent(first)} of the moment; on "
         f"unloading from bends up to half of the range up to {format_percent(way_back)} of the "
-        f"moment at the reversal (from {turn:.2g} 1/m): {why}."
+        f"moment by Masing's rule at the reversal (from {turn:.2g} 1/m): {why}."
     )
 
 
 def describe_memoryless_loss(table: WireTable) -> str:
     """Describe in one line the error of a curve without memory."""
     turn = compute_table_turn(table)
-    why = "a curve has no memory, a wire follows Masing's rule"
-    return describe_deck_loss(0.0, turn.curve, turn.curve_at, why)
+    return describe_deck_loss(0.0, turn.curve, turn.curve_at, "a curve has no memory")
 
 
 def describe_isotropic_loss(table: WireTable, first: float, why: str) -> str:
@@ -320,22 +324,28 @@ def describe_isotropic_loss(table: WireTable, first: float, why: str) -> str:
     return describe_deck_loss(first, turn.isotropic, turn.isotropic_at, why)
 
 
-def describe_deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, ...]:
+def describe_deck_losses(
+    table: WireTable, loss: str, rule: str, form: Release, *, wide: int = 120
+) -> tuple[str, ...]:
     """Return the loss card for the head of a deck: its own error, then those of other forms.
 
     Parameters
     ----------
     table : law of the wire; without a fit by sliders, the reason instead
     loss : error of the deck itself
+    rule, form : of the deck on unloading, see `describe_unloading`
     wide : characters of a line
     """
     try:
-        other_forms = describe_losses(make_table_card(table))
+        other_forms: tuple[str, ...] = (
+            describe_unloading(table, rule, form),
+            describe_losses(make_table_card(table)),
+        )
     except ValueError as error:
-        other_forms = f"No loss card of other forms: {error}."
+        other_forms = (f"No loss card of other forms: {error}.",)
     return tuple(
         line.replace("~%", " %")  # keeps a number and its per cent sign on one line
-        for sentence in (loss, other_forms)
+        for sentence in (loss, *other_forms)
         for line in textwrap.wrap(sentence.replace(" %", "~%"), wide)
     )
 
@@ -370,4 +380,5 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
         "sliders": {str(number): lost for number, lost in card.sliders},
         "directions": {str(number): lost for number, lost in card.directions},
         "way_back": way_back,
+        "unloading": collect_unloading_numbers(table),
     }

@@ -16,6 +16,11 @@ from labpipe.mechanics.decks.deck_law import (
     list_facts,
     shorten_name,
 )
+from labpipe.mechanics.decks.unloading import (
+    collect_growing_numbers,
+    describe_unloading,
+    release_without_memory,
+)
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
 from labpipe.records.wire import WireTable
@@ -77,7 +82,13 @@ def write_lookup_csv(table: WireTable) -> str:
         f"{table.stretch_twist_coupling:.9g} N m.",
         *(
             f"# {line}"
-            for line in describe_deck_losses(table, describe_memoryless_loss(table), wide=1000)
+            for line in describe_deck_losses(
+                table,
+                describe_memoryless_loss(table),
+                "a curve",
+                release_without_memory(table),
+                wide=1000,
+            )
         ),
         "# moment = stick + slip + bending + plastic + insulation; lowest and highest over all "
         "directions of bending.",
@@ -145,12 +156,17 @@ _SLIDER_UNITS = {
     "stiffnesses": "N*m^2",
     "slip_curvatures": "1/m",
     "slip_moments": "N*m",
+    "slid": "1/m",
+    "limits": "N*m",
+    "spring_beside": "N*m^2",
+    "sliders_beside": "N*m^2",
     "moment": "N*m",
     "decay": "1/m",
     "curvature": "1/m",
     "mass_per_length": "kg/m",
     "torsional_stiffness": "N*m^2",
     "error": "1",
+    "isotropic_share": "1",
     "sideways": "1",
 }
 
@@ -181,6 +197,7 @@ def write_sliders_csv(table: WireTable) -> str:
         f"# Mass {find_mass(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
         "N m^2.",
         f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
+        f"# {describe_unloading(table, 'Masing')}",
         f"# {describe_losses(make_table_card(table))}",
         "# The first row is the spring, which never slides. On reversal a slider slips after twice "
         "its slip curvature (Masing).",
@@ -215,6 +232,7 @@ def write_sliders_json(table: WireTable) -> str:
         "slip_curvatures": law.slip_curvatures.tolist(),
         "slip_moments": compute_slip_moments(law).tolist(),
         "error": law.error,
+        "growing": collect_growing_numbers(table),
         "scalar_sliders": {
             "directions": space.directions,
             "apart": "180 / directions degrees; each acts on its component of the curvature",

@@ -35,6 +35,7 @@ from labpipe.mechanics.decks.deck_law import (
     shorten_name,
     write_xml_comment,
 )
+from labpipe.mechanics.decks.unloading import release_without_memory
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
 
@@ -164,7 +165,7 @@ def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
         *list_facts(table, shorten_name(table.name)),
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
         f"{validity}. The model has no limit there.",
-        *describe_deck_losses(table, loss, wide=1000),
+        *describe_deck_losses(table, loss, "elastic", release_without_memory(table), wide=1000),
         f"Torsional stiffness {table.torsional_stiffness:.6g} N m2, at constant "
         f"length: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",

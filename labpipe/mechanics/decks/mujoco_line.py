@@ -27,6 +27,7 @@ from labpipe.mechanics.decks.mujoco_sliders import (
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
@@ -61,7 +62,7 @@ def write_line_deck(
     hinges, sentences = make_space_hinges(chain)
     every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
     base = next((boundary for boundary in every if _is_base(boundary)), None)
-    held = [boundary for boundary in every if boundary is not base]
+    other_boundaries = [boundary for boundary in every if boundary is not base]
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
@@ -71,9 +72,9 @@ def write_line_deck(
         "worldbody": [
             '    <site name="space" />',
             *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
-            *_mocap_bodies(held, strings),
+            *_mocap_bodies(other_boundaries, strings),
         ],
-        "equality": _equalities(held, 2.0 * chain.unit_time),
+        "equality": _equalities(other_boundaries, 2.0 * chain.unit_time),
         "tendon": [*write_tendons(chain, hinges), *_strings(strings)],
         "actuator": _loads(loads),
     }
@@ -98,6 +99,8 @@ def _comments(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]
     out = [boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)]
     if out:
         yield f"Left out, as the chain has no contacts: {', '.join(out)}."
+    if chain.law.growing:
+        yield format_sentence("mechanics.decks.line_by_masing")
     yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."
     yield "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file."
 

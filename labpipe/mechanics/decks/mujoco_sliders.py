@@ -9,6 +9,10 @@ the chain is of second order in h.
 In space a node has two hinges with the tendons of `law.sliders` on sums of their angles,
 in directions that are rotated from one node to the next; a third hinge twists.
 
+A slider whose limit grows (isotropic hardening) is one more tendon, in a plane. MuJoCo keeps its
+yield constant: a program must raise it at each step by the plastic displacement so far
+(``examples/mujoco_growing.py``).
+
 Springs that yield keep the effect of an overshoot. Therefore a load must be ramped and the joints
 are damped; the deck states how long both take.
 """
@@ -32,6 +36,7 @@ from labpipe.mechanics.decks.deck_law import (
     write_xml_comment,
 )
 from labpipe.mechanics.decks.lookup import describe_missing_sliders
+from labpipe.mechanics.decks.unloading import describe_unloading, make_table_strands
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, SLIDERS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
@@ -40,9 +45,11 @@ from labpipe.mechanics.law.sliders import (
     SliderLaw,
     convert_to_plays,
     fit_directions,
+    share_hardening,
     turn_directions,
 )
 from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
@@ -117,6 +124,7 @@ def write_mujoco_plane_deck(
     sliders: int = SLIDERS,
     length: float | None = None,
     nodes: int = DEFAULT_NODES,
+    isotropic_share: float = 0.0,
 ) -> str:
     """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
@@ -126,10 +134,14 @@ def write_mujoco_plane_deck(
     sliders : at most
     length : free length, m; None for that of the wire's cantilever
     nodes : of the chain, at least 3
+    isotropic_share : from 0 (Masing's rule) to 1; above 0 the program that runs the model must
+        raise the yield of the tendons ``growing_<node>`` at each step
 
     Returns
     -------
-    MJCF. The actuator ``pull_y`` is a force at the tip, in N, of constant direction.
+    MJCF. The actuator ``pull_y`` is a force at the tip, in N, of constant direction. With an
+    isotropic share ``growing_yield`` has the yields over ``growing_slid``, the sum of the plastic
+    displacement so far without its sign, both in rad.
 
     Raises
     ------
@@ -140,9 +152,13 @@ def write_mujoco_plane_deck(
     -----
     A law that cannot be fitted by sliders (`fit_sliders`) gets the reason and nothing to run.
     """
+    in_range = 0.0 <= isotropic_share <= 1.0
+    require("isotropic_share", isotropic_share, "from 0 to 1", holds=in_range)
     law = _law(table, sliders)
     if isinstance(law, str):
         return law
+    if isotropic_share > 0.0:
+        law = share_hardening(law, make_table_strands(table, sliders), isotropic_share)
     chain = _chain(table, law, length, nodes)
     chain_law = chain.law
     hinges = Hinges(
@@ -151,10 +167,15 @@ def write_mujoco_plane_deck(
         chain_law.stiffnesses,
         chain_law.slip_curvatures,
     )
-    lines = (
+    lines: tuple[str, ...] = (
         f"{len(chain_law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: error up "
         f"to {100.0 * chain_law.error:.2g} % of the moment.",
     )
+    if chain_law.growing:
+        lines = (
+            *lines,
+            format_sentence("mechanics.decks.growing_tendons", share=isotropic_share),
+        )
     return _deck(table, chain, hinges, lines, pulls="y")
 
 
@@ -271,11 +292,34 @@ def _deck(
     ]
     sections = {
         "worldbody": ['    <site name="clamp" />', *_bodies(chain, hinges)],
-        "tendon": write_tendons(chain, hinges),
+        "tendon": [*write_tendons(chain, hinges), *_growing_tendons(chain)],
+        "custom": _growing_numbers(chain),
         "actuator": motors,
         "sensor": ['    <framepos name="tip" objtype="site" objname="tip" />'],
     }
     return write_model(table.name, [*_comments(table, chain), *lines], chain, hinges, sections)
+
+
+def _growing_tendons(chain: Chain) -> Iterator[str]:
+    """Return the slider of each node whose limit grows, in the plane."""
+    h = chain.spacing
+    for slider in chain.law.growing:
+        stiffness, first = slider.stiffness / h, slider.limits[0] / slider.stiffness * h
+        for node in range(1, chain.nodes + 1):
+            yield (
+                f'    <fixed name="growing_{node}" stiffness="{stiffness:{_DIGITS}}" '
+                f'springyield="{first:{_DIGITS}}"><joint joint="z_{node}" coef="1" /></fixed>'
+            )
+
+
+def _growing_numbers(chain: Chain) -> Iterator[str]:
+    """Return yields over the plastic displacement so far, rad."""
+    h = chain.spacing
+    for slider in chain.law.growing:
+        columns = {"slid": slider.slid * h, "yield": slider.limits / slider.stiffness * h}
+        for name, values in columns.items():
+            data = " ".join(f"{value:{_DIGITS}}" for value in values.tolist())
+            yield f'    <numeric name="growing_{name}" data="{data}" />'
 
 
 def write_model(
@@ -334,8 +378,9 @@ def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
 def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
     return (
         *list_facts(table, shorten_name(table.name)),
-        "Unloading and cycles follow Masing's rule: the springs yield and keep their plastic "
-        "displacement.",
+        "Springs yield and keep their plastic displacement: without growing tendons unloading and "
+        "cycles follow Masing's rule.",
+        describe_unloading(table, "Masing"),
         describe_losses(make_table_card(table)),
         f"Ramp every load over {RAMP} steps or more and let it settle for {REST} steps: springs "
         "that yield keep the effect of an overshoot. A stepped load with a tenth of this damping "
@@ -392,15 +437,15 @@ def write_node(chain: Chain, hinges: Hinges, node: int) -> Iterator[str]:
     node : number of the body; 0 is the base, which has no hinges
     """
     h = chain.spacing
-    reach = 0.5 * h if node in (0, chain.nodes) else h
+    capsule_length = 0.5 * h if node in (0, chain.nodes) else h
     for name, axis, stiffness in hinges.axes if node else ():
         yield (
             f'      <joint name="{name}_{node}" axis="{axis}" '
             f'stiffness="{stiffness / h:{_DIGITS}}" />'
         )
     yield (
-        f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
-        f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
+        f'      <geom fromto="0 0 0 {capsule_length:{_DIGITS}} 0 0" '
+        f'mass="{chain.mass_per_length * capsule_length:{_DIGITS}}" />'
     )
 
 

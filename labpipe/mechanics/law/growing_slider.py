@@ -71,6 +71,10 @@ class GrowingSlider(ArrayRecord):
         grows = self.limits[0] > 0.0 and bool(np.all(np.diff(self.limits) >= 0.0))
         require("limits", self.limits.tolist(), "positive and not decreasing", holds=grows)
 
+    def scaled(self, factor: float) -> GrowingSlider:
+        """Return the slider with moments multiplied by a positive factor."""
+        return GrowingSlider(factor * self.stiffness, self.slid, factor * self.limits)
+
     def limit_after(self, slid: Floats) -> Floats:
         """Return the limit after a curvature has slid, N m.
 

@@ -95,9 +95,9 @@ class LoadingTable:
         reverses = self._reverses(rest, moment)
         if reverses.any():
             half_change = 0.5 * (moment - rest)[reverses]
-            bent, rise = self.bend(half_change)
+            half_curvature_change, rise = self.bend(half_change)
             before = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
-            curvature[reverses], slope[reverses] = before + 2.0 * bent, rise
+            curvature[reverses], slope[reverses] = before + 2.0 * half_curvature_change, rise
         return curvature, slope
 
     def changes_on(self, rest: Floats, moment: Floats, rest_change: Floats) -> Floats:

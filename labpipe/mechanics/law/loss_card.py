@@ -185,8 +185,8 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
         curvature = np.insert(curvature, 1, middle)
     coarse = _best_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
-    near = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _N_DECAYS)
-    return _best_dahl(curvature, moment, coarse.decay / near, coarse.decay * near)
+    range_factor = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _N_DECAYS)
+    return _best_dahl(curvature, moment, coarse.decay / range_factor, coarse.decay * range_factor)
 
 
 def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:

@@ -13,15 +13,13 @@ import numpy as np
 
 from labpipe.mechanics.law.growing_slider import grow_from
 from labpipe.mechanics.law.plays import PlayLaw, Response
-from labpipe.mechanics.law.sliders import SliderLaw, make_unbent_rests, slide
+from labpipe.mechanics.law.sliders import SliderLaw, bend_to_moment, make_unbent_rests
 from labpipe.records.arrays import Floats
-
-_MAX_ITERATIONS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixedLaw:
-    """A moment-curvature law with partly isotropic hardening, for moments as the input.
+    """A law of a wire with partly isotropic hardening, which computes curvature from moment.
 
     Parameters
     ----------
@@ -64,8 +62,8 @@ class MixedLaw:
         Shape (stations, 1 + n): the curvature, then the history of the sliders, see
         `SliderResponse`.
         """
-        rests = make_unbent_rests(self.sliders, n_stations)
-        return np.concatenate([np.zeros((n_stations, 1)), rests], axis=1)
+        slider_history = make_unbent_rests(self.sliders, n_stations)
+        return np.concatenate([np.zeros((n_stations, 1)), slider_history], axis=1)
 
     def respond(self, moment: Floats, history: Floats) -> Response:
         """Compute the curvatures under new moments.
@@ -79,21 +77,8 @@ class MixedLaw:
         -------
         The response; its `plays` are the new history, shape (stations, 1 + n), 1/m. A moment of NaN
         gives NaN at its station.
-
-        Notes
-        -----
-        From the last state on, the moment is a concave, piecewise linear function of the change of
-        curvature. Newton's method therefore converges from one side in a finite number of steps.
         """
-        curvature, rests = history[:, 0], history[:, 1:]
-        rounding = 1e-13 * np.abs(moment).max(initial=0.0)
-        response = slide(self.sliders, curvature, rests)
-        for _ in range(_MAX_ITERATIONS):
-            residual = moment - response.moment
-            if np.all(np.abs(residual) <= rounding):
-                break
-            curvature = curvature + residual / response.stiffness
-            response = slide(self.sliders, curvature, rests)
+        curvature, response = bend_to_moment(self.sliders, moment, history[:, 0], history[:, 1:])
         new_history = np.concatenate([curvature[:, None], response.rests], axis=1)
         return Response(curvature, 1.0 / response.stiffness, new_history)
 

@@ -227,10 +227,10 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     largest = float(np.max(np.abs(moment), initial=0.0))
     if is_within(law, largest):
         return
-    bent, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
+    curvature, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
         f"{what}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
-        f"found {bent:.4g} 1/m"
+        f"found {curvature:.4g} 1/m"
     )
     raise ValueError(message)
 

@@ -99,6 +99,35 @@ class SliderLaw(ArrayRecord):
         return self.stiffness + float(np.sum(self.stiffnesses)) + growing
 
 
+def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> SliderLaw:
+    """Give a part of the hardening of the strands in a law a limit that grows.
+
+    Parameters
+    ----------
+    law : whose sliders contain the strands' own bending
+    strands : growing slider that holds the whole of it
+    share : isotropic share, from 0 to 1; with 0 the law is returned as it is
+
+    Returns
+    -------
+    A law with the same moments of first loading at its slip curvatures and at the end of its range.
+    """
+    min_slider_share = 1e-9  # of the first stiffness, for a slider that the law does not need
+    if share == 0.0:
+        return law
+    growing = strands.scaled(share)
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    slopes = np.diff(growing.first_loading(corners)) / np.diff(corners)
+    return replace(
+        law,
+        stiffness=max(law.stiffness - float(slopes[-1]), 0.0),
+        stiffnesses=np.maximum(
+            law.stiffnesses + np.diff(slopes), min_slider_share * law.first_stiffness
+        ),
+        growing=(*law.growing, growing),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PresentSliders:
     """All sliders of a law as they are now; the limits of growing ones stay as they are.
@@ -160,8 +189,8 @@ def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     law : the law
     curvature : any shape, 1/m, of either sign
     """
-    held = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
-    moment = np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
+    slider_curvature = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
+    moment = np.asarray(law.stiffness * curvature + slider_curvature @ law.stiffnesses)
     for slider in law.growing:
         moment = moment + np.sign(curvature) * slider.first_loading(np.abs(curvature))
     return moment
@@ -186,19 +215,51 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     NaN in gives NaN out. The stiffness where a slider just begins to slide is that of one at rest.
     """
     count = len(law.stiffnesses)
-    bent = curvature[:, None] - rests[:, :count]
-    held = np.clip(bent, -law.slip_curvatures, law.slip_curvatures)
-    moment = law.stiffness * curvature + held @ law.stiffnesses
-    stiffness = law.stiffness + (held == bent) @ law.stiffnesses
+    trial_curvature = curvature[:, None] - rests[:, :count]
+    slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
+    moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
+    stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
     if not law.growing:
-        return SliderResponse(moment, stiffness, curvature[:, None] - held)
-    after = [curvature[:, None] - held]
+        return SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
+    new_rests = [curvature[:, None] - slider_curvature]
     for number, slider in enumerate(law.growing, start=1):
-        rest, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
-        step = slider.slide(curvature, rest, slid)
+        rest_curvature, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
+        step = slider.slide(curvature, rest_curvature, slid)
         moment, stiffness = moment + step.moment, stiffness + step.stiffness
-        after.append(np.column_stack([step.rest, step.slid]))
-    return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
+        new_rests.append(np.column_stack([step.rest, step.slid]))
+    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+
+
+def bend_to_moment(
+    law: SliderLaw, moment: Floats, curvature: Floats, rests: Floats
+) -> tuple[Floats, SliderResponse]:
+    """Find the curvatures at which the moments have new values, from the history.
+
+    Parameters
+    ----------
+    law : the law of every station
+    moment : shape (stations,), N m; each is reached monotonically
+    curvature, rests : present curvatures and history, as for `slide`
+
+    Returns
+    -------
+    Curvatures, 1/m, and the response there.
+
+    Notes
+    -----
+    From its present value the moment is a concave function of the change of curvature, and of
+    straight parts: Newton's method converges from below in a finite number of steps.
+    """
+    max_iterations = 60
+    rounding = 1e-13 * np.abs(moment).max(initial=0.0)
+    after = slide(law, curvature, rests)
+    for _ in range(max_iterations):
+        missing = moment - after.moment
+        if np.all(np.abs(missing) <= rounding):
+            break
+        curvature = curvature + missing / after.stiffness
+        after = slide(law, curvature, rests)
+    return curvature, after
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
@@ -217,25 +278,25 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     K_j 1. Exact for straight paths; a curved path needs small steps.
     """
     count = len(law.stiffnesses)
-    bent = curvature[:, None, :] - rests[:, :count]
-    size = np.sqrt(np.vecdot(bent, bent))
+    trial_curvature = curvature[:, None, :] - rests[:, :count]
+    size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
     is_sliding = size > law.slip_curvatures
     size = np.where(is_sliding, size, 1.0)
     shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
-    held = bent * shrunk[..., None]
-    moment = law.stiffness * curvature + law.stiffnesses @ held
-    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * bent
+    slider_curvature = trial_curvature * shrunk[..., None]
+    moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
+    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * trial_curvature
     weights = law.stiffnesses * shrunk
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
-    after = [curvature[:, None, :] - held]
+    new_rests = [curvature[:, None, :] - slider_curvature]
     for number, slider in enumerate(law.growing, start=1):
-        rest, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
-        step = slider.slide_vector(curvature, rest, slid[:, 0])
+        rest_curvature, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
+        step = slider.slide_vector(curvature, rest_curvature, slid[:, 0])
         moment, stiffness = moment + step.moment, stiffness + step.stiffness
         grown = np.column_stack([step.slid, np.zeros_like(step.slid)])
-        after.append(np.stack([step.rest, grown], axis=1))
-    return SliderResponse(moment, stiffness, np.concatenate(after, axis=1))
+        new_rests.append(np.stack([step.rest, grown], axis=1))
+    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
 
 
 def convert_to_plays(law: SliderLaw) -> PlayLaw:
@@ -534,9 +595,9 @@ def _fewer_slips(slips: Floats, stiffnesses: Floats) -> Floats:
     loaded = slips[stiffnesses > 0.0]
     if len(loaded) < len(slips):
         return np.asarray(loaded)
-    near = int(np.argmin(np.diff(np.log(loaded))))
-    middle = np.sqrt(loaded[near] * loaded[near + 1])
-    return np.concatenate([loaded[:near], [middle], loaded[near + 2 :]])
+    closest = int(np.argmin(np.diff(np.log(loaded))))
+    middle = np.sqrt(loaded[closest] * loaded[closest + 1])
+    return np.concatenate([loaded[:closest], [middle], loaded[closest + 2 :]])
 
 
 def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
@@ -548,9 +609,11 @@ def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
     towards = np.column_stack([np.cos(turn), np.sin(turn)])
     parts = towards @ law.normals.T
     corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])
-    held = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
-    bent = size[:, None, None] * parts
-    moment = np.sign(bent) * np.interp(np.abs(bent), corners, law.stiffness * corners + held)
+    slider_moment = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
+    component = size[:, None, None] * parts
+    moment = np.sign(component) * np.interp(
+        np.abs(component), corners, law.stiffness * corners + slider_moment
+    )
     along = np.sum((moment @ law.normals) * towards, axis=2)
     aside = np.column_stack([-towards[:, 1], towards[:, 0]])
     return along, np.sum((moment @ law.normals) * aside, axis=2)

@@ -101,9 +101,9 @@ def pull_strings(
     Forces, shape (strings, 3), N, and the derivatives of minus the forces by the positions, shape
     (strings, 3, 3), N/m.
     """
-    reach = anchors - positions
-    distance = np.linalg.norm(reach, axis=1)
-    heading = reach / np.where(distance > 0.0, distance, 1.0)[:, None]
+    offsets = anchors - positions
+    distance = np.linalg.norm(offsets, axis=1)
+    heading = offsets / np.where(distance > 0.0, distance, 1.0)[:, None]
     tension = stiffness * np.maximum(distance - lengths, 0.0)
     along = heading[:, :, None] * heading[:, None, :]
     turning = tension / np.where(distance > 0.0, distance, 1.0)

@@ -66,20 +66,22 @@ def find_equilibrium(
     max_iterations = 20
     max_idle_iterations = 4  # Newton's method may cycle between corners of the law
     min_step_share = 0.1  # of a step; a direction that must be shortened further is useless
-    now, goal = demands
+    now, target = demands
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
-    present_demands = replace(goal, held=now.held, clamps=now.clamps)
+    present_demands = replace(target, held=now.held, clamps=now.clamps)
     balance = (
-        _update_balance(known_balance, now, goal, guess) if known_balance and drag is None else None
+        _update_balance(known_balance, now, target, guess)
+        if known_balance and drag is None
+        else None
     )
     if balance is None:
         balance = assembly.balance(shape, present_demands, guess, drag)
     least_turn, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
-        held = goal.held - shape.positions[nodes]
-        clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), goal.clamps))
-        right = assembly.right_side(balance, shape, present_demands, held, clamps)
+        held_shift = target.held - shape.positions[nodes]
+        clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), target.clamps))
+        right = assembly.right_side(balance, shape, present_demands, held_shift, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
@@ -91,7 +93,7 @@ def find_equilibrium(
             return None
         shape = assembly.changed(shape, share * change)
         if share == 1.0:
-            present_demands = goal
+            present_demands = target
         else:
             turned = multiply(present_demands.clamps, from_rotation_vectors(share * clamps))
             present_demands = replace(present_demands, clamps=unit(turned))
@@ -107,8 +109,12 @@ def _update_balance(
 ) -> Balance | None:
     """Return a balance with the forces of new demands; None if it does not apply to them."""
     memory, drag = known_balance.inputs
-    others = ((now.anchors, goal.anchors), (now.rings, goal.rings))
-    if memory is not guess or drag is not None or not all(np.array_equal(*pair) for pair in others):
+    demand_pairs = ((now.anchors, goal.anchors), (now.rings, goal.rings))
+    if (
+        memory is not guess
+        or drag is not None
+        or not all(np.array_equal(*pair) for pair in demand_pairs)
+    ):
         return None
     none = np.zeros((len(now.forces) - 1, 3))
     added = join_unknowns(now.forces - goal.forces, none[:, 0], none, none)

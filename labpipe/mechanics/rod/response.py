@@ -58,8 +58,8 @@ class Response:
 
     def _moved(self, name: str, which: Flags) -> Floats:
         """Return the change of a field by some of the causes, shape (draws, numbers)."""
-        amounts, reach = self.distribution.amounts[:, which], self.reach[which]
-        within = np.clip(amounts, -reach, reach)
+        amounts, max_amounts = self.distribution.amounts[:, which], self.reach[which]
+        within = np.clip(amounts, -max_amounts, max_amounts)
         squares = within * (2.0 * amounts - within)  # linear beyond the reach
         flat = (len(self.distribution.causes), self.value[name].size)
         slopes, bends = (slope[name].reshape(flat)[which] for slope in (self.slopes, self.bends))
@@ -118,9 +118,11 @@ def respond(solve: SolveFields, distribution: InputDistribution) -> Response | N
     if value is None:
         return None
     slopes, bends, one_sided, silent = [], [], [], []
-    reach = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
-    reach = np.clip(reach, min_steps, max_steps)
-    for cause, distance, step in zip(distribution.causes, reach, np.diag(reach), strict=True):
+    max_amounts = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    max_amounts = np.clip(max_amounts, min_steps, max_steps)
+    for cause, distance, step in zip(
+        distribution.causes, max_amounts, np.diag(max_amounts), strict=True
+    ):
         ahead, behind = solve(distribution.inputs(step)), solve(distribution.inputs(-step))
         if ahead is None and behind is None:
             silent.append(cause)
@@ -132,7 +134,7 @@ def respond(solve: SolveFields, distribution: InputDistribution) -> Response | N
     return Response(
         distribution,
         value,
-        reach,
+        max_amounts,
         {name: _stack_causes(slopes, name, value[name]) for name in value},
         {name: _stack_causes(bends, name, value[name]) for name in value},
         tuple(dict.fromkeys(one_sided)),

@@ -35,8 +35,8 @@ def conjugate(frames: Floats) -> Floats:
 
 def cross(u: Floats, v: Floats) -> Floats:
     """Compute the vector product, shape (..., 3), several times faster than `numpy.cross`."""
-    one = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
-    return np.asarray(one - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
+    positive_terms = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
+    return np.asarray(positive_terms - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
 
 
 def skew(vectors: Floats) -> Floats:
@@ -60,19 +60,19 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
 
 def to_rotation_vectors(frames: Floats) -> Floats:
     """Return rotation vectors of quaternions, rad, of magnitude up to pi, shape (..., 3)."""
-    real, others = frames[..., 0], frames[..., 1:]
-    size = np.maximum(np.sqrt(np.vecdot(others, others)), 1e-150)
+    real, imaginary = frames[..., 0], frames[..., 1:]
+    size = np.maximum(np.sqrt(np.vecdot(imaginary, imaginary)), 1e-150)
     scale = np.copysign(2.0, real) * np.arctan2(size, np.abs(real)) / size
-    return np.asarray(scale[..., None] * others)
+    return np.asarray(scale[..., None] * imaginary)
 
 
 def to_matrices(frames: Floats) -> Floats:
     """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
-    one, other = (
+    first_products, second_products = (
         frames.take(first, axis=-1) * frames.take(second, axis=-1) * sign
         for (first, second), sign in ((_SQUARES, _OF_SQUARES), (_OTHERS, _OF_OTHERS))
     )
-    return np.asarray(_EYE + one + other)
+    return np.asarray(_EYE + first_products + second_products)
 
 
 def unit(vectors: Floats) -> Floats:

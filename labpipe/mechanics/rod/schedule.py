@@ -100,8 +100,8 @@ class Schedule:
             name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-        near = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
-        return find_nearest_place(self.start.positions, ring.position[0], float(near))
+        nearest_node = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
+        return find_nearest_place(self.start.positions, ring.position[0], float(nearest_node))
 
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):
@@ -140,21 +140,25 @@ class Schedule:
         grips : indices of the boundaries that hold the line
         """
         share = min(1.0, time + 1.0)
-        held, clamps = self._places(time, share, grips)
+        held_positions, clamps = self._places(time, share, grips)
         anchors = np.array(
             [_interpolate_path(self._get(String, k).anchor, time) for k in self.strings]
         )
         rings = self._ring_places(time, share)
-        return Demands(held, clamps, self._forces(time, share), anchors.reshape(-1, 3), rings)
+        return Demands(
+            held_positions, clamps, self._forces(time, share), anchors.reshape(-1, 3), rings
+        )
 
     def _ring_places(self, time: float, share: float) -> Floats:
         """Return the positions of the rings, which at first move from the line to their paths."""
         places = [_interpolate_path(self._get(Ring, k).position, time) for k in self.rings]
-        goal = np.array(places).reshape(-1, 3)
+        target_positions = np.array(places).reshape(-1, 3)
         if share < 1.0:
             starts = [evaluate_curve(self.start.positions, u) for u in self.start_places]
-            goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
-        return goal
+            target_positions = share * target_positions + (1.0 - share) * np.array(starts).reshape(
+                -1, 3
+            )
+        return target_positions
 
     def _forces(self, time: float, share: float) -> Floats:
         forces = np.zeros((self.n + 1, 3))
@@ -166,18 +170,20 @@ class Schedule:
         return forces
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
-        held = np.zeros((len(grips), 3))
+        held_positions = np.zeros((len(grips), 3))
         clamps = []
         for row, k in enumerate(grips):
             grip, node = self._get(Held, k), self.held_nodes[k]
-            goal = _interpolate_path(grip.position, time)
-            held[row] = share * goal + (1.0 - share) * self.start.positions[node]
+            target_position = _interpolate_path(grip.position, time)
+            held_positions[row] = (
+                share * target_position + (1.0 - share) * self.start.positions[node]
+            )
             if grip.frame is not None:
                 frame = _interpolate_frame_path(grip.frame, time)
                 if share < 1.0:
                     frame = _interpolate_frames(self._start_frames[k], frame, share)
                 clamps.append(frame)
-        return held, np.array(clamps).reshape(-1, 4)
+        return held_positions, np.array(clamps).reshape(-1, 4)
 
     def _get(self, boundary_type: type[T], k: int) -> T:
         boundary = self.boundaries[k]

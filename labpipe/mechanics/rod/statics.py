@@ -141,7 +141,7 @@ class _Walk:
     ) -> None:
         """Assemble the line with the grips that hold from a time on; `memory.rests` is by nodes."""
         self.grips, schedule = grips, self.schedule
-        held = [(schedule.held_nodes[k], schedule.is_clamp(k)) for k in grips]
+        held_grips = [(schedule.held_nodes[k], schedule.is_clamp(k)) for k in grips]
         planes = tuple(
             boundary.raised(0.5 * self.line.section.diameter)
             for boundary in self.boundaries
@@ -150,7 +150,7 @@ class _Walk:
         lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
         self.assembly = Assembly(
             self.line,
-            split_supports(self.line, tuple(held)),
+            split_supports(self.line, tuple(held_grips)),
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
@@ -242,12 +242,12 @@ class _Walk:
         with sliders that stick after a reversal.
         """
         now = self.now
-        goal = self.schedule.demands(time, self.grips)
+        target = self.schedule.demands(time, self.grips)
         for guess in [now.earlier or now.memory, now.memory][
             : 2 if tries_sticking and now.earlier else 1
         ]:
             equilibrium = find_equilibrium(
-                *(self.assembly, now.shape, now.memory, (now.demands, goal)),
+                *(self.assembly, now.shape, now.memory, (now.demands, target)),
                 force=self.force,
                 guess=guess,
                 known_balance=now.balance,
@@ -269,14 +269,14 @@ class _Walk:
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
         """Take an equilibrium as the present state, and add to work and losses."""
         now = self.now
-        goal = self.schedule.demands(time, self.grips)
+        target = self.schedule.demands(time, self.grips)
         new = equilibrium.balance
         self.work += compute_work(
-            self.assembly, (now.demands, goal), (now.shape, equilibrium.shape), (now.balance, new)
+            self.assembly, (now.demands, target), (now.shape, equilibrium.shape), (now.balance, new)
         )
         self.lost += compute_lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.friction_loss += sum(touch.friction_loss for touch in new.plane_contacts)
-        self.now = WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
+        self.now = WalkState(time, equilibrium.shape, new, target, new.memory, now.memory)
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
         check_rings(self.schedule, new, self.step)
@@ -323,12 +323,12 @@ class _Walk:
         drag_increase = 8.0
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
-        goal = self.schedule.demands(time, self.grips)
+        target = self.schedule.demands(time, self.grips)
         shape = self._perturbed_shape(perturbation)
         size = first_drag
         rested: Floats | None = None
         for _ in range(max_steps):
-            equilibrium = self._find_dragged(shape, goal, size)
+            equilibrium = self._find_dragged(shape, target, size)
             if equilibrium is None:
                 size *= drag_increase
                 if size > max_drag:
@@ -377,9 +377,9 @@ class _Walk:
         now = self.now
         if not size:
             return now.shape
-        goal = self.schedule.demands(float(self.step), self.grips)
+        target = self.schedule.demands(float(self.step), self.grips)
         none = np.zeros((self.schedule.n, 3))
-        push = join_unknowns(goal.forces, none[:, 0], none, none)
+        push = join_unknowns(target.forces, none[:, 0], none, none)
         mode = self.check.lowest_mode(now.balance, now.shape, push)
         if mode is None:
             return now.shape

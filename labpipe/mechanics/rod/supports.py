@@ -75,9 +75,9 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
     line : the line
     grips : held nodes, counted from 0, each at most once
     """
-    held = np.array([node for node, _ in grips], dtype=np.int64)
+    held_nodes = np.array([node for node, _ in grips], dtype=np.int64)
     clamps = np.array([k for k, (_, is_clamp) in enumerate(grips) if is_clamp], dtype=np.int64)
-    clamp_at = {int(held[k]): number for number, k in enumerate(clamps)}
+    clamp_at = {int(held_nodes[k]): number for number, k in enumerate(clamps)}
     rows = [row for node in range(len(line.positions)) for row in _list_cells(line, node, clamp_at)]
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     node_numbers = np.array(nodes, dtype=np.int64)
@@ -92,7 +92,7 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
     ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
         n_nodes=len(line.positions),
-        held=held,
+        held=held_nodes,
         clamps=clamps,
         before=np.array(before, dtype=np.int64),
         behind=np.array(behind, dtype=np.int64),

@@ -70,12 +70,12 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     ----------
     schedule, grips, step : as in `check_reach`
     """
-    held = schedule.demands(float(step), grips).held
+    held_positions = schedule.demands(float(step), grips).held
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in (schedule.boundaries[k] for k in schedule.planes if grips):
         assert isinstance(plane, Plane)
-        heights = (held - plane.point) @ plane.normal
+        heights = (held_positions - plane.point) @ plane.normal
         lowest = int(np.argmin(heights))
         if heights[lowest] < clearance - _LENGTH_ROUNDING * line.length:
             grip = get_boundary_name(schedule.boundaries, schedule.boundaries[grips[lowest]])

@@ -156,7 +156,7 @@ def calibrate_tests(
     share_notes = tuple(_list_share_notes(specs[name], share))
     calibration = replace(calibration, share=share, notes=(*calibration.notes, *share_notes))
     measured = [loading.curve for loading in calibrating]
-    reach = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
+    tested_curvature = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
     notes = (weight, *note_insulations(calibration, built, specs, loadings))
     groups = compare_tests(calibration, built, loadings)
     notes = (*notes, *note_misfits(groups))
@@ -170,7 +170,7 @@ def calibrate_tests(
         comparisons=compare_external_curves(
             curves, calibration, built, groups, calibrating + loadings
         ),
-        tested_curvature=reach,
+        tested_curvature=tested_curvature,
         stress_tables=sheet.curves[name],
     )
     if figures:

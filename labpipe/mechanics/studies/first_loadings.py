@@ -49,10 +49,10 @@ def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -
     -------
     0 where the test has fewer than four samples at rest before its loading.
     """
-    rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
+    at_rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
     zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
     duration = next((step.over for step in zeroed), None)  # duration of the mean, s
-    return estimate_zero_error(curve.time[rest], curve.force[rest], duration)
+    return estimate_zero_error(curve.time[at_rest], curve.force[at_rest], duration)
 
 
 def estimate_place_error(
@@ -70,10 +70,10 @@ def estimate_place_error(
     Root sum of squares of two errors: that of the deflection zero, and that of the clock of the
     force times the speed of the deflection. The latter is 0 for a test with a single clock.
     """
-    rest = slice(0, first.start)
+    at_rest = slice(0, first.start)
     frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
     duration = next((step.over for step in frames), None)  # duration of the reference, s
-    zero = estimate_zero_error(curve.time[rest], curve.displacement[rest], duration)
+    zero = estimate_zero_error(curve.time[at_rest], curve.displacement[at_rest], duration)
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
     return float(
@@ -372,13 +372,13 @@ def _check_rest(
     sag_weight = compute_prop_force(_read_self_weight(protocol), length or 0.0)
     if weight + sag_weight == 0.0:
         return ()
-    rest = collect_rest_evidence(
+    evidence = collect_rest_evidence(
         result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
     )
-    if rest.why_not_straight:
-        message = format_sentence("mechanics.studies.sagged", reason=rest.why_not_straight)
+    if evidence.why_not_straight:
+        message = format_sentence("mechanics.studies.sagged", reason=evidence.why_not_straight)
         raise NotUsableError(message)
-    return tuple(list_rest_notes(result.test, rest))
+    return tuple(list_rest_notes(result.test, evidence))
 
 
 def _read_self_weight(protocol: Protocol) -> float:

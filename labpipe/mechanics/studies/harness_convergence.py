@@ -103,15 +103,17 @@ def select_coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
     boundaries : of the line
     steps : their number
     """
-    wanted = {0, steps}
+    kept_steps = {0, steps}
     for boundary in boundaries:
         release = getattr(boundary, "release", None)
-        wanted |= set() if release is None else {release - 1, release}
+        kept_steps |= set() if release is None else {release - 1, release}
         for name in _PATHS:
-            wanted |= set(_find_corners(getattr(boundary, name, None), is_frame=name == "frame"))
+            kept_steps |= set(
+                _find_corners(getattr(boundary, name, None), is_frame=name == "frame")
+            )
     rows = [0]
     for step in range(1, steps + 1):
-        if step in wanted or step - rows[-1] == 2:
+        if step in kept_steps or step - rows[-1] == 2:
             rows.append(step)
     return np.array(rows)
 
@@ -191,7 +193,7 @@ def check_steps(
     )
     if not too_far:
         return None
-    wanted = steps * math.ceil(max(too_far.values()))
+    needed_steps = steps * math.ceil(max(too_far.values()))
     reason = Reason.of(
         "mechanics.studies.too_coarse",
         steps=other.steps_text,
@@ -199,7 +201,7 @@ def check_steps(
         of_band=100.0 * MAX_CHANGE_OF_BAND,
         place=_find_worst_place(path, prepared, other),
         count=steps,
-        wanted=wanted,
+        wanted=needed_steps,
     )
     return Doubt(reason, tuple(too_far))
 

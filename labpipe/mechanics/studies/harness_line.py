@@ -188,9 +188,11 @@ def _build_boundaries(
 
 def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     """Return the point of the line that is nearest to a ring."""
-    goal = np.array(ring.position)
-    near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
-    return evaluate_curve(line.positions, find_nearest_place(line.positions, goal, float(near)))
+    target = np.array(ring.position)
+    nearest_node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
+    return evaluate_curve(
+        line.positions, find_nearest_place(line.positions, target, float(nearest_node))
+    )
 
 
 def _build_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:

@@ -123,8 +123,8 @@ def list_numbers(fields: Fields) -> tuple[str, ...]:
     ----------
     fields : of a line
     """
-    others = [field for field in fields if not field.startswith((POSITIONS, CURVATURES))]
-    return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *others)
+    other_fields = [field for field in fields if not field.startswith((POSITIONS, CURVATURES))]
+    return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *other_fields)
 
 
 def evaluate_number(

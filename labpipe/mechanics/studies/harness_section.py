@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError, sort_by_likeness
-from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
+from labpipe.mechanics.law.growing_slider import GrowingSlider
+from labpipe.mechanics.law.plays import require
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     build_calibrated_distributions,
@@ -45,6 +47,7 @@ from labpipe.records.wire import WireSpec
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 """Inputs that are logarithms of factors: on moments, torsional stiffness and mass."""
 DEFAULT_SHEET = "wires.xlsx"
+_HARDENING = "hardening of the copper"
 _INSULATION_LIMIT = "the straight line of its insulation"
 
 
@@ -188,9 +191,9 @@ def find_wire(name: str, sheet: Path, *, where: str) -> WireSpec:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     if name in specs:
         return specs[name]
-    near = ", ".join(sort_by_likeness(name, list(specs)))
+    similar_names = ", ".join(sort_by_likeness(name, list(specs)))
     raise UsageError.about(
-        "mechanics.studies.no_such_wire", where, sheet=sheet, near=near, name=name
+        "mechanics.studies.no_such_wire", where, sheet=sheet, near=similar_names, name=name
     )
 
 
@@ -240,12 +243,11 @@ def _build_distributions(
         )
     if spec.isotropic_share is not None:
         return distributions
-    cause = "hardening of the copper"
     if calibrated is not None and calibrated.share is not None:
         value, error = calibrated.share
-        share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=cause)
+        share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
-        share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=cause)
+        share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=_HARDENING)
     return tuple(join_distributions([other, share]) for other in distributions) or (share,)
 
 
@@ -275,7 +277,12 @@ def _scale_section(section: Section, inputs: Mapping[str, float]) -> Section:
     law = section.law
     return replace(
         section,
-        law=replace(law, stiffness=bending * law.stiffness, stiffnesses=bending * law.stiffnesses),
+        law=replace(
+            law,
+            stiffness=bending * law.stiffness,
+            stiffnesses=bending * law.stiffnesses,
+            growing=tuple(slider.scaled(bending) for slider in law.growing),
+        ),
         torsional_stiffness=torsion * section.torsional_stiffness,
         mass_per_length=mass * section.mass_per_length,
     )
@@ -308,6 +315,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
             last,
             float(deck.get("error", 0.0)),
         )
+        hardening = _read_hardening(deck)
         section = Section(
             law,
             float(deck["torsional_stiffness"]),
@@ -319,12 +327,63 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         fault = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
         raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from error
     limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
+    distributions: tuple[InputDistribution, ...] = ()
+    if hardening is not None and not hardening.is_known:
+        distributions = (
+            build_uniform_distribution(ISOTROPIC_SHARE, *hardening.shares, cause=_HARDENING),
+        )
     source = min(limits, key=lambda limit: limits[limit])
     return Material(
-        *(str(deck.get("wire", path.stem)), (partial(_scale_section, section),)),
+        *(str(deck.get("wire", path.stem)), (partial(_build_deck_section, section, hardening),)),
         *(limits[source], source),
         files=(describe_file("sliders", path),),
+        distributions=distributions,
+        has_unknown_share=bool(distributions),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Hardening:
+    """Hardening of the strands of a deck.
+
+    Parameters
+    ----------
+    strands : growing slider that holds the whole of it
+    shares : ends of the interval of the isotropic share; equal if it is known
+    """
+
+    strands: GrowingSlider
+    shares: tuple[float, float]
+
+    @property
+    def is_known(self) -> bool:
+        """Return whether the share is known."""
+        return self.shares[0] == self.shares[1]
+
+
+def _read_hardening(deck: Mapping[str, Any]) -> _Hardening | None:
+    """Read the growing slider of a deck; None if it has none, so that its copper follows Masing."""
+    block = deck.get("growing")
+    if block is None:
+        return None
+    slid, limits = (np.array(block[name], dtype=np.float64) for name in ("slid", "limits"))
+    slider = GrowingSlider(float(block["stiffness"]), slid, limits)
+    low, high = map(float, block["share_interval"])
+    require("share_interval", (low, high), "from 0 to 1, rising", holds=0.0 <= low <= high <= 1.0)
+    share = float(block["isotropic_share"])
+    require("isotropic_share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
+    return _Hardening(slider.scaled(1.0 / share), (low, high))
+
+
+def _build_deck_section(
+    section: Section, hardening: _Hardening | None, inputs: Mapping[str, float]
+) -> Section:
+    """Return the section of a deck with its isotropic share and the factors of the inputs."""
+    if hardening is not None:
+        stated = hardening.shares[0] if hardening.is_known else 0.0
+        share = min(max(inputs.get(ISOTROPIC_SHARE, stated), 0.0), 1.0)
+        section = replace(section, law=share_hardening(section.law, hardening.strands, share))
+    return _scale_section(section, inputs)
 
 
 def _read_deck(path: Path) -> dict[str, Any]:

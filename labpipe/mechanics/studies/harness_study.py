@@ -116,8 +116,8 @@ def follow_harness(
     folder = Path("processed/harness") / file.stem if out is None else out
     lengths = harness.sweep.length if harness.sweep else ()
     progress = progress or Progress()
-    others = [length for length in lengths if length != harness.line.length]
-    progress.begin(len(others) + 1, harness.steps + 1)
+    other_lengths = [length for length in lengths if length != harness.line.length]
+    progress.begin(len(other_lengths) + 1, harness.steps + 1)
     progress.line("as stated")
     solution = solve_harness(harness, file, material, folder, progress.step)
     if solution.status is Status.FAILED:
@@ -125,7 +125,7 @@ def follow_harness(
         return solution
     sweep = []
     for length in lengths:
-        if length in others:
+        if length in other_lengths:
             progress.line(f"length {1e3 * length:.6g} mm")
         sweep.append(solve_sweep_length(solution, length, progress.step))
     return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)

@@ -74,8 +74,8 @@ def compare_shapes(
     parts = wire.parts
     largest_curvature, _ = parts.reach(parts.given)
     shapes = []
-    for goal in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
-        reached = np.flatnonzero(rise >= goal)
+    for target_rise in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+        reached = np.flatnonzero(rise >= target_rise)
         if len(reached):
             frame = int(reached[0])
             model = _bend_model(wire, length, rig, float(rise[frame]), largest_curvature)
@@ -111,9 +111,9 @@ def _bend_model(
         )
         return np.column_stack([solution.x, solution.y])
     travel, level = deflection, make_straight(law, self_weight=weight)
-    rest = bend_to_travel(law, level, length, rig, 0.0).state
+    state_at_rest = bend_to_travel(law, level, length, rig, 0.0).state
     for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
-        solution = bend_to_travel(law, rest, length, rig, travel)
+        solution = bend_to_travel(law, state_at_rest, length, rig, travel)
         missing = deflection - float(solution.y[-1])
         if abs(missing) < tip_tolerance:
             break
@@ -307,11 +307,11 @@ def note_insulations(
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            reach = find_tested_curvature(wires[name], values, curves)
+            tested_curvature = find_tested_curvature(wires[name], values, curves)
         except ValueError:
             continue
         of = "" if name == calibration.wire else calibration.wire
-        notes.append(note_insulation(specs[name], reach, of=of))
+        notes.append(note_insulation(specs[name], tested_curvature, of=of))
     return tuple(note for note in notes if note is not None)
 
 

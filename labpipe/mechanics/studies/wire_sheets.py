@@ -301,8 +301,8 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     sheets = list(sheets_of(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
-        near = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
-        fault = Fault.of("mechanics.studies.no_such_sheet", sheets=near, name=name.text)
+        similar_names = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
+        fault = Fault.of("mechanics.studies.no_such_sheet", sheets=similar_names, name=name.text)
         raise_faults(path, [(place, fault)])
     chosen = name.text if name.text in matches else matches[0]
     where = f"sheet '{chosen}'"

@@ -92,9 +92,9 @@ def compute_friction_moment(
     slip = friction.slip_curvature * mean / distance
     sliding = np.minimum(curvature[:, None], slip) @ (stiffness * distance**2)
     gluing = np.minimum(curvature, friction.slide_curvature) * float(stiffness @ distance**2)
-    share, held = friction.composite_share, friction.held
+    share, held_share = friction.composite_share, friction.held
     wire_moment = np.interp(curvature, model.curvature, model.moment_slip)
-    return np.asarray(wire_moment + share * ((1.0 - held) * sliding + held * gluing))
+    return np.asarray(wire_moment + share * ((1.0 - held_share) * sliding + held_share * gluing))
 
 
 def fit_friction_law(

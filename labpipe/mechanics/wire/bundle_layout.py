@@ -214,11 +214,11 @@ def spread_evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Int
     if the sites have no preferred direction, the bundle has none either.
     """
     n_spread_starts = 12  # seeded starts of the search for an even spread
-    traits, near = _traits(sites), _neighbours(sites)
+    traits, neighbours = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
     starts = (shuffle_kinds(counts, rng) for _ in range(n_spread_starts))
-    spreads = [_exchange_wires(start, traits, near) for start in starts]
-    return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, near))
+    spreads = [_exchange_wires(start, traits, neighbours) for start in starts]
+    return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, neighbours))
 
 
 def _traits(sites: Floats) -> Floats:
@@ -247,9 +247,9 @@ def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
     best, least = wire_types, _unevenness(wire_types, traits, near)
     while True:
-        one, other = _find_exchange(best, traits, near)
+        first, second = _find_exchange(best, traits, near)
         exchanged = best.copy()
-        exchanged[[one, other]] = best[[other, one]]
+        exchanged[[first, second]] = best[[second, first]]
         merit = _unevenness(exchanged, traits, near)
         if merit >= least:
             return best
@@ -335,8 +335,8 @@ def _hexagonal_heap(number: int, core: Floats) -> Floats:
 
 def _lattice(number: int) -> Floats:
     """Return points of a triangular lattice about one of them, more than a heap needs."""
-    reach = 2 + math.isqrt(2 * number)
-    along, up = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    half_size = 2 + math.isqrt(2 * number)
+    along, up = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
     return np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up])
 
 

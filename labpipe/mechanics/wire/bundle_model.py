@@ -400,8 +400,8 @@ def compute_stretching_moment(
     n_points = 600
     decades = 9.0  # below the largest strain; copper is still elastic at the first point
     halvings = 60
-    reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
-    strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * reach)
+    largest_strain = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
+    strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * largest_strain)
     laws = [compute_axial_force(table, strain) for table in tables]
 
     def forces(neutral: Floats) -> Floats:

@@ -73,15 +73,20 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     if len(diameters) == 1:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
-    reach = diameters / scale
-    heap = _narrowest_heap([(start - start.mean(axis=0)) / scale for start in starts], reach)
+    scaled_diameters = diameters / scale
+    heap = _narrowest_heap(
+        [(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters
+    )
     for number, shake in enumerate(shakes):
-        if _filled_share(heap, reach) > max_shaken_share or len(reach) == pair:
+        if (
+            _filled_share(heap, scaled_diameters) > max_shaken_share
+            or len(scaled_diameters) == pair
+        ):
             break
         moves = shake * np.random.default_rng(number).normal(size=heap.shape)
-        heap = _narrowest_heap([heap, heap + moves], reach)
-    require_dense(heap, reach)
-    return np.asarray(scale * (heap - np.average(heap, axis=0, weights=reach**2)))
+        heap = _narrowest_heap([heap, heap + moves], scaled_diameters)
+    require_dense(heap, scaled_diameters)
+    return np.asarray(scale * (heap - np.average(heap, axis=0, weights=scaled_diameters**2)))
 
 
 def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
@@ -142,12 +147,12 @@ def _separate_coincident(centres: Floats) -> Floats:
 def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None) -> Contacts:
     """List pairs that touch, or could before the next list; keep the forces of an earlier list."""
     neighbour_factor = 1.5  # distance of listed pairs, in touching distances
-    reach = neighbour_factor * float(diameters.max())
-    pairs = cKDTree(centres).query_pairs(reach, output_type="ndarray").astype(np.int64)
+    max_distance = neighbour_factor * float(diameters.max())
+    pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
     first, second = pairs[np.lexsort(pairs.T[::-1])].T
     touching = 0.5 * (diameters[first] + diameters[second])
-    near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
-    first, second, touching = first[near], second[near], touching[near]
+    is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
+    first, second, touching = first[is_near], second[is_near], touching[is_near]
     force = np.zeros(len(first))
     if before is not None:
         number = len(diameters)
@@ -186,7 +191,7 @@ def _relax(
     max_steps = 20000
     steering_start = 0.1  # share of the force in the direction
     patience = 5  # downhill steps before the step grows
-    centres, listed, reach = begin, begin, list_travel * float(diameters.min())
+    centres, listed, max_travel = begin, begin, list_travel * float(diameters.min())
     longest = 1.0 / np.sqrt(6.0 * stiffness)
     step, steering, downhill, speed = longest, steering_start, 0, np.zeros_like(begin)
     for _ in range(max_steps):
@@ -204,7 +209,7 @@ def _relax(
         along = np.sqrt(np.sum(speed * speed) / np.sum(force * force))
         speed = (1.0 - steering) * speed + steering * along * force
         centres = centres + step * speed
-        if np.max(np.abs(centres - listed)) > reach:
+        if np.max(np.abs(centres - listed)) > max_travel:
             listed, contacts = centres, _contacts(centres, diameters, contacts)
     return centres, _contacts(centres, diameters, contacts)
 
@@ -252,8 +257,8 @@ def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
         across = np.eye(2) - u[:, :, None] * u[:, None, :]
         turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
         bend = np.zeros((number, number, 2, 2))
-        for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
-            np.add.at(bend, (one, other), sign * turn)
+        for wire, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
+            np.add.at(bend, (wire, other), sign * turn)
         np.add.at(bend, (second, first), -turn)
         stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
         system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])
@@ -344,12 +349,12 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
     outside_tolerance = 1e-9
     radii = diameters / 2.0
     scale = float(radii.max())
-    points, reach = centres / scale, radii / scale
+    points, scaled_radii = centres / scale, radii / scale
     middle = points.mean(axis=0)
-    chosen = np.argsort(-_extents(points, reach, middle), kind="stable")[:n_first_wires]
+    chosen = np.argsort(-_extents(points, scaled_radii, middle), kind="stable")[:n_first_wires]
     while True:
-        middle, radius = _smallest_circle(points[chosen], reach[chosen])
-        extent = _extents(points, reach, middle)
+        middle, radius = _smallest_circle(points[chosen], scaled_radii[chosen])
+        extent = _extents(points, scaled_radii, middle)
         outside = np.flatnonzero(extent > radius * (1.0 + outside_tolerance))
         if not len(np.setdiff1d(outside, chosen)):
             return np.asarray(scale * middle), float(scale * extent.max())

@@ -183,12 +183,14 @@ class Pull:
 
     def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
         """Return tension and weight; the gap is the string's stretch."""
-        reach = self.anchor - tip
-        distance = np.hypot(*reach.T)
-        by_load = reach / self.length
+        to_anchor = self.anchor - tip
+        distance = np.hypot(*to_anchor.T)
+        by_load = to_anchor / self.length
         force = load[:, None] * by_load - np.array([0.0, self.weight])
         by_tip = -(load / self.length)[:, None, None] * np.eye(2)
-        return Demand(force, by_load, distance - self.length, -reach / distance[:, None], by_tip)
+        return Demand(
+            force, by_load, distance - self.length, -to_anchor / distance[:, None], by_tip
+        )
 
 
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
@@ -253,15 +255,15 @@ def bend_under_force(
         If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
         message states the curvature).
     """
-    start, goal = state.force, np.asarray(force, dtype=np.float64)
+    start, target = state.force, np.asarray(force, dtype=np.float64)
     require_positive("length", length)
-    require_finite("force", goal)
+    require_finite("force", target)
 
     def step(present: WireState, share: float) -> WireState | None:
-        condition = DeadLoad(start + share * (goal - start))
+        condition = DeadLoad(start + share * (target - start))
         return settle(law, present, length, condition, travel=share)
 
-    place = f"force={goal.tolist()}"
+    place = f"force={target.tolist()}"
     return _within_law(law, _walk_to(step, replace(state, travel=0.0), 1.0, place), length, place)
 
 
@@ -339,23 +341,24 @@ def bend_to_travel(
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
         condition = Pull(anchor, rig.string_length, rig.weight)
-        bent = settle(law, present, length, condition, travel=travel)
-        return bent if bent is not None and bent.load >= 0.0 else None
+        solution = settle(law, present, length, condition, travel=travel)
+        return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
-        bent = settle(law, present, length, weight, travel=travel)
-        if bent is None:
+        solution = settle(law, present, length, weight, travel=travel)
+        if solution is None:
             return None
-        tip = compute_shape(law, bent, length)
+        tip = compute_shape(law, solution, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
-        return replace(bent, load=0.0)  # exactly zero, without the rounding error of the solution
+        # exactly zero, without the rounding error of the solution
+        return replace(solution, load=0.0)
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
-        bent = first(present, travel)
-        return second(present, travel) if bent is None else bent
+        solution = first(present, travel)
+        return second(present, travel) if solution is None else solution
 
     require_positive("length", length)
     require_finite("travel", travel)
@@ -412,12 +415,12 @@ def settle(
     solved = solve(wire, moment[None], np.array([load]), tolerance=tolerance, floor=floor)
     if solved is None:
         return None
-    bent = bend_wire(wire, *solved)
-    turn = stations.from_clamp @ (bent.curvature - bend(moment[None])[0])[0]
+    bent_wire = bend_wire(wire, *solved)
+    turn = stations.from_clamp @ (bent_wire.curvature - bend(moment[None])[0])[0]
     if np.max(np.abs(turn)) > max_turn:
         return None
     plays = respond(law, solved[0][0], state.plays).plays
-    force, load = bent.wanted.force[0], float(solved[1][0])
+    force, load = bent_wire.wanted.force[0], float(solved[1][0])
     return WireState(solved[0][0], plays, force, load, travel, state.self_weight)
 
 

@@ -391,19 +391,24 @@ def place_strands(
         message states the overlap.
     """
     radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
-    strands = find_largest_overlap(centres, radii)
-    reach = float((np.hypot(*centres.T) + radii).max())
-    bore = insulation.bore_radius if insulation else reach
-    wall = max(reach - bore, 0.0)
-    if max(strands, wall) > MAX_OVERLAP_SHARE * bore:
-        what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
+    strand_overlap = find_largest_overlap(centres, radii)
+    outer_radius = float((np.hypot(*centres.T) + radii).max())
+    bore = insulation.bore_radius if insulation else outer_radius
+    bore_overlap = max(outer_radius - bore, 0.0)
+    if max(strand_overlap, bore_overlap) > MAX_OVERLAP_SHARE * bore:
+        obstacle = (
+            "each other" if strand_overlap >= bore_overlap else f"the bore of radius {bore:.6g} m"
+        )
+        overlap = max(strand_overlap, bore_overlap)
         message = (
-            f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m; expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
+            f"the {kind} layout does not fit: strands overlap {obstacle} by {overlap:.3g} m; "
+            f"expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T
-    return CrossSection(kind, layers, x, y, _layer_index(layers), max(strands, wall), insulation)
+    return CrossSection(
+        kind, layers, x, y, _layer_index(layers), max(strand_overlap, bore_overlap), insulation
+    )
 
 
 def _layer_index(layers: tuple[Layer, ...]) -> Ints:

@@ -70,8 +70,8 @@ def harden(
     factor : on the moments of the strands, as of `plays`
     """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    bent, strands = continue_strands(section, curvature)
-    return make_mixed_law(plays, bent, factor * strands, isotropic_share)
+    continued_curvature, strands = continue_strands(section, curvature)
+    return make_mixed_law(plays, continued_curvature, factor * strands, isotropic_share)
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
@@ -87,8 +87,10 @@ def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, 
     Curvatures, of which the first are those given and the others reach eight times the range, or as
     far as the materials are known; and moments, N m.
     """
-    known = min(2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers)
-    last = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known)
-    if last > curvature[-1]:
-        curvature = np.append(curvature, np.geomspace(curvature[-1], last, 41)[1:])
+    known_curvature = min(
+        2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers
+    )
+    last_curvature = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known_curvature)
+    if last_curvature > curvature[-1]:
+        curvature = np.append(curvature, np.geomspace(curvature[-1], last_curvature, 41)[1:])
     return curvature, sum_strand_moments(section, curvature)[1]

@@ -105,10 +105,10 @@ def compute_end_load_path(
     by_stations = n_stations if self_weight > 0.0 else None
     cantilever = LoadingTable.of_plays(law), length, None, self_weight
     at = find_loading_states(*cantilever, growing, n_stations=by_stations)
-    rest = make_straight(law, n_stations, self_weight=self_weight)
+    state_at_rest = make_straight(law, n_stations, self_weight=self_weight)
     if self_weight > 0.0:
-        rest = _state(law, rest, at, None)
-    shape = _shape_at_rest(law, rest, length) if self_weight > 0.0 else None
+        state_at_rest = _state(law, state_at_rest, at, None)
+    shape = _shape_at_rest(law, state_at_rest, length) if self_weight > 0.0 else None
     done = at.count_loading()
     outside = [n for n in range(done) if not is_within(law, float(at.moment[n, 0]))]
     further: list[WireState] = []
@@ -124,7 +124,11 @@ def compute_end_load_path(
             ).count_loading()
             way = np.append(way, search[:loaded])[-2:]
         last = find_loading_states(*cantilever, way, n_stations=n_stations)
-        states = [rest, rest, *(_state(law, rest, last, row) for row in range(len(way)))][-2:]
+        states = [
+            state_at_rest,
+            state_at_rest,
+            *(_state(law, state_at_rest, last, row) for row in range(len(way))),
+        ][-2:]
         further = list(_continue_path(law, states, length, deflections[done:]))
     load = np.append(at.tension[:done], [state.force[1] for state in further])
     clamp = np.append(at.moment[:done, 0], [state.moment[0] for state in further])
@@ -244,7 +248,7 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
     notes, length = [], 1e3 * spec.length
     try:
-        bent = _bend_to_end(law, spec.length, self_weight)
+        path = _bend_to_end(law, spec.length, self_weight)
     except ValueError as error:
         note = QualityNote.of(
             "mechanics.wire.weight_left_out",
@@ -254,21 +258,21 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
             error=error,
         )
         notes.append(note)
-        bent = _bend_to_end(law, spec.length, 0.0)
-    wanted = END_DEFLECTION * spec.length
-    if bent.deflection[-1] < wanted:
+        path = _bend_to_end(law, spec.length, 0.0)
+    wanted_deflection = END_DEFLECTION * spec.length
+    if path.deflection[-1] < wanted_deflection:
         last = curve.curvature[-1]
         notes.append(
             QualityNote.of(
                 "mechanics.wire.cantilever_cut",
                 spec.place,
                 length=length,
-                reached=1e3 * bent.deflection[-1],
-                wanted=1e3 * wanted,
+                reached=1e3 * path.deflection[-1],
+                wanted=1e3 * wanted_deflection,
                 last=last,
             )
         )
-    return replace(bent, notes=tuple(notes))
+    return replace(path, notes=tuple(notes))
 
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
@@ -278,12 +282,12 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverC
     for _ in range(2):
         deflection = end * np.linspace(0.0, 1.0, N_CURVE_POINTS) ** SPACING_POWER
         path = compute_end_load_path(endless, length, deflection[1:], self_weight=self_weight)
-        rest = None if path.rest is None else _rest_record(path.rest)
-        clamp = np.append(rest.moment if rest else 0.0, path.clamp_moment)
+        at_rest = None if path.rest is None else _rest_record(path.rest)
+        clamp = np.append(at_rest.moment if at_rest else 0.0, path.clamp_moment)
         if clamp[-1] <= law.largest_moment:
             break
         end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
-    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, rest, ())
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, at_rest, ())
 
 
 def _rest_record(shape: CantileverShape) -> WireAtRest:

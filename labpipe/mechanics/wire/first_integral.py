@@ -40,10 +40,10 @@ def integrate(table: LoadingTable, moment: Floats, force: Floats) -> tuple[Float
     even = moment.max() * np.linspace(0.0, 1.0, MIN_PANELS + 1)
     edges = np.union1d(even, table.moment[table.moment < moment.max()])
     widths, last = np.diff(edges), edges[np.searchsorted(edges, moment) - 1]
-    below, rest = np.where(edges[1:] <= last[:, None], widths, 0.0), moment - last
-    weights = 0.5 * np.column_stack([below, below, rest, rest])
+    below, partial_width = np.where(edges[1:] <= last[:, None], widths, 0.0), moment - last
+    weights = 0.5 * np.column_stack([below, below, partial_width, partial_width])
     whole = table.energy((edges[:-1] + np.outer(roots, widths)).ravel())
-    part = table.energy((last + np.outer(roots, rest)).T)
+    part = table.energy((last + np.outer(roots, partial_width)).T)
     clamp, curvature = table.energy(moment), table.curve(moment)[:, 0]
     (px, py), square = force.T, np.sum(force**2, axis=1)
     energy = np.hstack([np.tile(whole[:, 0], (len(moment), 1)), part[:, :, 0]])
@@ -100,13 +100,13 @@ def solve_weightless(
         turning = table.energy(moment)[:, 0] + force[:, 0]
         lacking = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
         load += 2.0 * lacking
-        wanted = at.demand(tip, load, rows)
-        values, changes = integrate(table, moment, wanted.force)
+        demand = at.demand(tip, load, rows)
+        values, changes = integrate(table, moment, demand.force)
         by_state = np.zeros((len(rows), 3, 3))  # of moment and force, by moment, x and load
         by_state[:, 0, 0] = 1.0
-        by_state[:, 1:, 2] = wanted.force_by_load
-        if wanted.force_by_tip is not None:
-            by_state[:, 1:, 1] = wanted.force_by_tip[:, :, 0]
+        by_state[:, 1:, 2] = demand.force_by_load
+        if demand.force_by_tip is not None:
+            by_state[:, 1:, 1] = demand.force_by_tip[:, :, 0]
         matrix = changes[:, :, :3] @ by_state
         matrix[:, 1, 1] -= 1.0
         causes = changes[:, :, 1:]

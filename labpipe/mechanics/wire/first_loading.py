@@ -143,8 +143,8 @@ def load_cantilever(
     n_points = 32 if self_weight > 0.0 else 44
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
-    wanted = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
-    states = find_loading_states(table, length, rig, self_weight, wanted, near=near)
+    deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
+    states = find_loading_states(table, length, rig, self_weight, deflections, near=near)
     stop = states.count_loading()
     rise = states.tension[0] - states.rest_tension
     rest_slope = float(rise / states.deflection[0])  # before slip
@@ -152,14 +152,14 @@ def load_cantilever(
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
 
-    bent, _ = table.bend(states.rest)
+    rest_curvature, _ = table.bend(states.rest)
     change = states.tension_change[1:, :stop]
     return LoadingCurve(
         deflection=from_rest(0.0, states.deflection),
         tension=from_rest(states.rest_tension, states.tension),
         x=from_rest(length, states.x),
         tip_angle=from_rest(0.0, states.tip_angle),
-        clamp_curvature=from_rest(float(bent[0]), states.curvature),
+        clamp_curvature=from_rest(float(rest_curvature[0]), states.curvature),
         clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
         stiffness=from_rest(rest_slope, states.tension_change[0]),
         tension_change=np.hstack([np.zeros((len(change), 1)), change]),
@@ -204,26 +204,26 @@ def find_loading_states(
     begin = tip_force + (0.0 if rig is None else rig.weight)
     start = (tip_force - 0.5 * level.beyond) * from_tip
     first = _solve(level, at_rest, start[None], np.array([begin]))
-    rest, tension = first[0][0], float(first[1][0])
-    loaded = replace(level, bend=partial(table.bend_on, rest), condition=at)
+    rest_moment, tension = first[0][0], float(first[1][0])
+    loaded = replace(level, bend=partial(table.bend_on, rest_moment), condition=at)
     solution = None if near is None else _solve_near(loaded, near)
     if solution is None:
         clamp = _guess_clamp(table, length, deflections)[0]
-        guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
-        solution = _solve_all(loaded, at, np.append(rest, tension), guess)
+        guess = rest_moment + clamp[:, None] * from_tip / length, tension + clamp / length
+        solution = _solve_all(loaded, at, np.append(rest_moment, tension), guess)
     moment, tensions = solution
-    bent = bend_wire(loaded, moment, tensions)
+    bent_wire = bend_wire(loaded, moment, tensions)
     rest_change = compute_sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
-    changes = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
-    tension_change = compute_sensitivity(loaded, bent, changes)[:, :, -1]
+    changes = table.changes_on(rest_moment, moment, rest_change[1:, 0, :-1])
+    tension_change = compute_sensitivity(loaded, bent_wire, changes)[:, :, -1]
     tension_change[1:] -= rest_change[1:, :, -1]
-    cos, sin, pull = bent.cos[:, -1], bent.sin[:, -1], bent.wanted.force
+    cos, sin, pull = bent_wire.cos[:, -1], bent_wire.sin[:, -1], bent_wire.wanted.force
     return LoadingStates(
-        *(rest, tension, deflections, moment, tensions),
+        *(rest_moment, tension, deflections, moment, tensions),
         across=pull[:, 1] * cos - pull[:, 0] * sin,
-        x=bent.tip[:, 0],
+        x=bent_wire.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),
-        curvature=bent.curvature[:, 0],
+        curvature=bent_wire.curvature[:, 0],
         tension_change=tension_change,
     )
 

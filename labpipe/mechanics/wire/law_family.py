@@ -15,14 +15,18 @@ import numpy as np
 
 from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
 from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
-from labpipe.mechanics.law.sliders import SliderLaw
+from labpipe.mechanics.law.sliders import SliderLaw, share_hardening
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
-from labpipe.mechanics.wire.cross_section import StretchTorsion, compute_stretch_torsion
+from labpipe.mechanics.wire.cross_section import (
+    CrossSection,
+    StretchTorsion,
+    compute_stretch_torsion,
+)
 from labpipe.mechanics.wire.cyclic_law import continue_strands
 from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length, wire_table
 from labpipe.records.arrays import Floats, Vector
-from labpipe.records.wire import WireSpec
+from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -141,18 +145,14 @@ class LawFamily:
         slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
         least = min_slider_share * slopes[0]
         share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
-        growing: tuple[GrowingSlider, ...] = ()
-        if share > 0.0:
-            bent, strands = continue_strands(built.section, corners[1:])
-            growing = (grow_from(bent, factor * self.scale * strands, share),)
-            own = growing[0].first_loading(corners)
-            slopes = slopes - np.diff(own) / np.diff(corners)
         law = replace(
             self.base,
             stiffness=float(slopes[-1]),
             stiffnesses=np.maximum(-np.diff(slopes), least),
-            growing=growing,
         )
+        if share > 0.0:
+            strands = make_strand_slider(built.section, law, factor * self.scale)
+            law = share_hardening(law, strands, share)
         pair: StretchTorsion = compute_stretch_torsion(built.section)
         return WireLaw(
             law,
@@ -166,6 +166,27 @@ class LawFamily:
     def corners(self) -> Vector:
         """Return zero, the slip curvatures, and the end of the range, 1/m."""
         return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
+
+
+def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
+    """Make the growing slider of all the bending of strands about their own axes.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    law : of the wire, whose corners the slider gets
+    factor : on the moments of the strands, as of the law
+    """
+    corners = np.append(law.slip_curvatures, law.last)
+    bent, strands = continue_strands(section, corners)
+    return grow_from(bent, factor * strands, 1.0)
+
+
+def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
+    """Return the factor on the chords of a table of which a law was fitted to it."""
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    moment = np.interp(corners, table.curvature, table.moment)
+    return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
 
 
 def make_law_family(
@@ -190,10 +211,7 @@ def make_law_family(
     chosen_values = dict(values or {})
     table = wire_table(apply_values(spec, chosen_values))
     base = fit_wire_sliders(table, sliders)
-    family = LawFamily(spec, chosen_values, base, 1.0)
-    moment = np.interp(family.corners, table.curvature, table.moment)
-    plain = _falling_slopes(family.corners, moment)
-    return replace(family, scale=base.first_stiffness / float(plain[0]))
+    return LawFamily(spec, chosen_values, base, find_chord_factor(base, table))
 
 
 def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:

@@ -126,8 +126,8 @@ def bend_wire(wire: Wire, moment: Floats, load: Floats, rows: Ints | None = None
     cos, sin = np.cos(angle), np.sin(angle)
     levers = np.stack([-(sin @ stations.to_tip.T), cos @ stations.to_tip.T], axis=-1)
     tip = np.stack([cos @ stations.weights, sin @ stations.weights], axis=-1)
-    wanted = wire.condition.demand(tip, load, np.arange(len(load)) if rows is None else rows)
-    return BentWire(curvature, slope, cos, sin, levers, tip, wanted)
+    demand = wire.condition.demand(tip, load, np.arange(len(load)) if rows is None else rows)
+    return BentWire(curvature, slope, cos, sin, levers, tip, demand)
 
 
 def solve(
@@ -151,12 +151,12 @@ def solve(
     moment, load = np.array(moment), np.array(load)
     left, length = np.arange(len(load)), wire.stations.position[-1]
     for _ in range(max_iterations):
-        bent = bend_wire(wire, moment[left], load[left], left)
-        missing = compute_residual(wire, bent, moment[left])
+        bent_wire = bend_wire(wire, moment[left], load[left], left)
+        missing = compute_residual(wire, bent_wire, moment[left])
         if not np.isfinite(missing).all():
             return None
-        step = -np.linalg.solve(compute_jacobian(wire, bent), missing[:, :, None])[:, :, 0]
-        turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
+        step = -np.linalg.solve(compute_jacobian(wire, bent_wire), missing[:, :, None])[:, :, 0]
+        turn = np.max(np.abs(step[:, :-1] * bent_wire.slope), axis=1) * length
         step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
         moment[left] += step[:, :-1]
         load[left] += step[:, -1]
@@ -176,19 +176,19 @@ def compute_residual(wire: Wire, bent: BentWire, moment: Floats) -> Floats:
 
 def compute_jacobian(wire: Wire, bent: BentWire) -> Floats:
     """Return the derivatives of `compute_residual`, shape (n, stations + 1, stations + 1)."""
-    stations, wanted, n = wire.stations, bent.wanted, len(wire.stations.position)
+    stations, demand, n = wire.stations, bent.wanted, len(wire.stations.position)
     turning = stations.from_clamp * bent.slope[:, None, :]
     across = np.stack([-stations.weights * bent.sin, stations.weights * bent.cos], axis=1)
     tip_by_moment = across @ turning
     derivatives = np.empty((len(bent.tip), n + 1, n + 1))
     lateral = bent.lateral(wire.beyond)
     derivatives[:, :n, :n] = -((stations.to_tip * lateral[:, None, :]) @ turning)
-    if wanted.force_by_tip is not None:
-        derivatives[:, :n, :n] -= bent.levers @ (wanted.force_by_tip @ tip_by_moment)
+    if demand.force_by_tip is not None:
+        derivatives[:, :n, :n] -= bent.levers @ (demand.force_by_tip @ tip_by_moment)
     derivatives[:, range(n), range(n)] += 1.0
-    derivatives[:, :n, n] = -(bent.levers @ wanted.force_by_load[:, :, None])[:, :, 0]
-    derivatives[:, n, :n] = (wanted.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
-    derivatives[:, n, n] = wanted.gap_by_load
+    derivatives[:, :n, n] = -(bent.levers @ demand.force_by_load[:, :, None])[:, :, 0]
+    derivatives[:, n, :n] = (demand.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+    derivatives[:, n, n] = demand.gap_by_load
     return derivatives
 
 
@@ -203,17 +203,17 @@ def compute_sensitivity(wire: Wire, bent: BentWire, curvature_changes: Floats) -
     curvature_changes : shape (parameters, n, stations), derivatives of the curvature at constant
         moment
     """
-    stations, wanted, n = wire.stations, bent.wanted, len(wire.stations.position)
+    stations, demand, n = wire.stations, bent.wanted, len(wire.stations.position)
     turn = curvature_changes @ stations.from_clamp.T
     across = [-(turn * bent.sin) @ stations.weights, (turn * bent.cos) @ stations.weights]
     tip = np.stack(across, axis=-1)
     bending = (turn * bent.lateral(wire.beyond)) @ stations.to_tip.T
-    if wanted.force_by_tip is not None:
-        bending += np.einsum("nsk,nkj,pnj->pns", bent.levers, wanted.force_by_tip, tip)
+    if demand.force_by_tip is not None:
+        bending += np.einsum("nsk,nkj,pnj->pns", bent.levers, demand.force_by_tip, tip)
     missing = np.zeros((1 + len(curvature_changes), len(bent.tip), n + 1))
     missing[0, :, n] = -1.0
     missing[1:, :, :n] = -bending
-    missing[1:, :, n] = np.sum(wanted.gap_by_tip * tip, axis=-1)
+    missing[1:, :, n] = np.sum(demand.gap_by_tip * tip, axis=-1)
     solution = -np.linalg.solve(compute_jacobian(wire, bent), np.moveaxis(missing, 0, 2))
     return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
@@ -287,6 +287,6 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
         raise ValueError(message)
     nodes = 2.0 * make_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)
-    wanted = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
-    matrix: Floats = np.linalg.solve(basis.T, wanted.T).T.astype(np.float64)
+    basis_at_positions = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
+    matrix: Floats = np.linalg.solve(basis.T, basis_at_positions.T).T.astype(np.float64)
     return matrix

@@ -217,10 +217,12 @@ def make_cross_section(
     for place_layers in (place_hexagon, place_rings):
         with suppress(ValueError):  # it does not fit: try the next layout
             return place_layers(layers, insulation)
-    is_equal = len({layer.diameter for layer in layers}) == 1
+    have_one_diameter = len({layer.diameter for layer in layers}) == 1
     # strands of several diameters: place_rings raises the error that states the overlap
     return (
-        pack_strands(layers, insulation, seed=seed) if is_equal else place_rings(layers, insulation)
+        pack_strands(layers, insulation, seed=seed)
+        if have_one_diameter
+        else place_rings(layers, insulation)
     )
 
 
@@ -236,7 +238,7 @@ def find_helix_overlap(section: CrossSection) -> float:
 
     Returns
     -------
-    0 if no strands overlap.
+    The overlap over the diameter; 0 if no strands overlap.
 
     Notes
     -----
@@ -246,8 +248,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     max_neighbour_distance = 1.5  # in strand diameters
     largest_overlap = 0.0
     for number, layer in enumerate(section.layers):
-        in_layer = section.layer == number
-        centres = np.column_stack([section.x[in_layer], section.y[in_layer]])
+        is_in_layer = section.layer == number
+        centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
         first, second = (
             KDTree(centres)
             .query_pairs(max_neighbour_distance * layer.diameter, output_type="ndarray")
@@ -262,14 +264,14 @@ def find_helix_overlap(section: CrossSection) -> float:
 def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) -> Floats:
     """Compute the smallest distance of the centre lines of each pair of strands, shape (pairs,).
 
-    The searched points of the second strand lie between the cross-section (z = 0) and the point at
-    the angle of the first strand.
+    The distance is computed from a point of the first strand to 401 points of the second one, from
+    its point in the same cross-section to its point at the same angle.
     """
     a, b = np.hypot(*first.T), np.hypot(*second.T)
-    pair_angle = np.arctan2(
+    signed_angle = np.arctan2(
         first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1)
     )
-    pair_angle = np.abs(pair_angle)[:, None]
+    pair_angle = np.abs(signed_angle)[:, None]
     angle = pair_angle * np.linspace(0.0, 1.0, 401)  # p - k z
     z = (pair_angle - angle) * np.sqrt(a * b)[:, None] / np.tan(abs(lay_angle))
     squared = (a**2 + b**2)[:, None] - 2.0 * (a * b)[:, None] * np.cos(angle) + z**2

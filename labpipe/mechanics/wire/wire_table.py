@@ -78,8 +78,8 @@ def wire_table(spec: WireSpec) -> WireTable:
         built.section, built.contacts, curve, tension=spec.tension
     )
     mass, pair = mass_per_length(spec, built.section), compute_stretch_torsion(built.section)
-    bent = compute_cantilever(spec, curve, GRAVITY * mass)
-    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *bent.notes)
+    cantilever = compute_cantilever(spec, curve, GRAVITY * mass)
+    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -93,12 +93,12 @@ def wire_table(spec: WireSpec) -> WireTable:
         slip_onsets=onsets,
         lowest_moment=np.minimum(lowest, curve.moment),
         highest_moment=np.maximum(highest, curve.moment),
-        tip_deflection=bent.deflection,
-        tip_force=bent.force,
+        tip_deflection=cantilever.deflection,
+        tip_force=cantilever.force,
         mass_per_length=mass,
-        rest=bent.rest,
+        rest=cantilever.rest,
         doubtful_curvature=limit,
-        doubtful_deflection=bent.deflection_at(curve, limit),
+        doubtful_deflection=cantilever.deflection_at(curve, limit),
         notes=notes,
         **{item.name: getattr(curve, item.name) for item in fields(curve)},
     )
@@ -137,8 +137,8 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     decades = 4.0  # of curvature below the largest
     even = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
     even[-1] = largest
-    near = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
-    return np.concatenate([[0.0], np.union1d(even[~near.any(axis=1)], onsets)])
+    is_near_onset = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
+    return np.concatenate([[0.0], np.union1d(even[~is_near_onset.any(axis=1)], onsets)])
 
 
 def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
@@ -430,7 +430,7 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
     WireError
         If the tension alone strains the wire to the last strain of a stress table.
     """
-    wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
+    largest_curvature = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
     for table, diameter, part in (
@@ -447,17 +447,17 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
             )
             raise WireError(message)
         end = 2.0 * (last - strain) / diameter
-        if end >= wanted:
+        if end >= largest_curvature:
             continue
         pulled = f", of which the tension takes {strain:.3g}" if strain else ""
         note = QualityNote.of(
             "mechanics.wire.range_shortened",
             spec.place,
             end=end,
-            wanted=wanted,
+            wanted=largest_curvature,
             part=part,
             last=last,
             pulled=pulled,
         )
-        wanted, notes = end, (*notes, note)
-    return wanted, notes
+        largest_curvature, notes = end, (*notes, note)
+    return largest_curvature, notes

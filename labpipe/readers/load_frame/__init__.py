@@ -218,9 +218,11 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
         parse_count(str(export.about.get(key, ""))) if key else None
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, held = compare_row_counts(rows, table.rows), len(table.names)
-    if columns not in {None, held}:
-        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=held))
+    notes, n_columns = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, n_columns}:
+        notes.append(
+            QualityNote.of("readers.columns_differ", "file", stated=columns, held=n_columns)
+        )
     return notes
 
 

@@ -110,9 +110,9 @@ def read_text(
         return _read_blocks(text, decimal, card, path)
     header = find_header(split_lines(head), card, path)
     specimens = _find_specimens(header, card)
-    wanted = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
+    wanted_columns = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
     body = _build_body(
-        skip_lines(content.data, header.first), header, wanted, header.first + 1, decimal
+        skip_lines(content.data, header.first), header, wanted_columns, header.first + 1, decimal
     )
     columns, notes = read_columns(replace(body, others_numeric=not card.words), path)
     tables = []
@@ -145,7 +145,7 @@ def _wanted_columns(
     paths = unique_names(names)
     offered = [i for i in numbers if i != time]
     pairs = [(names[i], paths[i]) for i in offered]
-    chosen = {offered[find_channel(wanted, pairs, path)] for wanted in channels}
+    chosen = {offered[find_channel(channel, pairs, path)] for channel in channels}
     always = {i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)}
     return sorted(chosen | always | ({time} if time is not None else set()))
 
@@ -240,9 +240,9 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
             blanks = header.separator == " "  # parts of one key, not cells
             about += [[" ".join(row)] for row in header.above] if blanks else header.above
             data, first = skip_lines(block.encode(), header.first), line + header.first
-            wanted = _wanted_columns(header, card, None, path)
+            wanted_columns = _wanted_columns(header, card, None, path)
             columns, its_notes = read_columns(
-                _build_body(data, header, wanted, first, decimal), path
+                _build_body(data, header, wanted_columns, first, decimal), path
             )
             blocks.append(_Block(first, Table("", header.names, header.units, columns)))
             notes += its_notes
@@ -379,8 +379,10 @@ def _read_sheet_table(
     rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
 ) -> Table:
     names = unique_names(header.names)
-    wanted = {i: names[i] for i in _wanted_columns(header, card, None, path)}
-    columns, notes = read_sheet_columns(rows, header.first, wanted, (path, f"sheet '{sheet}'"))
+    wanted_columns = {i: names[i] for i in _wanted_columns(header, card, None, path)}
+    columns, notes = read_sheet_columns(
+        rows, header.first, wanted_columns, (path, f"sheet '{sheet}'")
+    )
     specimen = next((cell for cell in header.specimens if cell), "")
     return Table(specimen or sheet, header.names, header.units, columns, sheet, tuple(notes))
 

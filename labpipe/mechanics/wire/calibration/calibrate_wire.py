@@ -109,7 +109,7 @@ def make_calibration(result: CalibrationFit) -> Calibration:
     result : the fit and all that it rests on
     """
     problem = result.problem
-    solutions = tuple(_solution(result, valley) for valley in result.valleys)
+    solutions = tuple(_solution(result, minimum) for minimum in result.local_minima)
     solutions = tuple(
         solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
     )
@@ -138,19 +138,19 @@ def make_calibration(result: CalibrationFit) -> Calibration:
     )
 
 
-def _solution(result: CalibrationFit, valley: LocalMinimum) -> Solution:
+def _solution(result: CalibrationFit, minimum: LocalMinimum) -> Solution:
     residuals = [
         curve.force - model.force
-        for curve, model in zip(result.problem.curves, valley.fit.models, strict=True)
+        for curve, model in zip(result.problem.curves, minimum.fit.models, strict=True)
     ]
     acts = np.array(result.problem.parts.has)
     return Solution(
-        values=np.where(acts, np.exp(valley.fit.point.logs), np.nan),
-        rise=valley.rise,
+        values=np.where(acts, np.exp(minimum.fit.point.logs), np.nan),
+        rise=minimum.rise,
         rmse=float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
-        covariance=valley.spread.covariance,
-        mixture=valley.mixture,
-        limit=compute_limit(result, valley),
+        covariance=minimum.spread.covariance,
+        mixture=minimum.mixture,
+        limit=compute_limit(result, minimum),
     )
 
 
@@ -182,14 +182,16 @@ def _parameter(
         profiles=tuple(map(_profile, traced)),
         conflict=_prior_conflict(result, number) if problem.precision[number] > 0.0 else None,
     )
-    others = tuple(
+    other_parameters = tuple(
         (float(solution.values[number]), solution.likelihood)
         for solution in solutions
         if not solution.is_allowed
     )
     ends = _interval_at_99(result, number, parameter)
-    parameter = replace(parameter, verdict=_verdict(result, number, parameter, others, ends))
-    return replace(parameter, explanation=describe_parameter(parameter, others, ends))
+    parameter = replace(
+        parameter, verdict=_verdict(result, number, parameter, other_parameters, ends)
+    )
+    return replace(parameter, explanation=describe_parameter(parameter, other_parameters, ends))
 
 
 def _interval_at_99(
@@ -251,7 +253,8 @@ def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
     precision[number] = 0.0
     problem = replace(result.problem, precision=precision)
     fits = [
-        search(problem, result.levels, valley.fit.point, result.free) for valley in result.valleys
+        search(problem, result.levels, minimum.fit.point, result.free)
+        for minimum in result.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = estimate_uncertainty(
@@ -276,8 +279,8 @@ def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
 def _correlations(covariance: Floats, free: Flags) -> Floats:
     errors = np.sqrt(np.diag(covariance))
     out = np.full((P, P), np.nan)
-    both = np.ix_(free, free)
-    out[both] = covariance[both] / np.outer(errors[free], errors[free])
+    free_pairs = np.ix_(free, free)
+    out[free_pairs] = covariance[free_pairs] / np.outer(errors[free], errors[free])
     return out
 
 

@@ -94,7 +94,7 @@ class CalibrationFit:
     wire, settings : input
     problem, free : what was fitted
     levels : of noise and samples
-    valleys : local minima of the objective, the lowest first
+    local_minima : local minima of the objective, the lowest first
     line : on which they lie
     widening : of quantiles, for the nonlinear family of curves (`local_minima`)
     """
@@ -104,24 +104,24 @@ class CalibrationFit:
     problem: Problem
     free: Flags
     levels: Levels
-    valleys: tuple[LocalMinimum, ...]
+    local_minima: tuple[LocalMinimum, ...]
     line: Line
     widening: float = 1.0
 
     @property
     def fit(self) -> Fit:
         """Return the fit at the minimum of the objective."""
-        return self.valleys[0].fit
+        return self.local_minima[0].fit
 
     @property
     def spread(self) -> Uncertainty:
         """Return the covariance at the minimum, with its degrees of freedom."""
-        return self.valleys[0].spread
+        return self.local_minima[0].spread
 
     @property
     def mixture(self) -> ScatterMixture:
         """Return the covariance at the minimum for each possible scatter."""
-        return self.valleys[0].mixture
+        return self.local_minima[0].mixture
 
     @property
     def is_scatter_known(self) -> bool:
@@ -156,12 +156,12 @@ def fit_wire(
     except ValueError as error:
         return CalibrationFailure.of("mechanics.wire.model_cannot_follow", error=error)
     fits, levels = minima.fits, minima.levels
-    valleys = tuple(
+    local_minima = tuple(
         estimate_local_minimum(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
         for fit in fits
     )
     return CalibrationFit(
-        wire, settings, problem, free, levels, valleys, minima.line, widening=minima.widening
+        wire, settings, problem, free, levels, local_minima, minima.line, widening=minima.widening
     )
 
 
@@ -250,9 +250,9 @@ def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
         raise ValueError(message)
     require("gain", gain, ">= 0 and < 1", holds=0.0 <= gain < 1.0)
     for name, choice in choices.items():
-        for what in ("value", "lower", "upper"):
-            number = getattr(choice, what)
-            require_positive(f"{name}: {what}", 1.0 if number is None else number)
+        for bound_name in ("value", "lower", "upper"):
+            number = getattr(choice, bound_name)
+            require_positive(f"{name}: {bound_name}", 1.0 if number is None else number)
         factor = 2.0 if choice.factor is None else choice.factor
         require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 
@@ -324,7 +324,7 @@ def format_value(name: str, *values: float) -> str:
 
     Examples
     --------
-    >>> in_display_unit("insulation_modulus", 9.341e8, 1.0318e9)
+    >>> format_value("insulation_modulus", 9.341e8, 1.0318e9)
     '934.1 and 1032 MPa'
     """
     factor, unit = DISPLAYED[name]
@@ -554,11 +554,11 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     contradicts = conflict.size > limit
     relation = "contradicts" if contradicts else "agrees with"
     side = "above" if conflict.alone > conflict.centre else "below"
-    others = " (the other values are affected, too)" if contradicts else ""
+    effect = " (the other values are affected, too)" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {format_value(name, conflict.centre)} within a factor of "
         f"{conflict.factor:.4g}{_source_text(conflict.source)}, {relation} the "
         f"tests, which alone give {format_value(name, conflict.alone)}: {conflict.size:.2f} "
-        f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{others}"
+        f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{effect}"
     )
     return replace(conflict, contradicts=contradicts, message=message)

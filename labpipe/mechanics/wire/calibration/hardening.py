@@ -206,7 +206,7 @@ def calibrate_share(
     grid = np.linspace(0.0, 1.0, 401)
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in curves])
     off = measured[:, None] - fitted
-    both = _estimate(grid, off, noise)
+    estimate = _estimate(grid, off, noise)
     parts = {}
     for name in (RESIDUAL, RATIO):
         some = np.array([row_name == name for _, row_name in rows])
@@ -214,16 +214,18 @@ def calibrate_share(
             parts[name] = _estimate(grid, off[some], noise[np.ix_(some, some)])
     agrees = True
     if len(parts) == 2:
-        (one, one_error), (other, other_error) = parts.values()
-        agrees = abs(one - other) <= MAX_DISAGREEMENT * float(np.hypot(one_error, other_error))
-    value, error = both
+        (first, first_error), (second, second_error) = parts.values()
+        agrees = abs(first - second) <= MAX_DISAGREEMENT * float(
+            np.hypot(first_error, second_error)
+        )
+    value, error = estimate
     half = NORMAL_95 * error
     return IsotropicShare(
         value=value,
         interval=Interval(max(value - half, 0.0), min(value + half, 1.0)),
         by_number={
-            name: Interval(one - NORMAL_95 * own, one + NORMAL_95 * own)
-            for name, (one, own) in parts.items()
+            name: Interval(share - NORMAL_95 * share_error, share + NORMAL_95 * share_error)
+            for name, (share, share_error) in parts.items()
         },
         n_tests=len(tests),
         is_creep=not agrees,
@@ -262,8 +264,8 @@ def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
     squares = np.einsum("ng,nm,mg->g", off, np.linalg.inv(noise), off)
     best = int(np.argmin(squares))
     inner = min(max(best, 20), len(grid) - 21)
-    near = slice(inner - 20, inner + 21)
-    bend = np.polyfit(grid[near] - grid[inner], squares[near], 2)[0]
+    near_minimum = slice(inner - 20, inner + 21)
+    bend = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
     error = 1.0 / np.sqrt(max(bend, 1e-12))
     freedom = len(off) - 1
     if freedom > 0:

@@ -256,8 +256,8 @@ def make_loading_table(parts: WireParts, values: Floats, largest_curvature: floa
 
 def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
     rounding_share = 1e-9
-    reach, statement = parts.reach(values)
-    if curvature > reach * (1.0 + rounding_share):
+    known_curvature, statement = parts.reach(values)
+    if curvature > known_curvature * (1.0 + rounding_share):
         message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
 
@@ -272,9 +272,9 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> Floats:
         force = values[0] / parts.friction.coefficients
         corners = force * parts.friction.curvature[1:]
     corners = corners[corners < largest]
-    near = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
+    nearest = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
     below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
-    is_apart = np.minimum(np.abs(near - corners), np.abs(below - corners)) > _MIN_GAP * corners
+    is_apart = np.minimum(np.abs(nearest - corners), np.abs(below - corners)) > _MIN_GAP * corners
     return np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
 
 
@@ -362,8 +362,8 @@ def compute_loading_curve(
     """
     curvature_margin = 3.0  # over a wire whose curvature falls linearly to its tip
     share = min(deflection / length, 0.9)
-    reach, _ = parts.reach(values)
-    end = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
+    known_curvature, _ = parts.reach(values)
+    end = min(known_curvature, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
     table = make_loading_table(parts, values, end)
     curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
     _require_known(parts, values, float(curve.clamp_curvature.max()))

@@ -132,25 +132,30 @@ def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float |
     first = _first_fit(problem, levels, _starts(problem, logs, free), free)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
     line = follow_line(problem, levels, fit, free)
-    valleys = find_local_minima(problem, levels, line, fit, free)
-    lowest = min(valleys, key=lambda valley: valley.objective)
-    others = [valley for valley in valleys if valley is not lowest]
-    others = [other for other in others if other.objective - lowest.objective <= max_rise]
-    least = lowest.objective
+    local_minima = find_local_minima(problem, levels, line, fit, free)
+    lowest = min(local_minima, key=lambda minimum: minimum.objective)
+    other_minima = [minimum for minimum in local_minima if minimum is not lowest]
+    other_minima = [
+        other for other in other_minima if other.objective - lowest.objective <= max_rise
+    ]
+    lowest_objective = lowest.objective
     if lowest is not fit:
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
     low = fit.objective
-    minima = (_search_again(problem, levels, other, free, lowest=low) for other in others)
+    minima = (_search_again(problem, levels, other, free, lowest=low) for other in other_minima)
     fits = _distinct_minima([fit, *(minimum for minimum in minima if minimum is not None)])
     fits = [fit for fit in fits if fit.objective - fits[0].objective <= max_rise]
     others_on_line = [
         element for element in line if abs(_strength(element) - _strength(fits[0])) > _SAME_PLACE
     ]
     line = sorted([*others_on_line, fits[0]], key=_strength)
-    rises = [0.0 if element is fits[0] else max(element.objective - least, 0.0) for element in line]
+    objective_rises = [
+        0.0 if element is fits[0] else max(element.objective - lowest_objective, 0.0)
+        for element in line
+    ]
     place = np.array([[*element.point.logs, element.point.gain] for element in line])
-    wider = compute_widening(problem, levels, line, fits[0])
-    return Minima(fits, levels, Line(place, np.array(rises)), wider)
+    widening = compute_widening(problem, levels, line, fits[0])
+    return Minima(fits, levels, Line(place, np.array(objective_rises)), widening)
 
 
 def _distinct_minima(fits: list[Fit]) -> list[Fit]:
@@ -297,12 +302,12 @@ def follow_line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list
     """
     if not (free[_TUBE] and free[_COPPER]):
         return [fit]
-    others = free.copy()
-    others[_COPPER] = False
+    other_parameters = free.copy()
+    other_parameters[_COPPER] = False
     low, high = float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
     strength = _strength(fit)
-    down = _follow(problem, levels, fit, others, _steps(strength, low))
-    up = _follow(problem, levels, fit, others, _steps(strength, high))
+    down = _follow(problem, levels, fit, other_parameters, _steps(strength, low))
+    up = _follow(problem, levels, fit, other_parameters, _steps(strength, high))
     return [*down[::-1], fit, *up]
 
 
@@ -390,7 +395,7 @@ def compute_tube_quantile(angle: float) -> float:
 
     Examples
     --------
-    >>> round(tube_quantile(0.0), 2), round(tube_quantile(np.pi), 2)
+    >>> round(compute_tube_quantile(0.0), 2), round(compute_tube_quantile(np.pi), 2)
     (1.96, 2.35)
     """
 

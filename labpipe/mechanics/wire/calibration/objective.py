@@ -129,9 +129,11 @@ def compute_whitened_products(
     noise = np.asarray(curve.noise)[:, None]
     white = whiten(columns / noise, correlation)
     shared = whiten(compute_shared_errors(curve, slope).T / noise, correlation)
-    seen = shared.T @ white
-    held = np.eye(shared.shape[1]) + shared.T @ shared
-    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))
+    shared_products = shared.T @ white
+    capacitance = np.eye(shared.shape[1]) + shared.T @ shared
+    return np.asarray(
+        white.T @ white - shared_products.T @ np.linalg.solve(capacitance, shared_products)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

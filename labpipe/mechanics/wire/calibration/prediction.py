@@ -75,9 +75,19 @@ def predict(
         slopes = np.vstack([change, gain_slope]).T
         forces.append(force)
         wide = calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
-        mean, one = _reach(solution, slopes, force / np.sqrt(n_samples), wide)
-        one, mean = np.hypot(one, np.hypot(gain * force, read)), np.hypot(mean, gain * force)
-        bands.append([force - one[0], force + one[1], force - mean[0], force + mean[1]])
+        mean_error, sample_error = _reach(solution, slopes, force / np.sqrt(n_samples), wide)
+        sample_error, mean_error = (
+            np.hypot(sample_error, np.hypot(gain * force, read)),
+            np.hypot(mean_error, gain * force),
+        )
+        bands.append(
+            [
+                force - sample_error[0],
+                force + sample_error[1],
+                force - mean_error[0],
+                force + mean_error[1],
+            ]
+        )
     low, high = np.min(bands, axis=0), np.max(bands, axis=0)
     notes = tuple(_notes(calibration))
     return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
@@ -91,8 +101,8 @@ def _reach(
     The part of the parameters is `wide` times as wide as in the linear model.
     """
     mean = np.abs(compute_quantiles(solution.mixture, slopes))
-    one = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
-    scatter = np.sqrt(np.maximum(one**2 - mean**2, 0.0))
+    sample_quantiles = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
+    scatter = np.sqrt(np.maximum(sample_quantiles**2 - mean**2, 0.0))
     mean *= wide
     return mean, np.hypot(mean, scatter)
 

@@ -73,9 +73,11 @@ def follow_profiles(
     number : of the parameter
     unlikely : height up to which the objective is followed, over that of the 95 % set
     """
-    limits = ((valley, unlikely * compute_limit(result, valley)) for valley in result.valleys)
-    allowed = (valley for valley, limit in limits if valley.rise < limit)
-    return tuple(follow_profile(result, number, valley, unlikely=unlikely) for valley in allowed)
+    limits = (
+        (minimum, unlikely * compute_limit(result, minimum)) for minimum in result.local_minima
+    )
+    allowed = (minimum for minimum, limit in limits if minimum.rise < limit)
+    return tuple(follow_profile(result, number, minimum, unlikely=unlikely) for minimum in allowed)
 
 
 def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
@@ -89,13 +91,13 @@ def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]
     return tuple(joined)
 
 
-def compute_limit(result: CalibrationFit, valley: LocalMinimum) -> float:
+def compute_limit(result: CalibrationFit, minimum: LocalMinimum) -> float:
     """Return the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
     ----------
     result : the fit of a calibration
-    valley : one of its minima
+    minimum : one of its minima
 
     Notes
     -----
@@ -103,7 +105,7 @@ def compute_limit(result: CalibrationFit, valley: LocalMinimum) -> float:
     from the lowest minimum. The shape of the curves selects the minimum, so that this is the
     quantile of many points even where the level depends on few samples.
     """
-    best_point, other_point = result.fit.point, valley.fit.point
+    best_point, other_point = result.fit.point, minimum.fit.point
     difference = np.append(other_point.logs - best_point.logs, other_point.gain - best_point.gain)
     return float(_limits(result, difference[None, :])[0])
 
@@ -133,7 +135,7 @@ def find_reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[fl
 
 def _limits(result: CalibrationFit, ways: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
-    lowest = result.valleys[0]
+    lowest = result.local_minima[0]
     error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
     below, above = compute_quantiles(lowest.mixture, ways)
     roots = [
@@ -144,7 +146,7 @@ def _limits(result: CalibrationFit, ways: Floats) -> Floats:
 
 
 def follow_profile(
-    result: CalibrationFit, number: int, valley: LocalMinimum, *, unlikely: float = 1.0
+    result: CalibrationFit, number: int, minimum: LocalMinimum, *, unlikely: float = 1.0
 ) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted.
 
@@ -152,38 +154,48 @@ def follow_profile(
     ----------
     result : the fit of a calibration
     number : of the parameter
-    valley : start; its rise counts towards the height
+    minimum : start; its rise counts towards the height
     unlikely : as for `follow_profiles`
     """
-    problem, levels, fit, free = (result.problem, result.levels, valley.fit, result.free)
-    error = float(np.sqrt(valley.spread.covariance[number, number]))
-    below, above = compute_quantiles(valley.mixture, np.eye(P + 1)[[number]])
-    taken = valley.rise / compute_limit(result, valley) if valley.rise > 0.0 else 0.0
+    problem, levels, fit, free = (result.problem, result.levels, minimum.fit, result.free)
+    error = float(np.sqrt(minimum.spread.covariance[number, number]))
+    below, above = compute_quantiles(minimum.mixture, np.eye(P + 1)[[number]])
+    taken = minimum.rise / compute_limit(result, minimum) if minimum.rise > 0.0 else 0.0
     wide = result.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _min_quantile(end, error) for end in (-below[0], above[0])]
-    others = free.copy()
-    others[number] = False
+    other_parameters = free.copy()
+    other_parameters[number] = False
     direction = _direction(problem, levels, fit, free, number)
     sides = []
     bounds = (-1.0, problem.lower[number]), (1.0, problem.upper[number])
     for root, (sign, bound) in zip(roots, bounds, strict=True):
         walk = _Profile(
-            problem, levels, fit, others, number, direction, float(bound), sign, root * root
+            problem,
+            levels,
+            fit,
+            other_parameters,
+            number,
+            direction,
+            float(bound),
+            sign,
+            root * root,
         )
         sides.append(_find_end(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
-    one = len(result.valleys) == 1
-    seen = sorted({middle, *(p for side in sides for p in (side.seen if one else _uphill(side)))})
-    logs, heights = np.array(seen).T
+    has_one_minimum = len(result.local_minima) == 1
+    profile_points = sorted(
+        {middle, *(p for side in sides for p in (side.seen if has_one_minimum else _uphill(side)))}
+    )
+    logs, heights = np.array(profile_points).T
     return Trace(
         logs,
-        heights**2 + valley.rise,
+        heights**2 + minimum.rise,
         sides[0].end,
         sides[1].end,
         sides[0].is_open,
         sides[1].is_open,
-        roots[0] ** 2 + valley.rise,
-        roots[1] ** 2 + valley.rise,
+        roots[0] ** 2 + minimum.rise,
+        roots[1] ** 2 + minimum.rise,
     )
 
 
@@ -266,26 +278,26 @@ def _find_end(walk: _Profile, root: float, error: float) -> _Side:
     room = walk.sign * (walk.bound - start)
     if room <= 0.0:
         return _Side(walk.bound, walk.bound, is_open=True, seen=())
-    low, near, stays = (0.0, 0.0), walk.fit, 0
+    low, start_fit, stays = (0.0, 0.0), walk.fit, 0
     high: tuple[float, float] | None = None
-    seen: list[tuple[float, float]] = []
+    profile_points: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
     for _ in range(max_evaluations):
-        height, fit = walk.evaluate(near, distance)
-        seen.append((start + walk.sign * distance, height))
+        height, fit = walk.evaluate(start_fit, distance)
+        profile_points.append((start + walk.sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
             high, stays = (distance, height), min(stays, 0) - 1
         elif distance >= room:
-            return _Side(start, walk.bound, is_open=True, seen=tuple(seen))
+            return _Side(start, walk.bound, is_open=True, seen=tuple(profile_points))
         else:
-            near, low, stays = fit, (distance, height), max(stays, 0) + 1
+            start_fit, low, stays = fit, (distance, height), max(stays, 0) + 1
         distance = _next_distance(low, high, stays, root, room)
     else:  # conservative
         distance = high[0] if high else room
     end, is_open = start + walk.sign * distance, high is None and distance >= room
-    return _Side(start, end, is_open=is_open, seen=tuple(seen))
+    return _Side(start, end, is_open=is_open, seen=tuple(profile_points))
 
 
 def _next_distance(
@@ -301,11 +313,11 @@ def _next_distance(
     was kept twice (`stays`): the deviance is then no parabola.
     """
     max_growth = 2.5  # of the distance, per step
-    near, height = low
+    low_distance, height = low
     if high is None:
-        ahead = near * root / height if height > 0.0 else np.inf
-        return min(max(ahead, 1.1 * near), max_growth * near, room)
+        ahead = low_distance * root / height if height > 0.0 else np.inf
+        return min(max(ahead, 1.1 * low_distance), max_growth * low_distance, room)
     if abs(stays) > 2:
-        return 0.5 * (near + high[0])
+        return 0.5 * (low_distance + high[0])
     share = (root - height) / (high[1] - height)
-    return near + min(max(share, 0.02), 0.98) * (high[0] - near)
+    return low_distance + min(max(share, 0.02), 0.98) * (high[0] - low_distance)

@@ -87,8 +87,8 @@ def estimate_correlation(
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
-        held = np.eye(len(shared)) + shared @ shared.T
-        residuals -= np.linalg.solve(held, shared @ residuals) @ shared
+        capacitance = np.eye(len(shared)) + shared @ shared.T
+        residuals -= np.linalg.solve(capacitance, shared @ residuals) @ shared
         above += float(residuals[1:] @ residuals[:-1])
         below += float(residuals @ residuals)
     return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
@@ -240,10 +240,10 @@ def _level_covariance(
         np.trace(_projected(linear, noise, samples * up))
         - np.trace(_projected(linear, noise, samples * down))
     ) / (2.0 * _LOG_VARIANCE_STEP)
-    both = float(np.sum(here**2)) * samples**2
+    scatter_term = float(np.sum(here**2)) * samples**2
     cross = -float(slope - alone) * samples
-    white = freedom - both - 2.0 * cross
-    information = 0.5 * np.array([[white, cross], [cross, both]])
+    white = freedom - scatter_term - 2.0 * cross
+    information = 0.5 * np.array([[white, cross], [cross, scatter_term]])
     return np.asarray(np.linalg.inv(information))
 
 
@@ -283,8 +283,8 @@ def compute_quantiles(
     sample_error = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
     error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
-    reach = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
-    least, most = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
+    half_range = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
+    least, most = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
 
     def quantile_at(share: float) -> Floats:
         low, high = least, most

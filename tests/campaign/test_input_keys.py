@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.content_keys import (
-    Content,
-    ContentKeys,
+from labpipe.campaign.input_keys import (
+    HashedInputs,
+    InputReader,
     describe_changes,
-    parse_content,
+    parse_inputs,
     take_stamp,
 )
 from labpipe.process.run import process_test
@@ -40,16 +40,17 @@ def folder(tmp_path: Path) -> Path:
     return KeptCampaign(tmp_path).add("T1")
 
 
-def sure(content: Content) -> Content:
+def sure(inputs: HashedInputs) -> HashedInputs:
     """As if all hashes had been taken long after the files were written."""
     stamps = {
-        name: stamp._replace(taken=stamp.taken + 10**10) for name, stamp in content.stamps.items()
+        name: stamp._replace(hashed_ns=stamp.hashed_ns + 10**10)
+        for name, stamp in inputs.stamps.items()
     }
-    return replace(content, stamps=stamps)
+    return replace(inputs, stamps=stamps)
 
 
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
-def test_content_key_equals_result_key(tmp_path: Path, ends: str) -> None:
+def test_key_of_inputs_equals_result_key(tmp_path: Path, ends: str) -> None:
     lab = TensileLab(tmp_path, "P-1")
     travel, force = pull(slack=0.001, seed=1)
     write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
@@ -57,11 +58,13 @@ def test_content_key_equals_result_key(tmp_path: Path, ends: str) -> None:
     text = lab.sheet.read_text("utf-8")
     lab.sheet.write_bytes(text.replace("\n", ends).encode())
     result = process_test(lab.sheet, figures=False).result
-    content = ContentKeys().determine_content(lab.sheet)
-    assert content.key == result.run
-    assert content.inputs == tuple((i.role, i.file, i.sha256) for i in result.inputs)
-    assert {"sheet": content.sheet, "protocol": content.protocol} == lab.summary["made_of"]
-    assert content.facts["test"] == "P-1"
+    inputs = InputReader().read_inputs(lab.sheet)
+    assert inputs.key == result.run
+    assert inputs.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)
+    assert {"sheet": inputs.sheet_sha256, "protocol": inputs.protocol_sha256} == lab.summary[
+        "made_of"
+    ]
+    assert inputs.facts["test"] == "P-1"
 
 
 @pytest.mark.parametrize("kind", ["dialects/own.toml", "protocols/corrugated-tube.yaml"])
@@ -71,38 +74,38 @@ def test_key_depends_on_cards_and_protocols_of_the_lab(
     monkeypatch.chdir(tmp_path)
     text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
     texts = {".toml": "about = 'a frame'", ".yaml": text.replace("0.423 mm/s", "0.5 mm/s")}
-    before = sure(ContentKeys().determine_content(folder / "test.yaml"))
+    before = sure(InputReader().read_inputs(folder / "test.yaml"))
     own = tmp_path / kind
     own.parent.mkdir()
     own.write_text(texts[own.suffix], "utf-8")
-    after = ContentKeys().determine_content(folder / "test.yaml", before)
+    after = InputReader().read_inputs(folder / "test.yaml", before)
     assert after.key != before.key
-    assert ("dialect" in [role for role, _, _ in after.inputs]) == (own.suffix == ".toml")
+    assert ("dialect" in [role for role, _, _ in after.files]) == (own.suffix == ".toml")
 
 
 def test_unchanged_file_is_read_again_only_if_its_hash_is_unreliable(
     folder: Path, read: list[str]
 ) -> None:
-    keys, sheet = ContentKeys(), folder / "test.yaml"
-    first = keys.determine_content(sheet)
+    keys, sheet = InputReader(), folder / "test.yaml"
+    first = keys.read_inputs(sheet)
     read.clear()
-    assert keys.determine_content(sheet, first).key == first.key
+    assert keys.read_inputs(sheet, first).key == first.key
     assert sorted(read) == ["frame.csv", "test.yaml"]
     read.clear()
-    assert keys.determine_content(sheet, sure(first)).key == first.key
+    assert keys.read_inputs(sheet, sure(first)).key == first.key
     assert read == []
 
 
 def test_change_with_equal_size_and_time_is_detected(folder: Path) -> None:
     """As a copy with its times, or a clock that was set back: the file's own record tells."""
-    keys, sheet, export = ContentKeys(), folder / "test.yaml", folder / "frame.csv"
-    first = sure(keys.determine_content(sheet))
+    keys, sheet, export = InputReader(), folder / "test.yaml", folder / "frame.csv"
+    first = sure(keys.read_inputs(sheet))
     about = export.stat()
     while export.stat().st_ctime_ns == about.st_ctime_ns:  # until the file system's clock ticks
         export.write_text("26.5", "utf-8")
     os.utime(export, ns=(about.st_atime_ns, about.st_mtime_ns))
     assert export.stat().st_size == about.st_size
-    assert keys.determine_content(sheet, first).key != first.key
+    assert keys.read_inputs(sheet, first).key != first.key
 
 
 @pytest.mark.parametrize(
@@ -111,11 +114,11 @@ def test_change_with_equal_size_and_time_is_detected(folder: Path) -> None:
 )
 def test_faulty_sheet_has_its_own_key(folder: Path, text: str) -> None:
     sheet = folder / "test.yaml"
-    good = ContentKeys().determine_content(sheet)
+    good = InputReader().read_inputs(sheet)
     sheet.write_text(text, "utf-8")
-    first, again = (ContentKeys().determine_content(sheet) for _ in range(2))
+    first, again = (InputReader().read_inputs(sheet) for _ in range(2))
     assert first.key == again.key != good.key
-    assert first.inputs == ()
+    assert first.files == ()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
@@ -127,30 +130,35 @@ def test_pipe_has_an_empty_stamp(folder: Path) -> None:
     assert take_stamp(Path("a\x00b")).sha256 == ""
 
 
-def test_content_round_trip(folder: Path) -> None:
-    content = ContentKeys().determine_content(folder / "test.yaml")
-    assert parse_content(content.as_text()) == content
-    for text in ("", "{}", "[]", "null", '{"inputs": 1}'):
-        assert parse_content(text) is None
+def test_inputs_round_trip(folder: Path) -> None:
+    inputs = InputReader().read_inputs(folder / "test.yaml")
+    assert parse_inputs(inputs.to_json()) == inputs
+    for text in ("", "{}", "[]", "null", '{"files": 1}'):
+        assert parse_inputs(text) is None
 
 
-NOW = Content("new", (("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
-EXTRA = (*NOW.inputs, ("frame", "c.csv", "3"))
+NOW = HashedInputs("new", (("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
+EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 
 
 @pytest.mark.parametrize(
-    ("inputs", "texts", "message"),
+    ("files", "texts", "message"),
     [
-        (NOW.inputs, "sp", "newer labpipe"),
-        (NOW.inputs, "tp", "sheet changed"),
-        (NOW.inputs, "sq", "protocol changed"),
-        ((("force", "a.mat", "0"), NOW.inputs[1]), "sp", "export changed (a.mat)"),
+        (NOW.files, "sp", "newer labpipe"),
+        (NOW.files, "tp", "sheet changed"),
+        (NOW.files, "sq", "protocol changed"),
+        ((("force", "a.mat", "0"), NOW.files[1]), "sp", "export changed (a.mat)"),
         (EXTRA, "tq", "export changed (c.csv), sheet changed, protocol changed"),
         ((), "", "something changed"),
-        (NOW.inputs, "", "something changed"),
+        (NOW.files, "", "something changed"),
     ],
 )
 def test_describe_changes(
-    inputs: tuple[tuple[str, str, str], ...], texts: str, message: str
+    files: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
-    assert describe_changes(inputs=inputs, sheet=texts[:1], protocol=texts[1:], now=NOW) == message
+    assert (
+        describe_changes(
+            files=files, sheet_sha256=texts[:1], protocol_sha256=texts[1:], current=NOW
+        )
+        == message
+    )

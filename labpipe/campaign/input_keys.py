@@ -1,0 +1,333 @@
+"""Compute the key of the inputs of a test; results with another key are outdated.
+
+The key depends on the exports, the test sheet, the resolved protocol and the processing version
+(`labpipe.process.run.make_input_key`). A file is hashed again only if its size, times or inode have
+changed since the previous hash, or if that hash was taken within the time resolution of the file
+system after a change.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import stat
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import labpipe
+from labpipe.errors import Fault, LabpipeError
+from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
+from labpipe.process.run import PROCESSING_VERSION, make_input_key
+from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
+
+_UNRESOLVED_SHEET_KEYS = {"test", "date", "operator", "files"}
+"""Keys of a test sheet that do not affect the resolved protocol; of ``files``, the roles do."""
+_UNRESOLVED_SPECIMEN_KEYS = {"spool", "sample", "labels"}
+"""Keys of a specimen that do not affect the resolved protocol."""
+
+
+class FileStamp(NamedTuple):
+    """Hash of a file, with the state of the file when the hash was taken.
+
+    Parameters
+    ----------
+    size : bytes
+    modified_ns : time of the last change of the content, ns since 1970
+    changed_ns : time of the last change of content or attributes, ns since 1970
+    inode : number of the file in its file system
+    hashed_ns : time of the hash, ns since 1970
+    sha256 : hexadecimal; empty for an unreadable file
+    """
+
+    size: int
+    modified_ns: int
+    changed_ns: int
+    inode: int
+    hashed_ns: int
+    sha256: str
+
+    @property
+    def is_reliable(self) -> bool:
+        """Return whether every later change of the file is visible in its size, times or inode.
+
+        It may not be if the hash was taken too soon after the last change of the file, or before it
+        because the clock was set back.
+        """
+        coarsest_resolution_ns = 2_000_000_000  # of the times of files, on FAT
+        return max(self.modified_ns, self.changed_ns) + coarsest_resolution_ns < self.hashed_ns
+
+
+def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
+    """Take the stamp of a file; an unchanged file is not hashed again.
+
+    Parameters
+    ----------
+    path : path of the file
+    previous : previous stamp of the file; None if there is none
+
+    Returns
+    -------
+    The stamp. A missing or unreadable file, a folder, a pipe or a device has an empty hash.
+    """
+    hashed_ns = time.time_ns()
+    try:
+        status = path.stat()
+        state = (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+        if previous is not None and state == previous[:4] and previous.is_reliable:
+            return previous
+        if not stat.S_ISREG(status.st_mode):
+            return _UNREADABLE_FILE
+        with path.open("rb") as file:
+            return FileStamp(*state, hashed_ns, hashlib.file_digest(file, "sha256").hexdigest())
+    except (OSError, ValueError):  # ValueError: a name with a null character
+        return _UNREADABLE_FILE
+
+
+_UNREADABLE_FILE = FileStamp(-1, 0, 0, 0, 0, "")
+
+
+@dataclass(frozen=True)
+class HashedInputs:
+    """The inputs of a test, identified by their hashes.
+
+    Parameters
+    ----------
+    key : key of all inputs, equal to the `run` of results made from them
+    files : role, name and SHA-256 of each export and of each dialect card of the lab; empty if the
+        sheet or the protocol is faulty
+    sheet_sha256 : SHA-256 of the text of the test sheet; empty if the sheet or protocol is faulty
+    protocol_sha256 : SHA-256 of the resolved protocol; empty if the sheet or protocol is faulty
+    stamps : stamps of the test sheet and the exports, by file name
+    dependencies : name of the protocol, then the SHA-256 of its file, of the lab's dialect cards
+        and of the code of labpipe that resolves protocols
+    facts : test, protocol, type, spool, sample, date and operator from the test sheet
+    """
+
+    key: str
+    files: tuple[tuple[str, str, str], ...] = ()
+    sheet_sha256: str = ""
+    protocol_sha256: str = ""
+    stamps: Mapping[str, FileStamp] = field(default_factory=dict)
+    dependencies: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """Return the inputs as JSON, which `parse_inputs` reads."""
+        return json.dumps(vars(self))
+
+
+def parse_inputs(text: str) -> HashedInputs | None:
+    """Parse the JSON of `HashedInputs.to_json`.
+
+    Parameters
+    ----------
+    text : JSON, or any other text
+
+    Returns
+    -------
+    The inputs; None for any other text, such as that of an earlier version of labpipe.
+    """
+    try:
+        fields = json.loads(text)
+        fields["files"] = tuple(map(tuple, fields["files"]))
+        fields["stamps"] = {name: FileStamp(*values) for name, values in fields["stamps"].items()}
+        fields["dependencies"] = tuple(fields["dependencies"])
+        return HashedInputs(**fields)
+    except (ValueError, TypeError, AttributeError, KeyError):
+        return None
+
+
+class InputReader:
+    """Reads the inputs of tests. One reader reads and resolves each protocol once."""
+
+    def __init__(self) -> None:
+        self._protocol_files: dict[tuple[str, str], Path | Fault] = {}
+        self._protocol_hashes: dict[Path, str] = {}
+        self._resolved: dict[str, tuple[str, Protocol]] = {}
+        self._cards_hash: str | None = None
+
+    def read_inputs(self, sheet_path: Path, previous: HashedInputs | None = None) -> HashedInputs:
+        """Read the inputs of a test.
+
+        Parameters
+        ----------
+        sheet_path : path of its test sheet, ``test.yaml``
+        previous : previous inputs of the test; files unchanged since then are not read again
+
+        Returns
+        -------
+        The inputs. If the sheet or the protocol is faulty, the key is made from the hashes of all
+        files that could be read.
+        """
+        folder = sheet_path.parent
+        if previous is None:
+            return self._read_new_inputs(sheet_path, {})
+        stamps = {name: take_stamp(folder / name, stamp) for name, stamp in previous.stamps.items()}
+        is_same = all(
+            stamps[name].sha256 == stamp.sha256 for name, stamp in previous.stamps.items()
+        )
+        dependencies = previous.dependencies
+        if (
+            is_same
+            and dependencies
+            and dependencies == self._hash_dependencies(folder, dependencies[0])
+        ):
+            return previous if stamps == previous.stamps else replace(previous, stamps=stamps)
+        return self._read_new_inputs(sheet_path, stamps)
+
+    def _read_new_inputs(
+        self, sheet_path: Path, previous_stamps: Mapping[str, FileStamp]
+    ) -> HashedInputs:
+        folder = sheet_path.parent
+        stamps = {SHEET_NAME: take_stamp(sheet_path, previous_stamps.get(SHEET_NAME))}
+        try:
+            sheet = load_test_sheet(sheet_path)
+            text = sheet_path.read_text(encoding="utf-8")
+        except (LabpipeError, OSError, ValueError):
+            return self._make_faulty_inputs(folder, stamps, "")
+        for names in sheet.files.values():
+            stamps |= {name: take_stamp(folder / name, previous_stamps.get(name)) for name in names}
+        try:
+            resolved, protocol = self._resolve_protocol(sheet, sheet_path, text)
+            cards = fingerprint_dialect_cards(protocol)
+        except LabpipeError:
+            return replace(
+                self._make_faulty_inputs(folder, stamps, sheet.protocol),
+                facts=_collect_sheet_facts(sheet),
+            )
+        exports = list_named_exports(sheet, protocol)
+        files = [(role, name, stamps[name].sha256) for role, name in exports]
+        files += [(card.role, card.file, card.sha256) for card in cards]
+        key = make_input_key([(role, sha256) for role, _, sha256 in files], text, resolved)
+        return HashedInputs(
+            key,
+            tuple(files),
+            sheet_sha256=_hash_text(text),
+            protocol_sha256=_hash_text(resolved),
+            stamps=stamps,
+            dependencies=self._hash_dependencies(folder, sheet.protocol),
+            facts=_collect_sheet_facts(sheet),
+        )
+
+    def _make_faulty_inputs(
+        self, folder: Path, stamps: Mapping[str, FileStamp], protocol: str
+    ) -> HashedInputs:
+        """Return the inputs of a test whose sheet or protocol is faulty."""
+        dependencies = self._hash_dependencies(folder, protocol)
+        hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
+        parts = ["unfit", hashes, *dependencies[1:]]
+        return HashedInputs(_hash_text(json.dumps(parts)), stamps=stamps, dependencies=dependencies)
+
+    def _hash_dependencies(self, folder: Path, protocol: str) -> tuple[str, ...]:
+        """Return the name of a protocol, then the hashes of its file, the cards and the code."""
+        return protocol, self._hash_protocol(protocol, folder), self._hash_cards(), _hash_code()
+
+    def _hash_protocol(self, name: str, folder: Path) -> str:
+        """Return the hash of the file of a protocol; empty if there is no such file."""
+        is_path = any(character in name for character in "/\\.")
+        lookup_key = (name, str(folder) if is_path else "")
+        if lookup_key not in self._protocol_files:
+            self._protocol_files[lookup_key] = find_protocol(name, beside=folder)
+        file = self._protocol_files[lookup_key]
+        if isinstance(file, Fault):
+            return ""
+        if file not in self._protocol_hashes:
+            self._protocol_hashes[file] = take_stamp(file).sha256
+        return self._protocol_hashes[file]
+
+    def _hash_cards(self) -> str:
+        """Return the hash of the dialect cards of the lab; empty if there are none."""
+        if self._cards_hash is None:
+            from labpipe.readers.load_frame.cards import lab_card_files
+
+            cards = [[file.name, take_stamp(file).sha256] for file in lab_card_files()]
+            self._cards_hash = _hash_text(json.dumps(cards)) if cards else ""
+        return self._cards_hash
+
+    def _resolve_protocol(
+        self, sheet: TestSheet, sheet_path: Path, text: str
+    ) -> tuple[str, Protocol]:
+        """Resolve the protocol of a test, once for all tests with the same keys that affect it."""
+        sheet_data: Any = parse_yaml(text, str(sheet_path)).data
+        sheet_keys = {key: sheet_data[key] for key in sheet_data.keys() - _UNRESOLVED_SHEET_KEYS}
+        specimen = sheet_keys.get("specimen") or {}
+        sheet_keys["specimen"] = {
+            key: specimen[key] for key in specimen.keys() - _UNRESOLVED_SPECIMEN_KEYS
+        }
+        protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
+        cache_key = json.dumps([protocol_hash, sorted(sheet.files), sheet_keys], sort_keys=True)
+        if cache_key not in self._resolved:
+            protocol = resolve(sheet, sheet_path, follow_links=True)
+            self._resolved[cache_key] = dump_protocol(protocol), protocol
+        return self._resolved[cache_key]
+
+
+def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
+    """Return the facts of a test sheet that the catalog lists."""
+    specimen = sheet.specimen.record
+    return {
+        "test": sheet.test,
+        "protocol": sheet.protocol,
+        "type": specimen.type,
+        "spool": specimen.spool,
+        "sample": specimen.sample,
+        "date": str(sheet.date or ""),
+        "operator": sheet.operator or "",
+    }
+
+
+@cache
+def _hash_code() -> str:
+    """Return the hash of the code that resolves protocols, and of the processing version."""
+    package = Path(labpipe.__file__).parent
+    files = sorted([*package.glob("protocol/*.py"), *package.glob("records/*.py")])
+    digest = hashlib.sha256(str(PROCESSING_VERSION).encode())
+    for file in [*files, package / "units.py"]:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def describe_changes(
+    *,
+    files: Iterable[tuple[str, str, str]],
+    sheet_sha256: str,
+    protocol_sha256: str,
+    current: HashedInputs,
+) -> str:
+    """Describe what changed since a test was processed.
+
+    Parameters
+    ----------
+    files : role, name and SHA-256 of the files that were processed; empty if unknown
+    sheet_sha256, protocol_sha256 : SHA-256 of the test sheet and of the resolved protocol that were
+        processed; empty if unknown
+    current : current inputs of the test
+
+    Returns
+    -------
+    A text such as ``export changed (force.mat), sheet changed``. It is ``newer labpipe`` if neither
+    files nor texts changed, and ``something changed`` if the changed file is unknown.
+    """
+    earlier = {name: sha256 for _, name, sha256 in files}
+    changed = sorted(
+        {name for _, name, sha256 in current.files if earlier.get(name) != sha256}
+        | earlier.keys() - {name for _, name, _ in current.files}
+    )
+    can_compare = bool(earlier and current.files)
+    reasons = [f"export changed ({', '.join(changed)})"] if changed and can_compare else []
+    if not sheet_sha256 or not current.sheet_sha256:
+        return ", ".join(reasons) or "something changed"
+    reasons += ["sheet changed"] if sheet_sha256 != current.sheet_sha256 else []
+    reasons += ["protocol changed"] if protocol_sha256 != current.protocol_sha256 else []
+    return ", ".join(reasons) or "newer labpipe"
+
+
+def _hash_text(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
