@@ -1,42 +1,31 @@
-"""Make pandas tables and xarray Datasets of results, curves, shapes and recordings.
+"""Make pandas tables of results, curves, shapes and recordings.
 
-Units are in ``frame.attrs["units"]`` by column, in a column ``unit``, or in ``attrs["units"]`` of
-a variable.
+Units are in ``frame.attrs["units"]`` by column, or in a column ``unit``.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from labpipe.errors import UsageError, sort_by_likeness
-from labpipe.records.arrays import AXIS_LABELS
-from labpipe.records.curve import Series
 from labpipe.report.wording import Scale, find_display_unit
-from labpipe.store.layout import (
-    UNSTATED_UNIT,
-    DatasetSpec,
-    find_scales,
-    list_datasets,
-    make_link_name,
-)
+from labpipe.store.layout import UNSTATED_UNIT
 from labpipe.units import find_si_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from xarray import Dataset
-
-    from labpipe.records.curve import Aligned, Curve, Shape
+    from labpipe.records.curve import Curve, Shape
     from labpipe.records.quality import QualityNote
     from labpipe.records.recording import MarkerTracks, Recording, RigidBody
-    from labpipe.records.result import Result, TestResult
+    from labpipe.records.result import Result
 
 _AXES = ("x", "y", "z")
 
@@ -286,108 +275,3 @@ def _make_body_frame(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
         name: "1" if name.startswith("q") else "m" for name in names
     }
     return frame
-
-
-PARTS: Final = ("curve", "aligned", "shape", "bending", "law")
-
-
-def make_dataset(result: TestResult, part: str) -> Dataset | None:
-    """Make a Dataset of a part of a test.
-
-    Parameters
-    ----------
-    result : complete, with shapes and recordings
-    part : one of `PARTS`, or the role of a recording
-
-    Returns
-    -------
-    The part; None if the test has none.
-
-    Raises
-    ------
-    UsageError
-        If xarray is not installed.
-    """
-    if part in result.recordings:
-        return _make_recording_dataset(result.recordings[part])
-    if part == "aligned":
-        return None if result.aligned is None else _make_aligned_dataset(result.aligned)
-    record = _find_record(result, part)
-    return None if record is None else _make_record_dataset(record)
-
-
-def _find_record(result: TestResult, part: str) -> object:
-    """Find the record of a part of a test; None if missing."""
-    if part in ("curve", "shape"):
-        return getattr(result, part)
-    bending = result.bending
-    return None if bending is None else bending.cloud if part == "bending" else bending.law
-
-
-def _make_record_dataset(record: object) -> Dataset:
-    fields = {
-        name: replace(field, unit=getattr(record, field.stated_in, field.unit))
-        for name, field in list_datasets(type(record)).items()
-    }
-    return _assemble_dataset({name: np.asarray(getattr(record, name)) for name in fields}, fields)
-
-
-def _assemble_dataset(
-    arrays: Mapping[str, np.ndarray], fields: Mapping[str, DatasetSpec]
-) -> Dataset:
-    """Make a Dataset whose dimensions have the names of the scales in a result file."""
-    variables: dict[str, Any] = {}
-    coordinates: dict[str, Any] = {}
-    scales = find_scales(fields)
-    for name, values in arrays.items():
-        axes = [
-            scales.get(axis, axis) + ("_2" if axis in fields[name].axes[:place] else "")
-            for place, axis in enumerate(fields[name].axes)
-        ]
-        variables[name] = (axes, values, {"units": fields[name].unit})
-        for axis, dimension in zip(fields[name].axes, axes, strict=True):
-            if axis in AXIS_LABELS:
-                coordinates[dimension] = list(AXIS_LABELS[axis])
-            if dimension.endswith("_2"):
-                coordinates[dimension] = arrays[scales[axis]]
-    dataset: Dataset = _import_xarray().Dataset(variables, coords=coordinates)
-    return dataset
-
-
-def _make_aligned_dataset(aligned: Aligned) -> Dataset:
-    series = {"time": Series(aligned.time, aligned.time_unit), **aligned.series}
-    fields = {name: DatasetSpec(("sample",), channel.unit) for name, channel in series.items()}
-    return _assemble_dataset({name: channel.values for name, channel in series.items()}, fields)
-
-
-def _make_recording_dataset(recording: Recording) -> Dataset:
-    """Make a Dataset: channels by the time of their clock, markers by the time of frames."""
-    variables: dict[str, Any] = {}
-    dimensions = {
-        clock.name: "time" if len(recording.clocks) == 1 else f"time_{clock.name}"
-        for clock in recording.clocks
-    }
-    for clock in recording.clocks:
-        dimension = dimensions[clock.name]
-        variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
-    for channel in recording.channels:
-        name = make_link_name(channel.name, variables)
-        attributes = {"units": channel.unit or UNSTATED_UNIT, "name_in_file": channel.path}
-        variables[name] = ([dimensions[channel.clock]], channel.values, attributes)
-    tracks = recording.markers
-    if tracks is not None:
-        frame = "time_markers" if recording.clocks else "time"
-        variables[frame] = ([frame], tracks.time, {"units": "s"})
-        variables["marker"] = (["marker"], list(tracks.names))
-        variables["xyz"] = (["xyz"], list(AXIS_LABELS["xyz"]))
-        variables["positions"] = ([frame, "marker", "xyz"], tracks.positions, {"units": "m"})
-    dataset: Dataset = _import_xarray().Dataset(variables)
-    return dataset
-
-
-def _import_xarray() -> Any:
-    try:
-        import xarray
-    except ImportError as error:
-        raise UsageError.about("api.no_xarray", "xarray") from error
-    return xarray

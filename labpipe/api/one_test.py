@@ -12,17 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from labpipe.api.data_frames import (
-    PARTS,
-    Recordings,
-    Units,
-    make_budget_frame,
-    make_curve_frame,
-    make_dataset,
-    make_quality_frame,
-    make_results_frame,
-    make_shape_frame,
-)
+from labpipe.api import data_frames
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.process.inspection import (
     Inspection,
@@ -39,7 +29,6 @@ if TYPE_CHECKING:
     import datetime
 
     import pandas as pd
-    from xarray import Dataset
 
     from labpipe.records.result import Instrument, Result, Specimen
     from labpipe.report.figures import Figure
@@ -67,11 +56,11 @@ class Test:
         *,
         read_full: Callable[[], TestResult] | None = None,
         folder: Path | None = None,
-        units: Units | None = None,
+        units: data_frames.Units | None = None,
     ) -> None:
         self._outcome = outcome
         self._read_full = read_full
-        self._units = units or Units()
+        self._units = units or data_frames.Units()
         self.folder = folder
 
     @cached_property
@@ -120,7 +109,7 @@ class Test:
             self._outcome,
             read_full=lambda: self._full,
             folder=self.folder,
-            units=Units(dict(self._outcome.display)),
+            units=data_frames.Units(dict(self._outcome.display)),
         )
 
     @property
@@ -130,7 +119,7 @@ class Test:
         By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
         where not available), ``unit``, ``status``, ``code``, ``reason``.
         """
-        return make_results_frame(self._outcome.results, self._units)
+        return data_frames.make_results_frame(self._outcome.results, self._units)
 
     def budget(self, name: str) -> pd.DataFrame:
         """Return the contributions to the interval of a result.
@@ -149,7 +138,7 @@ class Test:
         UsageError
             If the test has no such result.
         """
-        return make_budget_frame(self._result(name), self._units)
+        return data_frames.make_budget_frame(self._result(name), self._units)
 
     def _result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
@@ -171,7 +160,7 @@ class Test:
         """
         if self._outcome.curve is None:
             raise self._missing("curve")
-        return make_curve_frame(self._outcome.curve, self._units)
+        return data_frames.make_curve_frame(self._outcome.curve, self._units)
 
     @property
     def shape(self) -> pd.DataFrame:
@@ -187,20 +176,20 @@ class Test:
         shape = self._full.shape
         if shape is None:
             raise self._missing("shape")
-        return make_shape_frame(shape, self._units)
+        return data_frames.make_shape_frame(shape, self._units)
 
     @property
-    def raw(self) -> Recordings:
+    def raw(self) -> data_frames.Recordings:
         """Return the recordings as tables by role, such as ``test.raw["force"]``.
 
         Numbers are in SI units where the export states a unit, without calibration.
         """
-        return Recordings(self._full.recordings)
+        return data_frames.Recordings(self._full.recordings)
 
     @property
     def quality(self) -> pd.DataFrame:
         """Return the quality notes: ``code``, ``severity``, ``where``, ``message``."""
-        return make_quality_frame(self._outcome.quality)
+        return data_frames.make_quality_frame(self._outcome.quality)
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -228,28 +217,6 @@ class Test:
         if name not in FIGURES:
             raise self._unknown("figure", name, list(FIGURES))
         return draw_figure(self._full, name)
-
-    def dataset(self, part: str) -> Dataset:
-        """Return a part of the test as an xarray Dataset with axes and units, in SI.
-
-        Parameters
-        ----------
-        part : ``curve``, ``aligned``, ``shape``, ``bending``, ``law`` or the role of a recording
-
-        Raises
-        ------
-        UsageError
-            If xarray is not installed, or there is no such part.
-        ProcessingError
-            If the test does not have it.
-        """
-        parts = [*PARTS, *self._full.recordings]
-        if part not in parts:
-            raise self._unknown("part", part, parts)
-        dataset = make_dataset(self._full, part)
-        if dataset is None:
-            raise self._missing(part)
-        return dataset
 
     def __repr__(self) -> str:
         return f"<labpipe test {self.name} ({self.protocol}): {self._status_counts}>"
@@ -348,12 +315,12 @@ class Export:
     @property
     def notes(self) -> pd.DataFrame:
         """Return the notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
-        return make_quality_frame(self._inspection.recording.notes)
+        return data_frames.make_quality_frame(self._inspection.recording.notes)
 
     @property
-    def data(self) -> Recordings:
+    def data(self) -> data_frames.Recordings:
         """Return the recording as tables, like `Test.raw`; the role is the name of the file."""
-        return Recordings({self.file.stem: self._inspection.recording})
+        return data_frames.Recordings({self.file.stem: self._inspection.recording})
 
     def __repr__(self) -> str:
         return format_inspection(self._inspection)

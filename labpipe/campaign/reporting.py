@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from labpipe import __version__
+from labpipe.campaign import grouping
 from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
@@ -17,17 +18,6 @@ from labpipe.campaign.decisions import (
     applicable_decision,
     find_label,
     read_decisions_on,
-)
-from labpipe.campaign.grouping import (
-    Settings,
-    check_fields,
-    divide_into_groups,
-    find_differences,
-    list_missing_fields,
-    list_settings,
-    name_groups,
-    note_differing_settings,
-    rename_shared_spools,
 )
 from labpipe.campaign.report_samples import (
     ResultKinds,
@@ -223,10 +213,10 @@ def _make_campaign(
     tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
 ) -> Campaign:
     wires = None if options.wires is None else read_wire_sheet(options.wires).specs
-    check_fields(options.by, tests.samples, "--by")
-    check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
+    grouping.check_fields(options.by, tests.samples, "--by")
+    grouping.check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
-    differences, n_hidden = find_differences(
+    differences, n_hidden = grouping.find_differences(
         groups, tests.group_settings, tests.settings, by=by, alone=options.alone
     )
     return Campaign(
@@ -266,7 +256,7 @@ class _Tests:
     samples: list[Sample] = field(default_factory=list)
     group_settings: dict[str, Groups] = field(default_factory=dict)
     result_kinds: dict[str, ResultKinds] = field(default_factory=dict)
-    settings: dict[str, Settings] = field(default_factory=dict)
+    settings: dict[str, grouping.Settings] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: dict[str, str] = field(default_factory=dict)
     rejected_samples: list[Sample] = field(default_factory=list)
@@ -304,7 +294,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         tests.styles.add(protocol.report.style)
         tests.group_settings[result.protocol] = protocol.groups
         tests.result_kinds[result.protocol] = classify_results(protocol)
-        tests.settings[sample.test] = list_settings(protocol)
+        tests.settings[sample.test] = grouping.list_settings(protocol)
         recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
     if not tests.samples:
@@ -318,16 +308,16 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
 
 
 def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
-    members, by = divide_into_groups(tests.samples, by), by or (TYPE,)
+    members, by = grouping.divide_into_groups(tests.samples, by), by or (TYPE,)
     groups = []
-    for key, name in name_groups(list(members), by).items():
+    for key, name in grouping.name_groups(list(members), by).items():
         group_settings = tests.group_settings[key.protocol]
         kinds = tests.result_kinds[key.protocol]
-        missing_fields = list_missing_fields(key, by)
+        missing_fields = grouping.list_missing_fields(key, by)
         group = _make_group(name, members[key], group_settings, kinds, missing_fields)
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         settings = {sample.test: tests.settings[sample.test] for sample in group.samples}
-        notes = note_differing_settings(settings, noted)
+        notes = grouping.note_differing_settings(settings, noted)
         groups.append(replace(group, notes=(*notes, *group.notes)))
     return mark_outliers(groups)
 
@@ -339,7 +329,7 @@ def _make_group(
     kinds: ResultKinds,
     missing_fields: Sequence[str],
 ) -> Group:
-    samples, renamed_spools = rename_shared_spools(members)
+    samples, renamed_spools = grouping.rename_shared_spools(members)
     # Only results that describe the specimen are grouped.
     grouped_samples = [
         replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))

@@ -19,6 +19,7 @@ from labpipe.process.motion import (
     match_strokes,
     orient_force,
 )
+from labpipe.process.zeros import average_whole_blocks
 from labpipe.protocol.schema import (
     Align,
     AlignCommonStart,
@@ -179,7 +180,7 @@ def _measure_repeat(
         return None
     error = float(np.hypot(moved.error, force_lag.error))
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time, values = _average_blocks(force.time), _average_blocks(force.values)
+    time, values = (average_whole_blocks(x, 50_000) for x in (force.time, force.values))
     waves = compute_drift_modes(time - time[0], drift)
     lags = (
         [fit_force_lag(time, values + wave) for wave in (np.zeros_like(time), *waves)]
@@ -191,13 +192,6 @@ def _measure_repeat(
         float(np.linalg.norm(np.subtract(lag_values[1:], lag_values[0]))) if lag_values else 0.0
     )
     return Repeat(moved.value, force_lag.value, error, drift_error)
-
-
-def _average_blocks(values: Floats) -> Floats:
-    """Return means over blocks; a long record keeps at least 50 000."""
-    block = max(1, len(values) // 50_000)
-    means: Floats = values[: len(values) // block * block].reshape(-1, block).mean(axis=1)
-    return means
 
 
 def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:

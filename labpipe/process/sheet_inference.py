@@ -426,8 +426,6 @@ def infer_test(
     for source in dict.fromkeys(fact.source for fact in facts.values()):
         listed = ", ".join(f"{x.key} {x.value}" for x in facts.values() if x.source == source)
         remarks.append(format_sentence("process.facts_from", facts=listed, source=source))
-    if "test" not in stated and name != folder_name:
-        remarks.append(format_sentence("process.test_renamed", name=name))
     remarks += [text for key, text in contradictions.items() if key not in stated]
     if match is not None and not match.ambiguous_roles and "protocol" not in stated:
         remarks += [format_sentence("process.look", fault=fault) for fault in match.faults[:3]]

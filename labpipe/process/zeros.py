@@ -62,7 +62,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
         fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
         half = float(fit.half_widths[0])
         return float(fit.coefficients[0]), Interval(-half, half).standard_error
-    blocks = _average_blocks(values)
+    blocks = average_whole_blocks(values, 1000)  # correlations are then quick
     error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
@@ -74,7 +74,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     ----------
     values, other_values : as for `average_level`
     """
-    blocks = _average_blocks(values)
+    blocks = average_whole_blocks(values, 1000)  # correlations are then quick
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
@@ -119,9 +119,9 @@ def _cut_noise_stretches(other_values: Floats) -> Sequence[Floats]:
     )
 
 
-def _average_blocks(values: Floats) -> Floats:
-    """Return means over blocks, 1000 to 1999 of a long record: correlations are then quick."""
-    size = max(1, len(values) // 1000)
+def average_whole_blocks(values: Floats, points: int) -> Floats:
+    """Average blocks of equal size: between `points` and twice as many means of a long record."""
+    size = max(1, len(values) // points)
     means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
     return means
 

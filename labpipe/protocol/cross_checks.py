@@ -406,7 +406,7 @@ def _check_curve(outline: Outline) -> Faults:
 
 
 def _check_results(outline: Outline) -> Faults:
-    kinds_by_name: dict[str, str] = {}
+    known_names = set[str]()
     stiffnesses: list[str] = []
     for number, kind_name, entry in outline.results:
         kind, path = RESULTS.get(kind_name), ("results", number)
@@ -423,25 +423,15 @@ def _check_results(outline: Outline) -> Faults:
             elif isinstance(name, str) and name not in stiffnesses:
                 yield build_choice_fault(here, name, stiffnesses, "one of the stiffnesses above,")
         names = list_result_names(kind_name, entry)
-        if repeated := next((name for name in names if name in kinds_by_name), None):
-            remedy = _suggest_name(kind_name, kinds_by_name[repeated])
+        if repeated := next((name for name in names if name in known_names), None):
             here = (*path, "result")
-            yield Fault.of("protocol.result_again", here, name=repeated, remedy=remedy)
-        kinds_by_name |= dict.fromkeys(names, kind_name)
+            yield Fault.of("protocol.result_again", here, name=repeated)
+        known_names |= set(names)
         stiffnesses += [
             name
             for name, output in zip(names, kind.outputs, strict=True)
             if output.unit == "N/m" and output.first is None
         ]
-
-
-def _suggest_name(kind_name: str, earlier: str) -> str:
-    """Suggest how two results of one name get different ones."""
-    if "name" in list_defaults(RESULTS[kind_name]):
-        return "Give it another 'name'."
-    if "name" in list_defaults(RESULTS[earlier]):
-        return f"Give the {earlier} of that name another 'name'."
-    return "Remove one of them."
 
 
 def _check_result_needs(outline: Outline, kind: type[Kind], path: KeyPath) -> Faults:

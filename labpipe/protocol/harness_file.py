@@ -18,19 +18,11 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator
 
 from labpipe.errors import Fault, KeyPath
+from labpipe.protocol import values
 from labpipe.protocol.cross_checks import find_implausible_sizes
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible
-from labpipe.protocol.values import (
-    QuantityText,
-    Remark,
-    SingleLine,
-    Text,
-    build_row_validator,
-    parse_or_none,
-    suggest_quantity,
-)
 from labpipe.protocol.yaml_text import Values, find_repeated_names, get_block, get_list, refused
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
@@ -66,22 +58,23 @@ def _normalise(vector: Vector3) -> Vector3:
 
 
 Position: TypeAlias = Annotated[
-    tuple[Coordinate, Coordinate, Coordinate], build_row_validator(3, "[120 mm, 0 mm, 0 mm]")
+    tuple[Coordinate, Coordinate, Coordinate], values.build_row_validator(3, "[120 mm, 0 mm, 0 mm]")
 ]
 Direction: TypeAlias = Annotated[
     tuple[Component, Component, Component],
-    build_row_validator(3, "[1, 0, 0]"),
+    values.build_row_validator(3, "[1, 0, 0]"),
     AfterValidator(_normalise),
 ]
 ForceVector: TypeAlias = Annotated[
-    tuple[LoadComponent, LoadComponent, LoadComponent], build_row_validator(3, "[0 N, 0 N, -2 N]")
+    tuple[LoadComponent, LoadComponent, LoadComponent],
+    values.build_row_validator(3, "[0 N, 0 N, -2 N]"),
 ]
 Acceleration: TypeAlias = Annotated[
     tuple[AccelerationComponent, AccelerationComponent, AccelerationComponent],
-    build_row_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
+    values.build_row_validator(3, "[0 m/s^2, 0 m/s^2, -9.81 m/s^2]"),
 ]
 
-_LENGTH_FROM_START = QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
+_LENGTH_FROM_START = values.QuantityText(Quantity("m", "mm", "120 mm", above=0.0))
 _NAMED_PLACES = {"start": START, "end": END}
 
 
@@ -92,7 +85,7 @@ def _parse_place(value: object) -> float:
     try:
         return _LENGTH_FROM_START.parse(value)
     except ValueError as error:
-        remedy = suggest_quantity(value, "m", "120 mm")
+        remedy = values.suggest_quantity(value, "m", "120 mm")
         raise refused("protocol.no_place", found=value, remedy=remedy) from error
 
 
@@ -138,14 +131,14 @@ _REQUIRED_KEYS: dict[str, dict[str, str]] = {
 class SectionBlock(Block):
     """Section of the line: a wire of a wire sheet, a deck of sliders, or constant stiffnesses."""
 
-    wire: Text | None = Field(None, description="Name of a wire of the sheet")
-    sheet: Text | None = Field(
+    wire: values.Text | None = Field(None, description="Name of a wire of the sheet")
+    sheet: values.Text | None = Field(
         None, description="Wire sheet; else wires.xlsx beside this file, or the sheet of --wire"
     )
-    calibration: Text | None = Field(
+    calibration: values.Text | None = Field(
         None, description="calibration.json that replaces parameters of the sheet, with bands"
     )
-    sliders: Text | None = Field(
+    sliders: values.Text | None = Field(
         None, description="Deck <wire>.sliders.json that `labpipe model` wrote"
     )
     bending_stiffness: BendingStiffness | None = Field(
@@ -221,7 +214,7 @@ class Clip(Block):
     """Holds the position and direction of a place of the line, after moving the line there."""
 
     kind: Literal["clip"]
-    name: SingleLine
+    name: values.SingleLine
     at: Place
     position: Position
     direction: Direction | None = Field(
@@ -236,7 +229,7 @@ class Pin(Block):
     """Holds the position of a place of the line, after moving the line there."""
 
     kind: Literal["pin"]
-    name: SingleLine
+    name: values.SingleLine
     at: Place
     position: Position
     by: Step | None = Field(None, description="Step at which the line arrives; else the last")
@@ -258,7 +251,7 @@ class Grip(Block):
     """Holds a place of the line and moves it along a path."""
 
     kind: Literal["grip"]
-    name: SingleLine
+    name: values.SingleLine
     at: Place
     path: tuple[Waypoint, ...] = Field((), description="Poses after the initial one")
     holds: Literal["pose", "position"] = Field(
@@ -287,7 +280,7 @@ class Ring(Block):
     """A clip in which the line slides without friction, after moving there with the line."""
 
     kind: Literal["ring"]
-    name: SingleLine
+    name: values.SingleLine
     position: Position
     direction: Direction = Field(description="Of its opening in figures; the line may rotate in it")
     by: Step | None = Field(None, description="Step at which the ring arrives; else the last")
@@ -297,7 +290,7 @@ class String(Block):
     """A string between a place of the line and an anchor; it carries tension only."""
 
     kind: Literal["string"]
-    name: SingleLine
+    name: values.SingleLine
     at: Place
     anchor: Position
     length: Length
@@ -311,7 +304,7 @@ class Load(Block):
     """A force of constant direction that increases from zero."""
 
     kind: Literal["load"]
-    name: SingleLine
+    name: values.SingleLine
     at: Place
     force: ForceVector
     by: Step | None = Field(None, description="Step of the full force; else the last")
@@ -321,7 +314,7 @@ class Plane(Block):
     """A table or a wall; the axis of the line stays half its diameter away from it."""
 
     kind: Literal["plane"]
-    name: SingleLine
+    name: values.SingleLine
     point: Position
     normal: Direction = (0.0, 0.0, 1.0)
     friction: Ratio = Field(0.0, description="Coefficient of Coulomb friction")
@@ -352,7 +345,7 @@ class HarnessFile(Block):
     """One line between its boundaries."""
 
     version: Version
-    about: Remark = Field("", description="Purpose, in one line")
+    about: values.Remark = Field("", description="Purpose, in one line")
     line: LineBlock
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
         json_schema_extra={"minItems": 1}
@@ -407,7 +400,7 @@ def _find_shared_places(boundaries: Sequence[Values]) -> Iterator[Fault]:
     first: dict[object, object] = {}
     for number, boundary in enumerate(boundaries):
         at = str(boundary.get("at"))
-        place = at if at in _NAMED_PLACES else parse_or_none(at, "m")
+        place = at if at in _NAMED_PLACES else values.parse_or_none(at, "m")
         if boundary.get("kind") not in _HOLDER_KINDS or place is None:
             continue
         if place in first:

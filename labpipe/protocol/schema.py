@@ -266,7 +266,7 @@ class ElasticLine(Block):
     straight: Share = Field(0.9998, description="Least r^2 of the line, where no window is stated")
 
     @classmethod
-    def between(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find a window with one end."""
         if ("from" in data) != ("to" in data):
             given_key, missing_key = ("from", "to") if "from" in data else ("to", "from")

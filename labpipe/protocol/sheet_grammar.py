@@ -14,19 +14,9 @@ import yaml
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from labpipe.errors import Fault, UsageError, format_error
+from labpipe.protocol import values
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role, Section, SizeUncertainties
-from labpipe.protocol.values import (
-    Day,
-    FileStem,
-    Remark,
-    ShortForm,
-    SingleLine,
-    Text,
-    build_path_validator,
-    build_row_validator,
-    parse_or_none,
-)
 from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
@@ -90,13 +80,13 @@ def parse_wires(value: object) -> object:
 
 WiresByType = Annotated[
     dict[
-        SingleLine,
-        Annotated[SheetWires, ShortForm(_expand_number, {"type": "integer", "minimum": 1})],
+        values.SingleLine,
+        Annotated[SheetWires, values.ShortForm(_expand_number, {"type": "integer", "minimum": 1})],
     ],
     Field(min_length=1),
-    ShortForm(parse_wires, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    values.ShortForm(parse_wires, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
-WirePosition = Annotated[tuple[Offset, Offset], build_row_validator(2, "[0 mm, 1.2 mm]")]
+WirePosition = Annotated[tuple[Offset, Offset], values.build_row_validator(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
@@ -111,9 +101,9 @@ class SheetBundle(Block):
         None,
         description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
     )
-    tape: SingleLine = "none"
+    tape: values.SingleLine = "none"
     taping: Literal["none", "coarse", "half-lap"] = "none"
-    conduit: SingleLine = "none"
+    conduit: values.SingleLine = "none"
     conduit_bore: Length | None = Field(None, description="Inner diameter of the conduit")
 
     @property
@@ -257,9 +247,9 @@ class SheetSpecimen(Block):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Length]
 
-    type: SingleLine
-    spool: SingleLine
-    sample: SingleLine
+    type: values.SingleLine
+    spool: values.SingleLine
+    sample: values.SingleLine
     length: Length | None = Field(None, description="Free length; overrides the protocol's")
     mass_per_length: LinearMass | None = Field(
         None, description="Mass per length; overrides the protocol's"
@@ -269,11 +259,11 @@ class SheetSpecimen(Block):
         None, description="Standard uncertainties of sizes; override the protocol's"
     )
     bundle: SheetBundle | None = Field(None, description="Composition of a harness bundle")
-    labels: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
+    labels: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
         {}, description="Other properties of the specimen as text, by name"
     )
-    observed: Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
-        {}, description="Answers to the questions of the protocol, by question"
+    observed: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = (
+        Field({}, description="Answers to the questions of the protocol, by question")
     )
 
     @property
@@ -304,7 +294,7 @@ class SheetSpecimen(Block):
                     suggest_word(key, keys) if snake_key == key else f"Write it as {snake_key!r}."
                 )
                 yield Fault.of("protocol.no_dimension", (key,), at="key", key=key, remedy=remedy)
-            elif parse_or_none(value, "m") is None and not is_number:
+            elif values.parse_or_none(value, "m") is None and not is_number:
                 yield Fault.of(
                     "protocol.label_as_size",
                     (key,),
@@ -327,8 +317,8 @@ def _wrap_file_name(value: object) -> object:
 
 
 FileNames = Annotated[
-    tuple[Annotated[str, build_path_validator("the folder of the test", COPY_REMEDY)], ...],
-    ShortForm(_wrap_file_name, {"type": "string"}),
+    tuple[Annotated[str, values.build_path_validator("the folder of the test", COPY_REMEDY)], ...],
+    values.ShortForm(_wrap_file_name, {"type": "string"}),
     Field(min_length=1),
 ]
 
@@ -337,7 +327,7 @@ class Override(Block):
     """A value that replaces one of the protocol in this test, and the reason."""
 
     value: Any
-    because: Text
+    because: values.Text
 
 
 class TestSheet(Block):
@@ -345,11 +335,11 @@ class TestSheet(Block):
 
     __test__ = False  # pytest would collect a class of this name
 
-    test: FileStem
-    protocol: Text = Field(description="Name of a protocol, or a path to one")
+    test: values.FileStem
+    protocol: values.Text = Field(description="Name of a protocol, or a path to one")
     specimen: SheetSpecimen
-    date: Day | None = None
-    operator: Remark = ""
+    date: values.Day | None = None
+    operator: values.Remark = ""
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"
     )

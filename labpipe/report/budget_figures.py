@@ -10,30 +10,7 @@ from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group
 from labpipe.records.result import TestResult
-from labpipe.report.figure_page import (
-    DOUBLE_COLUMN,
-    GREY,
-    add_key,
-    add_title,
-    make_page,
-    make_reason_page,
-    read_look,
-)
-from labpipe.report.wording import (
-    Scale,
-    find_display_unit,
-    find_last_place,
-    find_number_unit,
-    is_first_cycle,
-    is_main,
-    round_to_place,
-    typeset_unit,
-    write_footnote,
-    write_group_title,
-    write_label,
-    write_number,
-    write_title,
-)
+from labpipe.report import figure_page, wording
 from labpipe.statistics.means import sort_causes, summarise_budget
 
 if TYPE_CHECKING:
@@ -80,16 +57,19 @@ def draw_budget(result: TestResult) -> Figure:
     numbers = [
         number
         for number in result.results
-        if number.largest_share is not None and is_main(number.name) and is_first_cycle(number.name)
+        if number.largest_share is not None
+        and wording.is_main(number.name)
+        and wording.is_first_cycle(number.name)
     ][:MAX_BARS]
     if not numbers:
-        return make_reason_page(result, format_sentence("report.no_budget"))
-    page = make_page(
-        height_mm=_FRAME_HEIGHT_MM + _ROW_HEIGHT_MM * len(numbers), width_mm=DOUBLE_COLUMN
+        return figure_page.make_reason_page(result, format_sentence("report.no_budget"))
+    page = figure_page.make_page(
+        height_mm=_FRAME_HEIGHT_MM + _ROW_HEIGHT_MM * len(numbers),
+        width_mm=figure_page.DOUBLE_COLUMN,
     )
     bars = []
     for number in numbers:
-        scale = find_display_unit(number.name, number.unit, result.display)
+        scale = wording.find_display_unit(number.name, number.unit, result.display)
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
         bars.append(
@@ -100,8 +80,8 @@ def draw_budget(result: TestResult) -> Figure:
     plot_bars(bars, page.subplots())
     has_cycles = any("." in number.name for number in numbers)
     cycle = "Numbers per cycle: first cycle only." if has_cycles else ""
-    note = " ".join(filter(None, (cycle, write_footnote(result))))
-    return _set_side_margins(add_title(page, write_title(result), note))
+    note = " ".join(filter(None, (cycle, wording.write_footnote(result))))
+    return _set_side_margins(figure_page.add_title(page, wording.write_title(result), note))
 
 
 def _set_side_margins(page: Figure) -> Figure:
@@ -118,33 +98,32 @@ def _set_side_margins(page: Figure) -> Figure:
 
 def _write_bar_label(name: str) -> str:
     """Write the label of a number without its cycle: all bars show the first cycle."""
-    return write_label(name.partition(".")[0])
+    return wording.write_label(name.partition(".")[0])
 
 
-def write_half_width(interval: Interval | None, scale: Scale) -> str:
+def write_half_width(interval: Interval | None, scale: wording.Scale) -> str:
     """Write the half-width of an interval, such as ``± 0.11 mm``; empty without an interval."""
     last_plain_place = -6  # below, the number is written with a power of ten
     if interval is None:
         return ""
     half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-    last_place = find_last_place(half_width, None, digits=2)
+    last_place = wording.find_last_place(half_width, None, digits=2)
     is_plain = last_place >= last_plain_place
     text = (
-        round_to_place(half_width, last_place)
+        wording.round_to_place(half_width, last_place)
         if is_plain
-        else write_number(half_width, None, digits=2).value
+        else wording.write_number(half_width, None, digits=2).value
     )
-    return f"\u00b1 {text} {typeset_unit(scale.unit)}".strip()
+    return f"\u00b1 {text} {wording.typeset_unit(scale.unit)}".strip()
 
 
-def plot_bars(bars: Sequence[BudgetBar], axes: Axes, *, quantity: str = "variance") -> None:
+def plot_bars(bars: Sequence[BudgetBar], axes: Axes) -> None:
     """Draw bars, the first on top; hatch the causes that all tests of a rig share.
 
     Parameters
     ----------
-    bars : bars to draw; a bar without shares leaves its row empty
-    axes : axes to draw on
-    quantity : name of the quantity that the bars divide, for the label of the axis
+    bars : a bar without shares leaves its row empty
+    axes : to draw on
     """
     min_labelled_share = 0.10  # a smaller part is too narrow for its number
     bar_height = 0.74  # as a share of the height of its row
@@ -152,9 +131,9 @@ def plot_bars(bars: Sequence[BudgetBar], axes: Axes, *, quantity: str = "varianc
 
     sorted_shares = sort_shares([bar.shares for bar in bars])
     for cause in list_drawn_causes(sorted_shares):
-        add_key(axes, cause, is_area=True, **_make_bar_style(cause))
+        figure_page.add_key(axes, cause, is_area=True, **_make_bar_style(cause))
     if any(IS_COMMON.get(cause, False) for cause in list_drawn_causes(sorted_shares)):
-        add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED_STYLE)
+        figure_page.add_key(axes, "hatched: common to all tests", is_area=True, **_HATCHED_STYLE)
     outside_axes = axes.get_yaxis_transform()
     for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
         start = 0.0
@@ -167,12 +146,12 @@ def plot_bars(bars: Sequence[BudgetBar], axes: Axes, *, quantity: str = "varianc
         axes.text(1.01, row, bar.text, transform=outside_axes, va="center")
         axes.text(-0.01, row, bar.name, transform=outside_axes, va="center", ha="right")
     if any(bar.text for bar in bars):
-        axes.text(1.01, -0.8, "95 %", transform=outside_axes, color=GREY, va="center")
+        axes.text(1.01, -0.8, "95 %", transform=outside_axes, color=figure_page.GREY, va="center")
     axes.set_yticks([])
     axes.set_ylim(len(bars) - 0.5, -0.5)
     axes.set_xlim(0.0, 100.0)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel(f"Share of the {quantity} (%)")
+    axes.set_xlabel("Share of the variance (%)")
 
 
 def _write_share(axes: Axes, x: float, y: float, share: float, cause: str) -> None:
@@ -194,7 +173,7 @@ def _write_share(axes: Axes, x: float, y: float, share: float, cause: str) -> No
 
 def find_cause_colour(cause: str) -> str:
     """Return the colour of a cause in all figures; light grey for an unknown cause."""
-    colour: str = read_look("colours_of_causes").get(cause, "#ededed")
+    colour: str = figure_page.read_look("colours_of_causes").get(cause, "#ededed")
     return colour
 
 
@@ -264,36 +243,15 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
     """
     bars = []
     for number in group.numbers:
-        if not (is_main(number.name) and is_first_cycle(number.name)):
+        if not (wording.is_main(number.name) and wording.is_first_cycle(number.name)):
             continue
         budget, interval = summarise_budget(number), None
         if of_means and number.mean is not None:
             interval = number.mean.chosen.interval
-        scale = find_number_unit(group, number)
+        scale = wording.find_number_unit(group, number)
         if budget.of_tests:
             shares = budget.of_mean if of_means else budget.of_tests
             bars.append(
                 BudgetBar(_write_bar_label(number.name), shares, write_half_width(interval, scale))
             )
     return bars[:MAX_BARS]
-
-
-def draw_group_budgets(group: Group) -> Figure:
-    """Draw the uncertainty budgets of the tests of a group and of its means.
-
-    Parameters
-    ----------
-    group : group for which `make_group_bars` makes at least one bar
-    """
-    panel_bars = {"One test: median shares": (make_group_bars(group, of_means=False), "variance")}
-    means = make_group_bars(group, of_means=True)
-    if any(bar.shares for bar in means):
-        panel_bars["Mean of the group"] = (means, "squared half width")
-    page = make_page(
-        height_mm=len(panel_bars) * (_FRAME_HEIGHT_MM - 4.0 + _ROW_HEIGHT_MM * len(means))
-    )
-    panels = page.subplots(len(panel_bars), squeeze=False).ravel()
-    for axes, (heading, (bars, quantity)) in zip(panels, panel_bars.items(), strict=True):
-        plot_bars(bars, axes, quantity=quantity)
-        axes.set_title(heading, loc="left")
-    return _set_side_margins(add_title(page, write_group_title(group)))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from functools import partial
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
@@ -16,13 +14,9 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
-    GREY,
-    FigureToSave,
     add_title,
-    label_log_axis,
     make_page,
     read_look,
-    split_pages,
 )
 from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import Cell, Table
@@ -102,111 +96,15 @@ def _make_row(stiffness: BoundedStiffness, scale: Scale) -> tuple[Cell, ...]:
     if not isnan(stiffness.share):
         share_text += " %"
     return (
-        Cell(stiffness.test, stiffness.group) if stiffness.test else Cell(_name_row(stiffness)),
+        Cell(stiffness.test, stiffness.group)
+        if stiffness.test
+        else Cell(f"mean of {stiffness.group}"),
         Cell(write_with_interval(value, stiffness.interval, scale.factor)),
         Cell(all_slip),
         Cell(wires_slip),
         Cell(nothing_slips, "" if smallest == largest else f"{smallest} to {largest}"),
         Cell(share_text, join_sentences(stiffness.reasons)),
     )
-
-
-def _name_row(stiffness: BoundedStiffness) -> str:
-    return stiffness.test or f"mean of {stiffness.group}"
-
-
-MAX_FIGURE_ROWS = 36
-"""Largest number of rows of a figure."""
-
-
-def list_bounds_figures(campaign: Campaign) -> Iterator[FigureToSave]:
-    """List the figures of measured bending stiffnesses of bundles and their bounds.
-
-    Parameters
-    ----------
-    campaign : content of the report, with at least one group
-
-    Yields
-    ------
-    Figures of at most `MAX_FIGURE_ROWS` rows; none if the campaign has no such stiffnesses.
-    """
-    scales = choose_stiffness_units(campaign)
-    pages = split_pages(campaign.bounded_stiffnesses, MAX_FIGURE_ROWS)
-    caption = format_sentence("report.bundle_caption")
-    for page_number, stiffnesses in enumerate(pages, start=1):
-        suffix = f"-{page_number}" if len(pages) > 1 else ""
-        name = f"between-slipping-and-sticking{suffix}"
-        scale = scales[stiffnesses[0].group]
-        groups = ", ".join(dict.fromkeys(stiffness.group for stiffness in stiffnesses))
-        alt = f"Bending stiffness between all slipping and nothing slipping: {groups}."
-        yield FigureToSave(name, partial(draw_stiffness_bounds, stiffnesses, scale), caption, alt)
-
-
-def draw_stiffness_bounds(stiffnesses: Sequence[BoundedStiffness], scale: Scale) -> Figure:
-    """Draw measured bending stiffnesses and their bounds, one row each, on a logarithmic axis.
-
-    Parameters
-    ----------
-    stiffnesses : in the order of the rows, from the top
-    scale : display unit of bending stiffness
-    """
-    row_mm, frame_mm, width_mm = 4.2, 16.0, 150.0
-    page = make_page(height_mm=frame_mm + row_mm * len(stiffnesses), width_mm=width_mm)
-    axes = page.subplots()
-    axes.set_xscale("log")
-    axes.set_xlim(*_find_axis_limits(stiffnesses, scale.factor))
-    for row, stiffness in enumerate(stiffnesses):
-        _plot_row_bounds(stiffness, row, scale.factor, axes)
-        _plot_row_value(stiffness, row, scale.factor, axes)
-    axes.set_yticks(range(len(stiffnesses)), list(map(_name_row, stiffnesses)))
-    axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(stiffnesses) - 0.4, -0.6)
-    axes.set_xlabel(scale.label("Bending stiffness"))
-    label_log_axis(axes.xaxis)
-    return add_title(page, "Between slipping and sticking  \u00b7  bundle model")
-
-
-def _find_axis_limits(
-    stiffnesses: Sequence[BoundedStiffness], factor: float
-) -> tuple[float, float]:
-    """Find axis limits that enclose all positive bounds, values and upper ends of intervals."""
-    values = [
-        value
-        for stiffness in stiffnesses
-        for value in (stiffness.low, stiffness.high, stiffness.value or 0.0)
-    ]
-    values += [
-        stiffness.interval.upper for stiffness in stiffnesses if stiffness.interval is not None
-    ]
-    drawn = [factor * value for value in values if value > 0.0] or [1.0, 10.0]  # excludes NaN
-    return 0.7 * min(drawn), 1.4 * max(drawn)
-
-
-def _plot_row_bounds(stiffness: BoundedStiffness, row: int, factor: float, axes: Axes) -> None:
-    if isnan(stiffness.low):
-        return
-    ends = [factor * stiffness.low, factor * stiffness.high]
-    axes.plot(ends, [row, row], **read_look("bounds_of_bundle"))
-    axes.plot([factor * stiffness.free], [row], **read_look("slipping_wires"))
-
-
-def _plot_row_value(stiffness: BoundedStiffness, row: int, factor: float, axes: Axes) -> None:
-    """Draw the measured stiffness with its interval; write why it or its bounds are missing."""
-    max_reason_length = 88
-    look = read_look("bundle_sample" if stiffness.test else "bundle_mean")
-    if stiffness.value is not None and stiffness.value > 0.0:
-        interval = stiffness.interval
-        if interval is not None:
-            left_limit = axes.get_xlim()[0]
-            ends = [max(factor * interval.lower, left_limit), factor * interval.upper]
-            axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
-        axes.plot([factor * stiffness.value], [row], **look)
-    text = join_sentences(stiffness.reasons)
-    if text:
-        if len(text) > max_reason_length:
-            text = f"{text[:max_reason_length]}\u2026"
-        axes.text(0.99, row, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
-                  size=6, color=GREY)  # fmt: skip
 
 
 BUNDLE_FIGURE = "bundle"
@@ -308,7 +206,8 @@ def _write_title(model: BundleModel) -> str:
     return f"{text}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
 
 
-def _describe_bounds(model: BundleModel) -> str:
+def describe_stiffness(model: BundleModel) -> str:
+    """Describe the bounds of the bending stiffness of a bundle in a sentence."""
     all_slip, wires_slip, nothing_slips, smallest, largest = (
         write_number(stiffness, None, STIFFNESS.factor, digits=4).value
         for stiffness in (model.low, model.free, model.high, *model.principal)
@@ -316,19 +215,24 @@ def _describe_bounds(model: BundleModel) -> str:
     directions = f"{smallest} to {largest} over all directions"
     if _is_isotropic(model):
         directions = "equal in all directions"
-    bounds = format_sentence(
+    return format_sentence(
         "report.bounds_of_bundle",
         all_slip=all_slip,
         wires_slip=wires_slip,
         nothing_slips=nothing_slips,
         directions=directions,
     )
+
+
+def _describe_bounds(model: BundleModel) -> str:
     limitations = [
         note.message.replace("N mm^2", "N\u00b7mm\u00b2")
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
-    return " ".join([bounds, *(f"{text[0].upper()}{text[1:]}." for text in limitations)])
+    return " ".join(
+        [describe_stiffness(model), *(f"{text[0].upper()}{text[1:]}." for text in limitations)]
+    )
 
 
 def _is_isotropic(model: BundleModel) -> bool:
@@ -357,10 +261,11 @@ def draw_loop(name: str, fit: FrictionFit) -> Figure:
         axes.axhline(0.0, color="#bbbbbb", linewidth=0.5, zorder=0)
         axes.set(xlabel=LENGTH.label("Deflection"), ylabel="Force at the tip (N)")
         axes.set_title(f"{heading}, error {_format_percent(error)} of the peak", loc="left")
-    return add_title(page, f"{name}  ·  friction between the wires", _describe_friction(fit))
+    return add_title(page, f"{name}  ·  friction between the wires", describe_friction(fit))
 
 
-def _describe_friction(fit: FrictionFit) -> str:
+def describe_friction(fit: FrictionFit) -> str:
+    """Describe the friction between the wires of a bundle, and the errors of its prediction."""
     slide_mm = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
     held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
@@ -371,6 +276,8 @@ def _describe_friction(fit: FrictionFit) -> str:
         held=held_share,
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
+        error_fitted=_format_percent(fit.error_fitted),
+        error_left_out=_format_percent(fit.error_held_out),
     )
 
 

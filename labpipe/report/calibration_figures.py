@@ -21,6 +21,7 @@ from labpipe.records.wire_calibration import (
     Prediction,
     Profile,
 )
+from labpipe.report import figure_page
 from labpipe.report.calibration_summary import (
     DEFLECTION,
     DISPLAYS,
@@ -34,22 +35,6 @@ from labpipe.report.calibration_summary import (
     write_length,
     write_parameter,
     write_percent,
-)
-from labpipe.report.figure_page import (
-    DOUBLE_COLUMN,
-    WIDTH,
-    FigureToSave,
-    Look,
-    add_title,
-    choose_dash,
-    label_log_axis,
-    make_empty_page,
-    make_page,
-    make_panels,
-    read_look,
-    require_room,
-    split_pages,
-    write_reason,
 )
 from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import find_extremes, split_doubtful
@@ -73,13 +58,13 @@ def draw_bent_shapes(name: str, shapes: Sequence[BentShape]) -> Figure:
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        return make_empty_page(title, "There is no shape to draw.")
+        return figure_page.make_empty_page(title, "There is no shape to draw.")
     low, high = _bounds(shapes)
     width, height = (high - low).tolist()
     share = min(max(height / width, min_aspect), max_aspect)
-    page = make_page(height_mm=frame_mm + (WIDTH - frame_mm) * share)
+    page = figure_page.make_page(height_mm=frame_mm + (figure_page.WIDTH - frame_mm) * share)
     _plot_shapes(shapes, page.subplots())
-    return add_title(
+    return figure_page.add_title(
         page, title, "Markers are on the surface of the wire; the curves are its axis."
     )
 
@@ -90,7 +75,7 @@ def _plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
         looks = ("shape_markers", "shape_fit", "shape_model")
         for points, look in zip(_lines(shape), looks, strict=True):
             if len(points):
-                axes.plot(*(DEFLECTION.factor * points.T), **read_look(look))
+                axes.plot(*(DEFLECTION.factor * points.T), **figure_page.read_look(look))
         _label_end(shape, axes)
     low, high = _bounds(shapes)
     axes.set_aspect("equal", adjustable="box", anchor="W")
@@ -130,7 +115,7 @@ def _finite_rows(points: Floats) -> Floats:
     return rows
 
 
-def list_calibration_figures(report: CalibrationReport) -> Iterator[FigureToSave]:
+def list_calibration_figures(report: CalibrationReport) -> Iterator[figure_page.FigureToSave]:
     """List the figures of a calibration.
 
     Parameters
@@ -144,14 +129,14 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[FigureToSave
     ``shapes-1`` and so on, one for each sample with shapes.
     """
     draw = partial(draw_calibration, report.calibration, predictions=report.predictions)
-    yield FigureToSave("calibration", draw)
-    for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
-        yield FigureToSave(f"validation-{number}", partial(draw_validation, groups))
+    yield figure_page.FigureToSave("calibration", draw)
+    for number, groups in enumerate(figure_page.split_pages(report.groups, MAX_PANELS), start=1):
+        yield figure_page.FigureToSave(f"validation-{number}", partial(draw_validation, groups))
     for number, panels in enumerate(group_external_curves(report), start=1):
         name = "external-curves" if number == 1 else f"external-curves-{number}"
-        yield FigureToSave(name, partial(draw_external_curves, panels))
+        yield figure_page.FigureToSave(name, partial(draw_external_curves, panels))
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield FigureToSave(f"shapes-{number}", partial(draw_bent_shapes, name, shapes))
+        yield figure_page.FigureToSave(f"shapes-{number}", partial(draw_bent_shapes, name, shapes))
 
 
 MIN_RESIDUAL_BLOCKS = 25
@@ -229,29 +214,33 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
     axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
 
 
-def _choose_length_looks(calibration: Calibration) -> dict[float, Look]:
+def _choose_length_looks(calibration: Calibration) -> dict[float, figure_page.Look]:
     """Choose a colour and a dash for each length of the samples, which also differ in grey."""
     colours = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
     lengths = sorted({curve.length for curve in calibration.curves})
     return {
-        length: Look(colours[number % len(colours)], choose_dash(number))
+        length: figure_page.Look(colours[number % len(colours)], figure_page.choose_dash(number))
         for number, length in enumerate(lengths)
     }
 
 
 def _plot_force(axes: Axes, deflection: Floats, force: Floats, look: str, **settings: Any) -> None:
     x, y = DEFLECTION.factor * deflection, FORCE.factor * force
-    axes.plot(x, y, **read_look(look, **settings))
+    axes.plot(x, y, **figure_page.read_look(look, **settings))
 
 
 def _fill_force(
     axes: Axes, deflection: Floats, edges: tuple[Floats, Floats], look: str, **settings: Any
 ) -> None:
     lower, upper = (FORCE.factor * edge for edge in edges)
-    axes.fill_between(DEFLECTION.factor * deflection, lower, upper, **read_look(look, **settings))
+    axes.fill_between(
+        DEFLECTION.factor * deflection, lower, upper, **figure_page.read_look(look, **settings)
+    )
 
 
-def _plot_thinned(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
+def _plot_thinned(
+    axes: Axes, deflection: Floats, values: Floats, look: figure_page.Look, **more: Any
+) -> None:
     rows = find_extremes(values, n_bins=120)
     style = {**look._asdict(), "linewidth": 0.6, "zorder": 2, **more}
     axes.plot(DEFLECTION.factor * deflection[rows], values[rows], **style)
@@ -272,7 +261,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     If there is a prior, its deviance from its own centre is drawn, too.
     """
     if not parameter.profiles:
-        write_reason(axes, typeset(parameter.explanation), line_length=30)
+        figure_page.write_reason(axes, typeset(parameter.explanation), line_length=30)
         return
     axis = DISPLAYS[parameter.name]
     low, high = find_panel_range(parameter)
@@ -283,7 +272,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     for profile in parameter.profiles:
         side = minima.index(_minimum(profile)[0])
         _draw_solution(profile, axes, axis.scale.factor, (borders[side], borders[side + 1]))
-    axes.plot(axis.scale.factor * parameter.value, 0.0, **read_look("best_value"))
+    axes.plot(axis.scale.factor * parameter.value, 0.0, **figure_page.read_look("best_value"))
     _draw_prior(parameter, axes, (low, high))
     axes.set_xlim(axis.scale.factor * low, axis.scale.factor * high)
     axes.set_ylim(0.0, _panel_top(parameter))
@@ -309,21 +298,23 @@ def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float
     for number, part in enumerate(parameter.intervals):
         low = ends[0] if number == 0 and parameter.is_open_below else part.lower
         high = ends[1] if number == last and parameter.is_open_above else part.upper
-        axes.axvspan(factor * low, factor * high, **read_look("interval_of_parameter"))
+        axes.axvspan(factor * low, factor * high, **figure_page.read_look("interval_of_parameter"))
 
 
 def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
     """Draw one profile, its thresholds, and a triangle if it is not the best solution."""
     values, deviance = interpolate_profile(profile)
     best, height = _minimum(profile)
-    axes.plot(factor * values, deviance, **read_look("profile"))
-    axes.plot(factor * profile.value, profile.deviance, **read_look("profile_point"))
+    axes.plot(factor * values, deviance, **figure_page.read_look("profile"))
+    axes.plot(factor * profile.value, profile.deviance, **figure_page.read_look("profile_point"))
     thresholds = profile.threshold_below, profile.threshold_above
     for end, threshold in zip(ends, thresholds, strict=True):
         x = np.sort([factor * end, factor * best])
-        axes.plot(x, [threshold] * 2, **read_look("threshold"))
+        axes.plot(x, [threshold] * 2, **figure_page.read_look("threshold"))
     if height > 0.0:
-        axes.plot(factor * best, height, **read_look("best_value", markerfacecolor="white"))
+        axes.plot(
+            factor * best, height, **figure_page.read_look("best_value", markerfacecolor="white")
+        )
 
 
 def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
@@ -382,7 +373,7 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
     error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
     x = DISPLAYS[parameter.name].scale.factor * values
-    axes.plot(x, away**2, **read_look("prior"))
+    axes.plot(x, away**2, **figure_page.read_look("prior"))
 
 
 def _set_ticks(axes: Axes) -> None:
@@ -391,7 +382,7 @@ def _set_ticks(axes: Axes) -> None:
 
     axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     low, high = axes.get_xlim()
-    label_log_axis(axes.xaxis)
+    figure_page.label_log_axis(axes.xaxis)
     if high < linear_below * low:
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_minor_locator(NullLocator())
@@ -418,7 +409,7 @@ def draw_calibration(
     """
     panel_heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; for headings and labels
     height = sum(panel_heights) + frame_mm * len(panel_heights)
-    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
+    page = figure_page.make_page(height_mm=height, width_mm=figure_page.DOUBLE_COLUMN)
     panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff", height_ratios=panel_heights)
     _plot_loadings(calibration, panels["a"], predictions or {})
     plot_residuals(calibration, panels["b"])
@@ -436,7 +427,7 @@ def draw_calibration(
     about += "" if predictions else " The band of the model is not drawn."
     note = "\n".join([*numbers, *describe_calibration(calibration), about])
     count = write_count(calibration.n_samples, "sample")
-    return add_title(
+    return figure_page.add_title(
         page, f"{calibration.wire}  ·  calibration of the wire model  ·  {count}", note
     )
 
@@ -466,16 +457,16 @@ def draw_validation(groups: Sequence[ValidationGroup]) -> Figure:
     ValueError
         If there is no group, or more than `MAX_PANELS`.
     """
-    require_room(len(groups), MAX_PANELS, "groups")
+    figure_page.require_room(len(groups), MAX_PANELS, "groups")
     row_mm = 66.0
     height = row_mm * math.ceil(len(groups) / _N_COLUMNS)
-    page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
-    panels = make_panels(page, len(groups), columns=_N_COLUMNS)
+    page = figure_page.make_page(height_mm=height, width_mm=figure_page.DOUBLE_COLUMN)
+    panels = figure_page.make_panels(page, len(groups), columns=_N_COLUMNS)
     for group, axes in zip(groups, panels, strict=True):
         _plot_group(group, axes)
         use = "calibrated" if group.is_calibrated else "predicted"
         axes.set_title(f"{group.wire}, {write_length(group.length)}: {use}", loc="left")
-    return add_title(page, "Measured and predicted first loadings", _note(groups))
+    return figure_page.add_title(page, "Measured and predicted first loadings", _note(groups))
 
 
 def _plot_group(group: ValidationGroup, axes: Axes) -> None:
@@ -487,32 +478,31 @@ def _plot_group(group: ValidationGroup, axes: Axes) -> None:
     if group.prediction is not None:
         _draw_prediction(group.prediction, group.is_sure, axes)
     axes.text(
-        0.03, 0.98, describe_agreement(group), transform=axes.transAxes, va="top", zorder=6,
+        0.03, 0.98, _wrap(describe_agreement(group)), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
     )  # fmt: skip
     _set_force_axes(axes, lowest=_lowest(group), headroom=_HEADROOM)
 
 
-def describe_agreement(group: ValidationGroup) -> str:
-    """Describe in a few lines how well the model agrees with a group.
+def describe_agreement(group: ValidationGroup) -> list[str]:
+    """Describe in a few texts how well the model agrees with a group.
 
     Parameters
     ----------
-    group : without a prediction, the lines give the reason
+    group : without a prediction, the texts give the reason
     """
     lines = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
         lines[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        why = f"No prediction. {join_sentences([group.reason])}".strip()
-        return "\n".join([*lines, *textwrap.wrap(why, 48)])
+        return [*lines, f"No prediction. {join_sentences([group.reason])}".strip()]
     rmse = SMALL_FORCE.factor * errors.rmse
     share = write_percent(errors.rmse_share)
     lines.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of the largest force")
     if math.isfinite(errors.inside):
         lines.append(f"{write_percent(errors.inside)} of the points inside the band")
-    return "\n".join(lines)
+    return lines
 
 
 def _draw_measured(band: Band, axes: Axes) -> None:
@@ -628,7 +618,7 @@ def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPa
         ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
         for key, curves in comparisons.items()
     ]
-    return split_pages(panels, MAX_PANELS)
+    return figure_page.split_pages(panels, MAX_PANELS)
 
 
 def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
@@ -644,16 +634,16 @@ def draw_external_curves(panels: Sequence[ExternalPanel]) -> Figure:
         If there is no panel, or more than `MAX_PANELS`.
     """
     row_mm = 70.0
-    require_room(len(panels), MAX_PANELS, "panels")
+    figure_page.require_room(len(panels), MAX_PANELS, "panels")
     rows = math.ceil(len(panels) / _N_COLUMNS)
     row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
-    page = make_page(height_mm=row * rows, width_mm=DOUBLE_COLUMN)
-    drawn = make_panels(page, len(panels), columns=_N_COLUMNS)
+    page = figure_page.make_page(height_mm=row * rows, width_mm=figure_page.DOUBLE_COLUMN)
+    drawn = figure_page.make_panels(page, len(panels), columns=_N_COLUMNS)
     for panel, axes in zip(panels, drawn, strict=True):
         _plot_external(panel, axes)
         load = ", load normal to the axis" if panel.is_normal else ""
         axes.set_title(f"{panel.wire}, {write_length(panel.length)}{load}", loc="left")
-    return add_title(page, "External curves, tests and model", _external_note(panels))
+    return figure_page.add_title(page, "External curves, tests and model", _external_note(panels))
 
 
 def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
@@ -676,7 +666,7 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
     ]
     extra_rows = max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     _set_force_axes(axes, headroom=_HEADROOM + 0.06 * extra_rows)
-    labels = list(map(describe_match, panel.comparisons))
+    labels = [_wrap(describe_match(comparison)) for comparison in panel.comparisons]
     # `axes.legend` would take the labels of the other lines out of the key of the page
     key = Legend(axes, lines, labels, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.add_artist(key)
@@ -684,7 +674,8 @@ def _plot_external(panel: ExternalPanel, axes: Axes) -> None:
 
 def _key_rows(panel: ExternalPanel) -> int:
     """Count the lines of text in the key of a panel."""
-    return sum(1 + describe_match(comparison).count("\n") for comparison in panel.comparisons)
+    labels = (_wrap(describe_match(comparison)) for comparison in panel.comparisons)
+    return sum(1 + label.count("\n") for label in labels)
 
 
 def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
@@ -702,16 +693,21 @@ def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axe
     return line
 
 
-def describe_match(comparison: ExternalCurveComparison) -> str:
+def _wrap(texts: Sequence[str]) -> str:
+    max_length = 48
+    return "\n".join(line for text in texts for line in textwrap.wrap(text, max_length))
+
+
+def describe_match(comparison: ExternalCurveComparison) -> list[str]:
     """Name an external curve and write its RMSE against the tests and the model.
 
     Parameters
     ----------
     comparison : with tests and model
     """
-    lines, tests = textwrap.wrap(comparison.curve.name, 44), comparison.tests
-    lines.append("no tests to compare" if tests is None else _describe_rmse("tests", tests))
-    return "\n".join([*lines, _describe_rmse("model", comparison.model)])
+    tests = comparison.tests
+    by_tests = "no tests to compare" if tests is None else _describe_rmse("tests", tests)
+    return [comparison.curve.name, by_tests, _describe_rmse("model", comparison.model)]
 
 
 def _describe_rmse(other: str, match: CurveMatch) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from labpipe.records.wire_calibration import (
     CurveAgreement,
     CurveMatch,
     ExternalCurveComparison,
-    Separability,
 )
 from labpipe.report.calibration_summary import (
     DEFLECTION,
@@ -44,7 +43,6 @@ from labpipe.report.workbook_file import (
 
 BOOK = "calibration"
 """Name of the workbook in ``workbooks.toml``."""
-_FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 _LENGTH = DEFLECTION.label("length")
 
 
@@ -61,37 +59,16 @@ def make_sheets(report: CalibrationReport) -> list[Sheet]:
     dissertation), those of external curves, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
+    curves = (row for comparison in report.comparisons for row in _external_records(comparison))
     return [
         make_sheet(BOOK, "summary", map(_parameter_record, calibration.parameters)),
         make_sheet(BOOK, "solutions", _solution_records(calibration)),
         make_sheet(BOOK, "fit", _fit_records(calibration)),
-        make_sheet(BOOK, "identified", _identified_records(calibration)),
         make_sheet(BOOK, "agreement", map(_agreement_record, report.groups)),
-        *make_external_sheets(report.comparisons),
+        *([make_sheet(BOOK, "external curves", curves)] if report.comparisons else []),
         make_sheet(BOOK, "curves", map(_curve_record, calibration.curves)),
         _forces_sheet(report.groups),
         make_sheet(BOOK, "notes", _note_records(report)),
-    ]
-
-
-def make_external_sheets(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
-    """Make the sheets of external curves.
-
-    Parameters
-    ----------
-    comparisons : of external curves with tests and model
-
-    Returns
-    -------
-    ``external curves``, two rows per curve, and ``external curves, points``; empty without curves.
-    """
-    if not comparisons:
-        return []
-    curves = (row for comparison in comparisons for row in _external_records(comparison))
-    points = (row for comparison in comparisons for row in _point_records(comparison))
-    return [
-        make_sheet(BOOK, "external curves", curves),
-        make_sheet(BOOK, "external curves, points", points),
     ]
 
 
@@ -120,18 +97,6 @@ def _match_record(match: CurveMatch | None) -> Record:
         "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
         "reason": "no tests of this wire and length" if match is None else match.explanation,
     }
-
-
-def _point_records(comparison: ExternalCurveComparison) -> list[Record]:
-    curve, tests = comparison.curve, comparison.tests
-    nothing = np.full(len(curve.force), np.nan)
-    columns = {
-        DEFLECTION.label("deflection"): DEFLECTION.factor * curve.deflection,
-        FORCE.label("force"): FORCE.factor * curve.force,
-        FORCE.label("mean of the tests"): FORCE.factor * (tests.reference if tests else nothing),
-        FORCE.label("model"): FORCE.factor * comparison.model.reference,
-    }
-    return make_records({"name": curve.name}, columns)
 
 
 def _yes(value: bool) -> str:
@@ -205,32 +170,6 @@ def _fit_records(calibration: Calibration) -> list[Record]:
         ("method", calibration.method, ""),
     )
     return [{"number": number, "value": value, "unit": unit} for number, value, unit in rows]
-
-
-def _identified_records(calibration: Calibration) -> Iterator[Record]:
-    """Yield correlations, and singular values with the weights of their combinations."""
-    for name, row in zip(PARAMETERS, calibration.correlations.tolist(), strict=True):
-        correlations = dict(zip(PARAMETERS, row, strict=True))
-        yield _weight_record("correlation of the logarithms with", name, correlations)
-    yield from _singular_records("singular value of the parameters", calibration.separability)
-    if calibration.friction_separability is not None:
-        of = "singular value of friction"
-        yield from _singular_records(of, calibration.friction_separability)
-
-
-def _singular_records(what: str, separability: Separability) -> Iterator[Record]:
-    for value, weights in zip(
-        separability.singular_values.tolist(), separability.combinations.tolist(), strict=True
-    ):
-        yield _weight_record(what, value, dict(zip(separability.names, weights, strict=True)))
-    for name, is_known in separability.are_identified.items():
-        yield _weight_record("identified separately", name, {name: _yes(is_known)})
-
-
-def _weight_record(quantity: str, of: Value, values: Mapping[str, Value]) -> Record:
-    names = (*PARAMETERS, *_FRICTION)
-    weights = {f"weight or correlation, {name}": values.get(name) for name in names}
-    return {"quantity": quantity, "of": of, **weights}
 
 
 def _agreement_record(group: ValidationGroup) -> Record:

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.messages import format_sentence
 from labpipe.records.group import Band, Campaign, Group
-from labpipe.report.budget_figures import draw_group_budgets, make_group_bars
 from labpipe.report.comparisons import (
     Family,
     describe_context,
@@ -45,7 +43,6 @@ from labpipe.report.page_facts import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Plot, clip_range, make_axis
 from labpipe.report.wording import (
     Scale,
-    describe_counts,
     find_display,
     find_display_unit,
     find_units,
@@ -141,10 +138,6 @@ def list_group_figures(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave(
             name, partial(draw_plots, title, plots), plots[0].caption, plots[0].title
         )
-    if make_group_bars(group, of_means=False):
-        alt = f"Shares of the causes of the intervals of {group.name}, {describe_counts(group)}."
-        caption = format_sentence("report.budget_caption")
-        yield FigureToSave("budgets", partial(draw_group_budgets, group), caption, alt)
 
 
 def list_family_figures(campaign: Campaign) -> Iterator[FigureToSave]:

@@ -21,7 +21,7 @@ from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
-from labpipe.report.bundle_figures import has_bundles, list_bounds_figures, make_bounds_table
+from labpipe.report.bundle_figures import has_bundles, make_bounds_table
 from labpipe.report.comparisons import (
     Pair,
     describe_context,
@@ -191,13 +191,7 @@ def _first_screen(
         "answers": min(len(answer_rows), max_answers),
         "decisions": min(len(open_ones), max_decisions),
     }
-    lots = make_lot_table(campaign, names)
-    room = (
-        screen_lines
-        - (len(lots.rows) + 2 if lots else 0)
-        - folds["answers"]
-        - lines_per_decision * folds["decisions"]
-    )
+    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
     samples = list_samples(campaign)
     recorded = name_roles(samples)
     return {
@@ -205,7 +199,7 @@ def _first_screen(
         "facts": _facts(campaign, letterhead),
         "instruments": list_instruments(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
-        "lots": lots,
+        "lots": make_lot_table(campaign, names),
         "answers": answer_rows,
         "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
         "open_ones": open_ones,
@@ -709,7 +703,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
 
 
 def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path]:
-    """Write the figures of each group, of comparisons and of bundles, each at least as SVG."""
+    """Write the figures of each group, and of comparisons, each at least as SVG."""
     if not extras.formats:
         return []
     names = make_stems(group.name for group in campaign.groups)
@@ -719,7 +713,6 @@ def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path
         for drawing in list_group_figures(group)
     ]
     figures_to_save += list_family_figures(campaign)
-    figures_to_save += list_bounds_figures(campaign)
     return save_pages(
         figures_to_save,
         folder,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from labpipe.report.figure_page import (
     add_title,
     make_page,
     make_reason_page,
-    read_look,
     sample_colour_map,
     write_reason,
 )
@@ -33,7 +32,6 @@ from labpipe.report.wording import (
     write_footnote,
     write_title,
 )
-from labpipe.results.beam import BendingStiffness
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,9 +69,9 @@ def draw_wire_shapes(result: TestResult) -> Figure:
     shape = result.shape
     if shape is None or not len(shape.time):
         return make_reason_page(result, explain_missing(result, "shape"))
-    steps, rig = choose_frames(result, shape), read_rig(result)
+    steps = choose_frames(result, shape)
     planes = [1] if _find_first_loading(result) is not None else [1, 2]
-    length, *sides = (np.ptp(_limits(shape, steps, axis, rig)) for axis in (0, *planes))
+    length, *sides = (np.ptp(_limits(shape, steps, axis)) for axis in (0, *planes))
     heights = [panel_width_mm * float(side / length) for side in sides]
     height = sum(heights) + frame_mm + gap_mm * (len(planes) - 1)
     page = make_page(height_mm=height, width_mm=DOUBLE_COLUMN)
@@ -82,7 +80,7 @@ def draw_wire_shapes(result: TestResult) -> Figure:
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             axes.set_title(f"x-{'xyz'[plane]} view", loc="left")
-    note = " ".join(filter(None, (_describe_offset(result, shape, rig), write_footnote(result))))
+    note = " ".join(filter(None, (_describe_offset(result, shape), write_footnote(result))))
     return add_title(page, write_title(result), note)
 
 
@@ -146,62 +144,27 @@ def _is_clamped(shape: Shape) -> bool:
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
 
 
-def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
+def _limits(shape: Shape, steps: Steps, axis: int) -> tuple[float, float]:
     """Return the ends of an axis, m, around everything drawn, with a margin."""
     margin = 0.04
     min_aspect = 0.1  # height of a panel over the length of the specimen
     curves = [_fitted_curve(shape, int(frame))[axis] for frame in steps.frames]
-    rollers = [
-        centre[axis] + side * rig.roller_radius
-        for centre in (*_support_centres(rig), *_load_centres(shape, steps, rig))
-        for side in (-1.0, 1.0)
-        if axis < len(centre)
-    ]
-    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves, rollers])
+    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves])
     drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
     return float(middle - half), float(middle + half)
 
 
-def _support_centres(rig: Rig) -> list[tuple[float, float]]:
-    """Return the centres of the rollers that support a specimen, m."""
-    if not rig.span or not rig.roller_radius:
-        return []
-    return [(-0.5 * rig.span, rig.reach), (0.5 * rig.span, rig.reach)]
-
-
-def _load_centres(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
-    """Return the centres of the loading roller at mid-span, m, at each step with a curve."""
-    if not _support_centres(rig):
-        return []
-    loads = []
-    for frame in steps.frames:
-        x, y = _fitted_curve(shape, int(frame))[:2]
-        if len(x) and np.isfinite(y).all():
-            loads.append((0.0, float(np.interp(0.0, x, y)) - rig.reach))
-    return loads
-
-
-def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: float) -> None:
-    from matplotlib.patches import Circle
-
-    loads = _load_centres(shape, steps, rig)
-    ends = [*loads[:1], *loads[-1:]]
-    for centres, name in ((_support_centres(rig), "support_roller"), (ends, "loading_roller")):
-        for x, y in centres:
-            centre, radius = (x * factor, y * factor), rig.roller_radius * factor
-            axes.add_patch(Circle(centre, radius, **read_look(name)))
-
-
-def _describe_offset(result: TestResult, shape: Shape, rig: Rig) -> str:
+def _describe_offset(result: TestResult, shape: Shape) -> str:
     """State the offset of the markers from the axis of a clamped specimen, if any."""
     min_offset = 1e-5  # m
     has_curve = bool(shape.coefficients.shape[2])
-    if not _is_clamped(shape) or abs(rig.centre_offset) < min_offset or not has_curve:
+    centre_offset = abs(read_centre_offset(result))
+    if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
         return ""
     x_unit = find_unit(result.display, "displacement")
-    offset = abs(rig.centre_offset) * x_unit.factor
+    offset = centre_offset * x_unit.factor
     return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
 
 
@@ -217,7 +180,7 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     shape = result.shape
     if shape is None:
         return
-    steps, rig = choose_frames(result, shape), read_rig(result)
+    steps = choose_frames(result, shape)
     unit = find_unit(result.display, "displacement")
     colours = sample_colour_map(len(steps.frames))
     for at, (frame, colour) in enumerate(zip(steps.frames, colours, strict=True)):
@@ -236,10 +199,8 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
         add_key(axes, flag.name.lower(), color=GREY, **_marker_style(flag, GREY))
     if shape.coefficients.shape[2]:
         add_key(axes, "fitted curve", color=GREY, linewidth=0.9)
-    if plane == 1:
-        _draw_rollers(axes, shape, steps, rig, unit.factor)
-    axes.set_xlim(*(end * unit.factor for end in _limits(shape, steps, 0, rig)))
-    axes.set_ylim(*(end * unit.factor for end in _limits(shape, steps, plane, rig)))
+    axes.set_xlim(*(end * unit.factor for end in _limits(shape, steps, 0)))
+    axes.set_ylim(*(end * unit.factor for end in _limits(shape, steps, plane)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set(xlabel=unit.label("x"), ylabel=unit.label("xyz"[plane]))
 
@@ -373,49 +334,10 @@ def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:
     return np.stack([np.column_stack(corner) for corner in corners], axis=1)
 
 
-class Rig(NamedTuple):
-    """Supports of a specimen, and its sizes.
-
-    Parameters
-    ----------
-    span : m, between the supports; 0 for a clamped specimen
-    roller_radius : m; 0 if not stated
-    section_radius : m, half the outer diameter of the specimen; 0 if not stated
-    centre_offset : m, from the axis to the centres of the markers, positive towards the pull
-    """
-
-    span: float = 0.0
-    roller_radius: float = 0.0
-    section_radius: float = 0.0
-    centre_offset: float = 0.0
-
-    @property
-    def reach(self) -> float:
-        """Return the distance from the axis of the specimen to the axis of a roller, m."""
-        return self.roller_radius + self.section_radius
-
-
-def read_rig(result: TestResult) -> Rig:
-    """Read the rig of a test from its protocol.
-
-    Parameters
-    ----------
-    result : with its resolved protocol
-
-    Returns
-    -------
-    All sizes are 0 without a protocol, or with one of an earlier grammar that is no longer valid.
-    """
+def read_centre_offset(result: TestResult) -> float:
+    """Read the offset of the markers from the axis from the protocol of a test, m; 0 if unknown."""
     try:
-        protocol = parse_protocol(result.protocol_yaml, result.test)
+        markers = parse_protocol(result.protocol_yaml, result.test).markers
     except ProtocolError:
-        return Rig()
-    sizes, section = protocol.specimen, protocol.specimen.section
-    rollers = [
-        result.roller.diameter or 0.0
-        for result in protocol.results
-        if isinstance(result, BendingStiffness) and result.roller is not None
-    ]
-    depth = section.outer_diameter if section is not None else None
-    beside = protocol.markers.centre_offset if protocol.markers is not None else 0.0
-    return Rig(sizes.span or 0.0, 0.5 * max(rollers, default=0.0), 0.5 * (depth or 0.0), beside)
+        return 0.0
+    return 0.0 if markers is None else markers.centre_offset

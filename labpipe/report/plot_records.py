@@ -284,7 +284,7 @@ def make_mean_strip(
 
 
 def write_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes as an SVG path, scaled to the size of its frame."""
+    """Write a small curve without axes as a path of SVG that fills its frame."""
     axes = make_axis("", "", [x], margin=0.0), make_axis("", "", [y], margin=0.05)
     return Line("", x, y).write_path(*axes)
 

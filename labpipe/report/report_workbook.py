@@ -21,12 +21,8 @@ from labpipe.records.quality import join_reasons
 from labpipe.records.result import Result, Status
 from labpipe.report.bundle_figures import choose_stiffness_units
 from labpipe.report.comparisons import (
-    Pair,
-    describe_context,
     describe_fields,
     list_multi_field_differences,
-    list_single_field_pairs,
-    name_field,
 )
 from labpipe.report.issues import Cause, Issue, find_causes, find_notes
 from labpipe.report.lot_tables import make_lot_record, make_verdict_cells
@@ -45,7 +41,6 @@ from labpipe.report.wording import (
     find_number_unit,
     find_units,
     is_main,
-    list_key_numbers,
     typeset_unit,
     write_count,
     write_label,
@@ -109,10 +104,6 @@ def _facts(campaign: Campaign) -> Iterator[str]:
 
 
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:
-    if pairs := list_single_field_pairs(campaign):
-        yield make_sheet(BOOK, "answers", map(_answer, pairs))
-    by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
-    yield make_sheet(BOOK, "key numbers", map(_key_record, by_protocol))
     lots = [make_lot_record(group, group.lot) for group in campaign.groups if group.lot]
     if lots:
         yield make_sheet(BOOK, "lots", lots)
@@ -143,45 +134,6 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
     causes = [*ranked, *((None, note) for note in find_notes(campaign))]
     issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
     yield make_sheet(BOOK, "needs a look", issues)
-
-
-def _answer(pair: Pair) -> Record:
-    """Make the record of the verdict on the first number of a pair."""
-    difference = pair.differences[0]
-    before, after = difference.fields[pair.field]
-    counts = difference.contrast.counts if difference.contrast is not None else (None, None)
-    record = _difference(difference, find_display(pair.first))
-    return {
-        "comparison": f"{name_field(pair.field)}: {after} against {before}",
-        "of": describe_context((pair.first, pair.second), pair.field),
-        "number": record["number"],
-        "verdict": record["verdict"],
-        "difference (%)": record["share (%)"],
-        "corrected lower (%)": record["corrected lower (%)"],
-        "corrected upper (%)": record["corrected upper (%)"],
-        "difference": record["second minus first"],
-        "n": counts[1],
-        "n against": counts[0],
-        "why": difference.verdict_reason,
-        **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
-        "first": difference.first,
-        "second": difference.second,
-        "caveats": "; ".join(difference.caveats),
-    }
-
-
-def _key_record(group: Group) -> Record:
-    """Make the record of the first three numbers of a group; no later cycles."""
-    row: Record = {
-        "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
-    }  # fmt: skip
-    for number in list_key_numbers(group)[:3]:
-        scale = find_number_unit(group, number)
-        cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
-        name, unit = write_label(number.name), typeset_unit(scale.unit)
-        parts = zip(("", ", lower", ", upper"), cells.values(), strict=True)
-        row |= {write_column_heading(name, unit, part): cell for part, cell in parts}
-    return row
 
 
 def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:

@@ -15,21 +15,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireLayout, WireTable
-from labpipe.report.figure_page import (
-    DOUBLE_COLUMN,
-    FigureToSave,
-    add_key,
-    add_title,
-    choose_line_looks,
-    label_log_axis,
-    list_style_colours,
-    make_empty_page,
-    make_page,
-    make_panels,
-    read_look,
-    require_room,
-    split_pages,
-)
+from labpipe.report import figure_page
 from labpipe.report.plot_records import split_doubtful
 from labpipe.report.wording import Scale, write_number
 
@@ -109,7 +95,7 @@ def set_log_axes(axes: Axes, x: Floats) -> None:
     axes.set_xlim(x[0], x[-1])
     axes.set_xlabel(CURVATURE.label("Curvature"))
     for axis in (axes.xaxis, axes.yaxis):
-        label_log_axis(axis)
+        figure_page.label_log_axis(axis)
 
 
 _MAX_SIZE_RATIO = 2.5
@@ -135,12 +121,12 @@ def draw_sections(tables: Sequence[WireTable]) -> Figure:
         If there is no wire, or more than `MAX_WIRES`.
     """
     sections_per_row, cell_mm, text_mm = 4, 45.0, 19.0
-    require_room(len(tables), MAX_WIRES, "wires")
+    figure_page.require_room(len(tables), MAX_WIRES, "wires")
     columns = min(sections_per_row, len(tables))
     rows = math.ceil(len(tables) / columns)
-    width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
-    page = make_page(height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width)
-    panels = make_panels(page, len(tables), columns=columns)
+    width = figure_page.DOUBLE_COLUMN if columns > 2 else figure_page.DOUBLE_COLUMN * 2 / 3
+    page = figure_page.make_page(height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width)
+    panels = figure_page.make_panels(page, len(tables), columns=columns)
     unit = choose_stiffness_unit(tables)
     radii = [table.layout.wire_radius for table in tables]
     reaches = [max(radii)] * len(radii) if _has_common_scale(tables) else radii
@@ -154,7 +140,7 @@ def draw_sections(tables: Sequence[WireTable]) -> Figure:
     note = ""
     if any(table.layout.kind == "compressed" for table in tables):
         note = format_sentence("report.compressed_strands")
-    return add_title(page, f"Cross-sections of the wire model{scale}", note)
+    return figure_page.add_title(page, f"Cross-sections of the wire model{scale}", note)
 
 
 def plot_section(
@@ -179,9 +165,11 @@ def plot_section(
     if layout.kind == "compressed":
         x, y = _rotate_centres(layout, table.spec.orientation)
         axes.plot(x, y, ".", color="black", markersize=2.0)
-    axes.plot([-edge, edge], [0.0, 0.0], **read_look("neutral_axis"))
+    axes.plot([-edge, edge], [0.0, 0.0], **figure_page.read_look("neutral_axis"))
     for label, colour in _choose_layer_colours(layout).items():
-        add_key(axes, label, is_area=True, **read_look("strand_outline", facecolor=colour))
+        figure_page.add_key(
+            axes, label, is_area=True, **figure_page.read_look("strand_outline", facecolor=colour)
+        )
     axes.set_aspect("equal", anchor="S")  # leaves free room below the titles
     axes.set(xlim=(-edge, edge), ylim=(-1.22 * edge, edge))
     axes.set_axis_off()
@@ -206,9 +194,9 @@ def make_strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Pa
     """
     from matplotlib.patches import Circle, Wedge
 
-    colours = list_style_colours()
+    colours = figure_page.list_style_colours()
     looks = [
-        read_look("strand_outline", facecolor=colours[layer % len(colours)])
+        figure_page.read_look("strand_outline", facecolor=colours[layer % len(colours)])
         for layer in layout.layer
     ]
     x, y = _rotate_centres(layout, orientation)
@@ -248,8 +236,8 @@ def _make_wall_patches(layout: WireLayout) -> list[Patch]:
 
     outer, bore = LENGTH.factor * layout.wire_radius, LENGTH.factor * layout.bore_radius
     return [
-        Annulus((0.0, 0.0), outer, outer - bore, **read_look("insulation_wall")),
-        Circle((0.0, 0.0), bore, **read_look("bore")),
+        Annulus((0.0, 0.0), outer, outer - bore, **figure_page.read_look("insulation_wall")),
+        Circle((0.0, 0.0), bore, **figure_page.read_look("bore")),
     ]
 
 
@@ -283,7 +271,7 @@ def _has_common_scale(tables: Sequence[WireTable]) -> bool:
 def _choose_layer_colours(layout: WireLayout) -> dict[str, str]:
     """Choose the colour of each layer of strands by its name."""
     has_core = np.sum(layout.layer == 0) == 1
-    colours = list_style_colours()
+    colours = figure_page.list_style_colours()
     names = [f"ring {number + (not has_core)}" for number in range(int(layout.layer.max()) + 1)]
     if has_core:
         names[0] = "core"
@@ -303,7 +291,7 @@ def draw_stiffness(table: WireTable) -> Figure:
     friction, the curvatures at which strands begin to slip, and the range of the secant stiffness
     over all orientations of the section.
     """
-    page = make_page(height_mm=76.0)
+    page = figure_page.make_page(height_mm=76.0)
     axes = page.subplots()
     use = is_curved(table)
     x, unit = table.curvature[use], choose_stiffness_unit([table])
@@ -312,10 +300,10 @@ def draw_stiffness(table: WireTable) -> Figure:
         factor * moment[use] / x for moment in (table.lowest_moment, table.highest_moment)
     )
     elastic = (table.moment - table.plastic)[use] / x
-    axes.plot(x, factor * table.secant_stiffness[use], **read_look("secant"))
-    axes.plot(x, factor * table.tangent_stiffness[use], **read_look("tangent"))
-    axes.plot(x, factor * elastic, **read_look("secant_without_yielding"))
-    axes.fill_between(x, lowest, highest, **read_look("secant_of_orientations"))
+    axes.plot(x, factor * table.secant_stiffness[use], **figure_page.read_look("secant"))
+    axes.plot(x, factor * table.tangent_stiffness[use], **figure_page.read_look("tangent"))
+    axes.plot(x, factor * elastic, **figure_page.read_look("secant_without_yielding"))
+    axes.fill_between(x, lowest, highest, **figure_page.read_look("secant_of_orientations"))
     axes.set_yscale("log")
     _mark_limits(table, axes, unit)
     set_log_axes(axes, x)
@@ -325,9 +313,9 @@ def draw_stiffness(table: WireTable) -> Figure:
     if len(onsets):
         above_axis = axes.get_xaxis_transform()
         heights = np.full(len(onsets), 0.035)
-        axes.plot(onsets, heights, transform=above_axis, **read_look("onset_of_slip"))
+        axes.plot(onsets, heights, transform=above_axis, **figure_page.read_look("onset_of_slip"))
     _fade_beyond(axes, table.doubtful_curvature, table.curvature[-1])
-    return add_title(page, write_wire_title(table), join_warnings(table))
+    return figure_page.add_title(page, write_wire_title(table), join_warnings(table))
 
 
 def _fade_beyond(axes: Axes, limit: float, end: float) -> None:
@@ -347,7 +335,7 @@ def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, max(high, headroom * stick))
     for level in (stick, slip):
-        axes.axhline(level, **read_look("stiffness_limit"))
+        axes.axhline(level, **figure_page.read_look("stiffness_limit"))
     stick_label, slip_label = (
         f"all {state}\n{write_number(level, None, digits=4).value}"
         for state, level in (("stick", stick), ("slip", slip))
@@ -372,7 +360,7 @@ def draw_moment(table: WireTable) -> Figure:
     A page with two panels: the stacked parts of the moment, and their shares against curvature on
     a logarithmic axis, which shows how sticking strands begin to slip.
     """
-    page = make_page(height_mm=62.0)
+    page = figure_page.make_page(height_mm=62.0)
     left, right = page.subplots(1, 2)
     left.set_title("moment", loc="left")
     right.set_title("shares of the moment", loc="left")
@@ -385,11 +373,11 @@ def draw_moment(table: WireTable) -> Figure:
     _stack(right, x, shares)
     right.set_xscale("log")
     right.set_xlim(x[0], x[-1])
-    label_log_axis(right.xaxis)
+    figure_page.label_log_axis(right.xaxis)
     right.set_ylim(0.0, 100.0)
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel="Share of the moment (%)")
     _fade_beyond(right, table.doubtful_curvature, table.curvature[-1])
-    return add_title(page, write_wire_title(table), join_warnings(table))
+    return figure_page.add_title(page, write_wire_title(table), join_warnings(table))
 
 
 def _plot_moment(table: WireTable, axes: Axes) -> None:
@@ -398,8 +386,8 @@ def _plot_moment(table: WireTable, axes: Axes) -> None:
     x, factor = table.curvature, MOMENT.factor
     _stack(axes, x, {name: factor * part for name, part in _split_moment(table).items()})
     elastic = factor * (table.moment - table.plastic)
-    axes.plot(x, factor * table.moment, **read_look("total_moment"))
-    axes.plot(x, elastic, **read_look("without_yielding"))
+    axes.plot(x, factor * table.moment, **figure_page.read_look("total_moment"))
+    axes.plot(x, elastic, **figure_page.read_look("without_yielding"))
     top = 1.04 * min(float(elastic.max()), max_elastic_moments * factor * float(table.moment.max()))
     axes.set(xlim=(0.0, x[-1]), ylim=(0.0, top))
     axes.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
@@ -419,7 +407,7 @@ def _split_moment(table: WireTable) -> dict[str, Floats]:
 def _stack(axes: Axes, x: Floats, parts: Mapping[str, Floats]) -> None:
     floor = np.zeros(len(x))
     for name, part in parts.items():
-        axes.fill_between(x, floor, floor + part, **read_look(name))
+        axes.fill_between(x, floor, floor + part, **figure_page.read_look(name))
         floor = floor + part
 
 
@@ -438,24 +426,24 @@ def draw_cantilever(table: WireTable) -> Figure:
     headroom = 1.08
     note = " ".join([_describe_cantilever(table), join_warnings(table)]).strip()
     if len(table.tip_deflection) < 2:  # the state at rest alone
-        return make_empty_page(
+        return figure_page.make_empty_page(
             write_wire_title(table), format_sentence("report.no_end_loads"), note
         )
-    page = make_page(height_mm=70.0)
+    page = figure_page.make_page(height_mm=70.0)
     axes = page.subplots()
     x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
-    axes.plot(x, y, **read_look("cantilever"))
+    axes.plot(x, y, **figure_page.read_look("cantilever"))
     ends = np.array([0.0, table.tip_deflection[-1]])
     for stiffness, name in (
         (table.stick_stiffness, "cantilever_all_stick"),
         (table.slip_stiffness, "cantilever_all_slip"),
     ):
         force = FORCE.factor * 3.0 * stiffness / table.spec.length**3 * ends
-        axes.plot(LENGTH.factor * ends, force, **read_look(name))
+        axes.plot(LENGTH.factor * ends, force, **figure_page.read_look(name))
     axes.set(xlim=(0.0, x[-1]), ylim=(0.0, headroom * float(np.max(y))))
     axes.set(xlabel=LENGTH.label("Tip deflection"), ylabel=FORCE.label("End load"))
     _fade_beyond(axes, LENGTH.factor * table.doubtful_deflection, float(x[-1]))
-    return add_title(page, write_wire_title(table), note)
+    return figure_page.add_title(page, write_wire_title(table), note)
 
 
 def _describe_cantilever(table: WireTable) -> str:
@@ -479,11 +467,11 @@ def draw_wire_comparison(tables: Sequence[WireTable]) -> Figure:
     ValueError
         If there is no wire, or more than `MAX_WIRES`.
     """
-    require_room(len(tables), MAX_WIRES, "wires")
-    page = make_page(height_mm=76.0)
+    figure_page.require_room(len(tables), MAX_WIRES, "wires")
+    page = figure_page.make_page(height_mm=76.0)
     left, right = page.subplots(1, 2)
     unit = choose_stiffness_unit(tables)
-    for table, look in zip(tables, choose_line_looks(len(tables)), strict=True):
+    for table, look in zip(tables, figure_page.choose_line_looks(len(tables)), strict=True):
         style: dict[str, Any] = {**look._asdict(), "label": shorten_name(table)}
         secant, moment = unit.factor * table.secant_stiffness, MOMENT.factor * table.moment
         sure = table.curvature <= table.doubtful_curvature
@@ -499,7 +487,7 @@ def draw_wire_comparison(tables: Sequence[WireTable]) -> Figure:
     right.set(xlabel=CURVATURE.label("Curvature"), ylabel=MOMENT.label("Bending moment"))
     left.set_title("secant stiffness", loc="left")
     right.set_title("moment", loc="left")
-    return add_title(
+    return figure_page.add_title(
         page, "Wires compared  ·  wire model", format_sentence("report.wires_compared")
     )
 
@@ -512,7 +500,7 @@ _WIRE_FIGURES: dict[str, Callable[[WireTable], Figure]] = {
 }
 
 
-def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
+def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[figure_page.FigureToSave]:
     """List the figures of a sheet of wires.
 
     Parameters
@@ -525,14 +513,16 @@ def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
     ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever`` of each wire. A page of a single
     wire has no comparison.
     """
-    for number, page_tables in enumerate(split_pages(tables, MAX_WIRES), start=1):
-        yield FigureToSave(f"sections-{number}", partial(draw_sections, page_tables))
+    for number, page_tables in enumerate(figure_page.split_pages(tables, MAX_WIRES), start=1):
+        yield figure_page.FigureToSave(f"sections-{number}", partial(draw_sections, page_tables))
         if len(page_tables) > 1:
-            yield FigureToSave(f"comparison-{number}", partial(draw_wire_comparison, page_tables))
+            yield figure_page.FigureToSave(
+                f"comparison-{number}", partial(draw_wire_comparison, page_tables)
+            )
     for table in tables:
         names = list_figure_names(table.name)
         for name, draw in zip(names, _WIRE_FIGURES.values(), strict=True):
-            yield FigureToSave(name, partial(draw, table))
+            yield figure_page.FigureToSave(name, partial(draw, table))
 
 
 def list_figure_names(name: str) -> list[str]:

@@ -228,18 +228,6 @@ def _sheets(
     yield make_sheet(BOOK, "wires", [*failed, *summary], heads=heads, links=links)
     yield laws
     yield _cantilevers_sheet(tables)
-    onsets = [
-        row
-        for table in tables
-        for row in _mark_doubtful(
-            table,
-            {CURVATURE.label("strands begin to slip"): CURVATURE.factor * table.slip_onsets},
-            table.slip_onsets > table.doubtful_curvature,
-        )
-    ]
-    yield make_sheet(BOOK, "onsets of slip", onsets)
-    strands = (row for table in tables for row in _strand_records(table))
-    yield make_sheet(BOOK, "strands", strands)
     yield make_sheet(BOOK, "notes", _note_records(tables, refused))
 
 
@@ -294,17 +282,6 @@ def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
              if last > first]  # fmt: skip
     chart = Chart("", LENGTH.label("Tip deflection"), FORCE.label("End load"), lines)
     return make_sheet(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
-
-
-def _strand_records(table: WireTable) -> list[Record]:
-    layout = table.layout
-    columns: dict[str, Floats | Ints] = {
-        "layer": layout.layer.astype(np.int64),
-        LENGTH.label("x"): LENGTH.factor * layout.x,
-        LENGTH.label("y"): LENGTH.factor * layout.y,
-        LENGTH.label("diameter"): LENGTH.factor * layout.diameter,
-    }
-    return make_records({"wire": table.name}, columns)
 
 
 def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:

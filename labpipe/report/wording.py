@@ -211,15 +211,6 @@ def is_first_cycle(name: str) -> bool:
     return name.partition(".")[2] in {"", "1"}
 
 
-def list_key_numbers(group: Group) -> list[GroupNumber]:
-    """List the numbers of the specimen and of its first cycle that the rig does not set."""
-    return [
-        number
-        for number in group.numbers
-        if is_first_cycle(number.name) and not number.is_set_by_rig
-    ]
-
-
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
     """Find the display unit of a result.
 

@@ -338,9 +338,6 @@ def find_slips(
     *,
     min_drop: float,
     decision: SlipDecision,
-    lost_share: float = 0.5,
-    largest_share: float = 0.2,
-    longest: float | None = None,
 ) -> tuple[Slip, ...] | Failure:
     """Find sudden losses of force after which the force continues at about the same slope.
 
@@ -350,13 +347,6 @@ def find_slips(
         evenly sampled; NaN are ignored
     min_drop : N; smaller losses are ignored
     decision : written into the ledger
-    lost_share : a drop after which the force stays below this share of the previous peak is a
-        failure, not a slip
-    largest_share : nor is a drop by more than this share of the force a slip: grips slide in small
-        steps, while a torn strand loses its share of the section, and adding that back would
-        invent strength
-    longest : m, longest slip; a slower drop is a yield. By default 2 % of the travel, but at most
-        1 mm. At least two samples
 
     Returns
     -------
@@ -365,14 +355,15 @@ def find_slips(
 
     Notes
     -----
-    If `longest` takes 16 samples or more, samples are averaged in blocks, 8 to 15 per longest slip,
-    so that the result does not depend on the sampling rate; `start` and `stop` are the samples
-    around these means. Differences of the means of adjacent windows of 3 to 48, less their running
-    median, show sudden drops but not slopes, kinks and yields. Each window length is scaled by its
-    own robust deviation (1.4826 MAD), valid for noise of any correlation, with Student's t for its
-    degrees of freedom. Isolated outliers are removed first. The most distinct drop is measured
-    (`fit_load_drop`) and added back before the next search, so that it neither repeats nor hides
-    its neighbours; finally each is measured with all others added back, and those no longer
+    The longest slip is 2 % of the travel, but at most 1 mm and at least two samples; a slower drop
+    is a yield. If it takes 16 samples or more, samples are averaged in blocks, 8 to 15 per longest
+    slip, so that the result does not depend on the sampling rate; `start` and `stop` are the
+    samples around these means. Differences of the means of adjacent windows of 3 to 48, less their
+    running median, show sudden drops but not slopes, kinks and yields. Each window length is scaled
+    by its own robust deviation (1.4826 MAD), valid for noise of any correlation, with Student's t
+    for its degrees of freedom. Isolated outliers are removed first. The most distinct drop is
+    measured (`fit_load_drop`) and added back before the next search, so that it neither repeats nor
+    hides its neighbours; finally each is measured with all others added back, and those no longer
     distinct are discarded. A slip must lose `min_drop`, and the force must continue to rise: its
     slope after the slip must not be below 0.3 of that before by more than two errors.
 
@@ -388,32 +379,31 @@ def find_slips(
         return Failure.of(
             "results.too_few_samples", count=count, where=where, needed=_MIN_SEARCHED_SAMPLES
         )
-    size, longest_samples = _choose_block_size(displacement[finite], longest)
-    d, f = (_average_blocks(values[finite], size) for values in (displacement, force))
+    # A larger drop is a failure: grips slide in small steps, while a torn strand loses its share of
+    # the section, and adding that back would invent strength.
+    largest_share = 0.2  # of the force before
+    size, longest_samples = _choose_block_size(displacement[finite])
+    starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
+    d, f = (average_between(values[finite], starts) for values in (displacement, force))
     drops = _confirm_drops(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
     accepted_drops = [
         drop
         for drop in drops
         if drop.drop >= min_drop
-        and _force_continues(f, drop, lost_share)
+        and _force_continues(f, drop)
         and drop.drop <= largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
     ]
     return tuple(_make_ledger_entry(d, finite, drop, size, decision) for drop in accepted_drops)
 
 
-def _choose_block_size(d: Floats, longest: float | None) -> tuple[int, int]:
+def _choose_block_size(d: Floats) -> tuple[int, int]:
     """Return the samples per block, and the blocks of the longest slip."""
     min_slip_blocks = 8
     travel = float(np.ptp(d))
-    block_length = min(0.02 * travel, 1e-3) if longest is None else longest
+    block_length = min(0.02 * travel, 1e-3)
     samples = block_length / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
     size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_SEARCHED_SAMPLES))
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
-
-
-def _average_blocks(values: Floats, size: int) -> Floats:
-    """Average samples in blocks; the last one includes the remainder."""
-    return average_between(values, np.arange(0, len(values) - size + 1, size))
 
 
 def count_samples_before(slips: Sequence[Slip], count: int) -> int:
@@ -510,10 +500,10 @@ def _measure_drop_sizes(f: Floats, window: int) -> Floats:
     return sizes
 
 
-def _force_continues(f: Floats, drop: LoadDrop, lost_share: float) -> bool:
+def _force_continues(f: Floats, drop: LoadDrop) -> bool:
     """Return whether the force recovers the share and rises at about the same slope."""
     rises = drop.slope_behind + 2.0 * drop.slope_error >= 0.3 * drop.slope_before
-    is_held = bool(f[drop.stop :].max() >= lost_share * f[: drop.start + 1].max())
+    is_held = bool(f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max())
     return rises and is_held
 
 

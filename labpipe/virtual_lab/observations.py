@@ -26,20 +26,8 @@ from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
 from labpipe.records.harness_bundle import NONE
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing
+from labpipe.virtual_lab import instruments
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, solve_path
-from labpipe.virtual_lab.instruments import (
-    ForceRecord,
-    FrameRecord,
-    Take,
-    film_cantilever,
-    film_conduit,
-    plan_cantilever,
-    plan_conduit,
-    record_cantilever_force,
-    record_conduit_force,
-    record_crosshead,
-    record_frame,
-)
 from labpipe.virtual_lab.specimens import WIRES, BundleModel, StrandedWire, lay_wires
 from labpipe.virtual_lab.tensile import ExportLayout, TensilePath, TensileScenario
 from labpipe.virtual_lab.three_point import ConduitScenario, solve_three_point
@@ -301,10 +289,10 @@ class BendingObservation(Generic[S, T]):
 
     scenario: S
     seed: int
-    force_record: ForceRecord
-    take: Take
+    force_record: instruments.ForceRecord
+    take: instruments.Take
     truth: T
-    frame_record: FrameRecord | None = None
+    frame_record: instruments.FrameRecord | None = None
 
     @property
     def force(self) -> Recording:
@@ -341,7 +329,7 @@ class TensileObservation:
 
     scenario: TensileScenario
     seed: int
-    record: FrameRecord
+    record: instruments.FrameRecord
     truth: TensileTruth
 
 
@@ -376,30 +364,35 @@ def observe(scenario: Scenario, seed: int) -> AnyObservation:
     """
     match scenario:
         case CantileverScenario():
-            path, plan = solve_path(scenario.mechanics), plan_cantilever(scenario)
+            path, plan = solve_path(scenario.mechanics), instruments.plan_cantilever(scenario)
             force, marker = _spawn_generators(seed, 2)
             return BendingObservation(
                 scenario,
                 seed,
-                record_cantilever_force(path, scenario, plan, force),
-                film_cantilever(path, scenario, plan, marker),
+                instruments.record_cantilever_force(path, scenario, plan, force),
+                instruments.film_cantilever(path, scenario, plan, marker),
                 evaluate_cantilever(path, plan),
             )
         case ConduitScenario():
-            bending_path, plan = solve_three_point(scenario.test), plan_conduit(scenario)
+            bending_path, plan = (
+                solve_three_point(scenario.test),
+                instruments.plan_conduit(scenario),
+            )
             force, travel, marker = _spawn_generators(seed, 3)
             has_frame = scenario.has_frame_export
             return BendingObservation(
                 scenario,
                 seed,
-                record_conduit_force(bending_path, scenario, plan, force),
-                film_conduit(bending_path, scenario, plan, marker),
+                instruments.record_conduit_force(bending_path, scenario, plan, force),
+                instruments.film_conduit(bending_path, scenario, plan, marker),
                 evaluate_conduit(bending_path, scenario, plan),
-                record_crosshead(bending_path, scenario, plan, travel) if has_frame else None,
+                instruments.record_crosshead(bending_path, scenario, plan, travel)
+                if has_frame
+                else None,
             )
         case TensileScenario():
             tensile_path = TensilePath(scenario)
-            record = record_frame(tensile_path, np.random.default_rng(seed))
+            record = instruments.record_frame(tensile_path, np.random.default_rng(seed))
             return TensileObservation(
                 scenario, seed, record, evaluate_tensile(tensile_path, record.time)
             )

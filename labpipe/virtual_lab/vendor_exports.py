@@ -24,17 +24,14 @@ Every file states that it is synthetic.
 
 from __future__ import annotations
 
-import io
-import re
-import zipfile
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from openpyxl import Workbook
 from scipy.io import savemat
+from xlsxwriter import Workbook
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.instruments import (
@@ -338,34 +335,24 @@ def write_r_controller(folder: Path, record: FrameRecord, run: Run) -> tuple[str
     """
     path = folder / f"{run.name}.xlsx"
     note = f"SYNTHETIC: made by labpipe's virtual lab, seed {run.seed}, not a measurement"
-    book = Workbook(write_only=True)
-    properties = book.properties
-    properties.title, properties.description = run.name, note
-    properties.creator = "labpipe virtual lab"
-    properties.created = run.started
-    sheet = book.create_sheet(SHEET)
-    date = f"{run.started:%m/%d/%Y %H:%M:%S}"
-    for row in ((note,), ("Test", run.name), ("Date", date), (), HEADER):
-        sheet.append(row)
-    force, travel = record.force / NEWTONS_PER_POUND, record.displacement / METRES_PER_INCH
-    for values in np.column_stack([record.time, force, travel]).round(6) + 0.0:
-        sheet.append(values.tolist())
-    buffer = io.BytesIO()
-    book.save(buffer)
-    path.write_bytes(_replace_dates(buffer.getvalue(), run.started))
+    rows = np.column_stack(
+        [
+            record.time,
+            record.force / NEWTONS_PER_POUND,
+            record.displacement / METRES_PER_INCH,
+        ]
+    )
+    head = ((note,), ("Test", run.name), ("Date", f"{run.started:%m/%d/%Y %H:%M:%S}"), (), HEADER)
+    with Workbook(path, {"in_memory": True}) as book:
+        book.set_properties(
+            {
+                "title": run.name,
+                "comments": note,
+                "author": "labpipe virtual lab",
+                "created": run.started,
+            }
+        )
+        sheet = book.add_worksheet(SHEET)
+        for number, cells in enumerate([*head, *(rows.round(6) + 0.0).tolist()]):
+            sheet.write_row(number, 0, cells)
     return (path.name,)
-
-
-def _replace_dates(book: bytes, started: datetime) -> bytes:
-    """Replace the time of writing by the date of the test, so that equal tests give equal files."""
-    oldest_date = (1980, 1, 1, 0, 0, 0)
-    stamp = f">{started:%Y-%m-%dT%H:%M:%SZ}</dcterms:modified>".encode("ascii")
-    buffer = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(book)) as old,
-        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as new,
-    ):
-        for member in old.namelist():
-            content = re.sub(rb">[^<]*</dcterms:modified>", stamp, old.read(member))
-            new.writestr(zipfile.ZipInfo(member, oldest_date), content, zipfile.ZIP_DEFLATED)
-    return buffer.getvalue()

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
-from labpipe.api.data_frames import PARTS, make_dataset
 from labpipe.api.many_tests import parse_path, parse_paths
 from labpipe.api.one_test import Test, inspect
 from labpipe.errors import ProcessingError, ReadError, UsageError
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Specimen, TestResult
 from labpipe.store.summaries import build_summary
-from tests.builders.measured_bending import some_bending
 from tests.builders.small_tests import Lab, Run
 from tests.store.builders_result import build_result
 
@@ -79,8 +74,6 @@ def test_unknown_names_are_refused(test: Test) -> None:
         test.budget("peak_forse.1")
     with pytest.raises(UsageError, match=r"expected a figure such as .*wire-shapes.*found 'shape'"):
         test.figure("shape")
-    with pytest.raises(UsageError, match=r"a part such as .*, found 'raw'\. Choose one of these\."):
-        test.dataset("raw")
 
 
 def test_missing_parts_are_refused(result: TestResult) -> None:
@@ -94,60 +87,6 @@ def test_missing_parts_are_refused(result: TestResult) -> None:
     assert repr(nothing) == "<labpipe test A2-085-1 (wire-cantilever): nothing>"
     with pytest.raises(UsageError, match=r"expected a result, found none\. Look at `quality`\."):
         nothing.budget("peak_force.1")
-
-
-pytest.importorskip("xarray")
-
-
-@pytest.fixture(scope="module")
-def written() -> TestResult:
-    return replace(build_result(half_cycle=1.0), bending=some_bending())
-
-
-SIZES = {
-    "curve": {"time"},
-    "aligned": {"time"},
-    "shape": {"time", "names", "xyz", "term", "specimen", "lab"},
-    "bending": {"time", "arc_length"},
-    "law": {"curvature", "knots", "knots_2"},
-    "markers": {"time", "marker", "xyz"},
-    "force": {"time_HostService", "time_slow raster"},
-}
-
-
-def part_of(result: TestResult, part: str) -> Any:
-    dataset = make_dataset(result, part)
-    assert dataset is not None
-    return dataset
-
-
-@pytest.mark.parametrize("part", SIZES)
-def test_parts_have_their_axes_as_in_the_file(part: str, written: TestResult) -> None:
-    dataset = part_of(written, part)
-    assert set(dataset.sizes) == SIZES[part]
-    assert set(dataset.coords) == SIZES[part] - {"term"}
-    for name, variable in dataset.data_vars.items():
-        assert isinstance(variable.attrs["units"], str), name
-    bare = replace(written, curve=None, aligned=None, shape=None, bending=None)
-    assert part not in PARTS or make_dataset(bare, part) is None
-
-
-def test_select_values_by_axes(written: TestResult) -> None:
-    shape, curve, force = (part_of(written, part) for part in ("shape", "curve", "force"))
-    assert written.shape is not None
-    tip = shape.positions.sel(names="pull", xyz="y")
-    np.testing.assert_array_equal(tip, written.shape.positions[:, -1, 1])
-    assert curve.force.attrs["units"] == "N"
-    assert set(curve.data_vars) == {"displacement", "force", "branch", "cycle"}
-    assert force["Out1"].attrs == {"units": "V", "name_in_file": "Model Root/Load Cell/Out1"}
-    assert force["Out1_2"].attrs["units"] == "unknown"  # another of the same name
-    assert force["Out1_2"].dims == ("time_slow raster",)
-
-
-def test_without_xarray(written: TestResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(UsageError, match=r"expected the package, found none\. Install it: pip ins"):
-        make_dataset(written, "curve")
 
 
 def test_export_prints_the_text_of_inspect(pristine: Lab, run: Run) -> None:

@@ -15,12 +15,9 @@ from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
-    MAX_FIGURE_ROWS,
     draw_bundle,
     draw_loop,
-    draw_stiffness_bounds,
     has_bundles,
-    list_bounds_figures,
     make_bounds_table,
 )
 from labpipe.report.figure_page import style
@@ -33,7 +30,6 @@ from labpipe.report.harness_figures import (
     draw_sweep,
     plot_view,
 )
-from labpipe.report.wording import Scale
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
 from tests.builders.bundles import bundle, example_wires
@@ -46,14 +42,10 @@ MIXED = compute_bundle_model(
 ALIKE = compute_bundle_model(bundle(("B1", 7)), example_wires())
 
 
-SCALE = Scale(1e6, "N·mm²")
 GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
 NAME = GROUPS[0].name
 ENDS, SHARE = Interval(0.0058, 0.0062), Interval(0.0290, 0.0316)
 ROW = BoundedStiffness(NAME, "t-1", 0.006, ENDS, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.0303, SHARE)
-BROAD_ROW = replace(
-    ROW, group="g", interval=Interval(-0.001, 0.0130), share=0.03, share_interval=None
-)
 
 
 DEFLECTION = np.array([0.0, 0.02, 0.01, 0.02, 0.01])
@@ -119,17 +111,6 @@ def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
     assert corners.max(axis=0) == pytest.approx([104.0, 104.0])
 
 
-def test_many_rows_are_several_figures() -> None:
-    groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
-    places = [
-        replace(BROAD_ROW, group=group.name) for group in groups for _ in range(MAX_FIGURE_ROWS - 4)
-    ]
-    name = "between-slipping-and-sticking"
-    for count, names in ((len(places), [f"{name}-1", f"{name}-2"]), (4, [name]), (0, [])):
-        campaign = Campaign("Synthetic", tuple(groups), bounded_stiffnesses=tuple(places[:count]))
-        assert [figure.name for figure in list_bounds_figures(campaign)] == names
-
-
 def test_table_of_places(approved: Approve) -> None:
     short, absent = (
         (Reason("short", "it ends early"),),
@@ -148,15 +129,11 @@ def test_table_of_places(approved: Approve) -> None:
 
 
 def test_words(approved: Approve) -> None:
-    lacking = BoundedStiffness("g", "t-2", None, None, reasons=(Reason("x", "y" * 200),))
     plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
     with style():
         pages = {
             "bundle": draw_bundle(MIXED),
             "bundle of one wire": draw_bundle(ALIKE),
-            "places": draw_stiffness_bounds(
-                [BROAD_ROW, replace(BROAD_ROW, test="", interval=None), lacking], SCALE
-            ),
             "cycles of a bundle": draw_loop("TWB-1", FIT),
             "harness": draw_harness(HARNESS),
             "harness without a band": draw_harness(plain),

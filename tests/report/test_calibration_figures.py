@@ -28,7 +28,7 @@ from labpipe.report.calibration_summary import (
     describe_calibration,
     write_parameter,
 )
-from labpipe.report.calibration_workbook import make_external_sheets, make_sheets
+from labpipe.report.calibration_workbook import make_sheets
 from labpipe.report.figure_page import style
 from labpipe.report.workbook_file import Sheet
 from tests.approved import Approve
@@ -157,8 +157,8 @@ def holds(row: dict[str, Any], expected: dict[str, object]) -> None:
 
 
 def test_two_rows_for_each_curve() -> None:
-    sheet, _ = make_external_sheets([external_comparison(is_normal=True), untested(), unmodelled()])
-    external = rows_of(sheet)
+    curves = (external_comparison(is_normal=True), untested(), unmodelled())
+    external = rows(CalibrationReport(usual(), comparisons=curves), "external curves")
     assert [row["compared with"] for row in external] == ["tests", "model"] * 3
     first, second, third, _, _, last = external
     holds(first, {
@@ -172,7 +172,6 @@ def test_two_rows_for_each_curve() -> None:
         "points compared": 0, "RMSE (N)": None,
         "reason": "the model has no such curve: it ends earlier",
     })  # fmt: skip
-    assert make_external_sheets([]) == []
 
 
 def test_summary() -> None:
@@ -188,22 +187,6 @@ def test_summary() -> None:
         "prior, centre": pytest.approx(1.6), "conflict (standard errors)": conflict.size,
         "contradicts": "yes", "verdict": "contradicts its prior",
     })  # fmt: skip
-
-
-def test_correlations_and_singular_values() -> None:
-    identified = rows(report(), "identified")
-    head = "weight or correlation, insulation_modulus"
-    assert identified[0][head] == pytest.approx(usual().correlations[0, 1])
-    friction = usual().friction_separability
-    assert friction is not None
-    own = [row for row in identified if row["quantity"] == "singular value of friction"]
-    assert [row["of"] for row in own] == pytest.approx(friction.singular_values)
-    holds(own[0], {
-        "weight or correlation, radial_force": friction.combinations[0, 2],
-        "weight or correlation, copper_scale": None,
-    })  # fmt: skip
-    apart = {row["of"]: row for row in identified if row["quantity"] == "identified separately"}
-    assert apart["strand_friction"]["weight or correlation, strand_friction"] == "no"
 
 
 def test_agreement_of_each_wire_and_length() -> None:
@@ -256,7 +239,7 @@ def test_a_row_for_each_solution(approved: Approve) -> None:
 def test_sheets_and_their_rows() -> None:
     sheets = make_sheets(report())
     assert [sheet.name for sheet in sheets] == [
-        "summary", "solutions", "fit", "identified", "agreement", "curves", "forces", "notes",
+        "summary", "solutions", "fit", "agreement", "curves", "forces", "notes",
     ]  # fmt: skip
     numbers = {row["number"]: row["value"] for row in rows(report(), "fit")}
     holds(numbers, {"points": 360, "RMSE": usual().rmse})

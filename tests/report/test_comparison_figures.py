@@ -8,10 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Contrast, Group, MeanInterval
+from labpipe.records.group import Contrast, MeanInterval
 from labpipe.records.quality import Reason
-from labpipe.records.result import Contribution, Result
-from labpipe.report.budget_figures import draw_budget, draw_group_budgets
+from labpipe.report.budget_figures import draw_budget
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
@@ -23,7 +22,6 @@ from labpipe.report.comparisons import (
 )
 from labpipe.report.figure_page import style
 from labpipe.report.group_figures import list_family_figures
-from labpipe.statistics.groups import build_group
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
@@ -32,7 +30,7 @@ from tests.builders.bundle_campaigns import (
     conduit_cases,
     three_of,
 )
-from tests.builders.campaigns import build_campaign, build_difference, six_samples
+from tests.builders.campaigns import build_campaign, build_difference
 from tests.report.figure_words import all_words, table_words
 from tests.store.builders_result import build_result
 
@@ -46,19 +44,6 @@ def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
         for child in axes.get_children()
         if isinstance(child, Rectangle) and child is not axes.patch
     ]
-
-
-def group_with_budgets(count: int = 6) -> Group:
-    def with_budget(result: Result) -> Result:
-        size = 0.003 * (result.value or 0.0)
-        shared = Contribution("scale of the force", size, is_common=True)
-        return replace(result, budget=(Contribution("noise", size), shared))
-
-    samples = [
-        replace(sample, results=tuple(map(with_budget, sample.results)))
-        for sample in six_samples()[:count]
-    ]
-    return build_group("tube", "twist-tube", samples)
 
 
 def test_figures_of_families(approved: Approve) -> None:
@@ -84,8 +69,6 @@ def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
         pages = {
             "one test": page,
             "no budget": draw_budget(bare),
-            "group": draw_group_budgets(group_with_budgets()),
-            "group of one test": draw_group_budgets(group_with_budgets(1)),
         }
     assert pieces(page.axes[0]) == [(0.0, 36.0, False), (36.0, 64.0, True)]
     approved(all_words(pages))

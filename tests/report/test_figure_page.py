@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
-from labpipe.report.marker_figures import Rig, read_rig
+from labpipe.report.marker_figures import read_centre_offset
 from labpipe.report.plot_records import find_extremes, simplify_line, thin_flags
 from tests.store.builders_result import build_result
 
@@ -73,18 +73,15 @@ def test_gaps_standstill_and_noise_in_bends() -> None:
         find_extremes(np.zeros(3), n_bins=0)
 
 
-def with_protocol(text: str) -> Rig:
-    return read_rig(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
+def offset_by(text: str) -> float:
+    return read_centre_offset(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
 
 
-def test_rollers_and_span_of_a_conduit(repository: Path) -> None:
+def test_offset_of_the_markers_of_a_conduit(repository: Path) -> None:
     text = (repository / "protocols" / "conduit-bundle.yaml").read_text(encoding="utf-8")
-    section = "section: {outer_diameter: 14.1 mm}"
-    rig = with_protocol(text.replace(section, f"{section}\n  span: 152.4 mm"))
-    assert rig == pytest.approx(Rig(0.1524, 0.005, 0.00705, 0.00855))
-    assert rig.reach == pytest.approx(0.01205)
+    assert offset_by(text) == pytest.approx(0.00855)
 
 
 @pytest.mark.parametrize("text", ["", "version: 0\nname: of an earlier grammar\n"])
 def test_without_a_sound_protocol_nothing_is_known(text: str) -> None:
-    assert with_protocol(text) == Rig()
+    assert offset_by(text) == 0.0

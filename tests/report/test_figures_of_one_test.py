@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
@@ -22,7 +21,6 @@ from labpipe.records.curve import (
 )
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, TestResult
-from labpipe.report import marker_figures
 from labpipe.report.figure_page import style
 from labpipe.report.figures import (
     draw_force_displacement,
@@ -33,12 +31,10 @@ from labpipe.report.figures import (
 )
 from labpipe.report.marker_figures import (
     FLAG_COLOURS,
-    Rig,
     choose_frames,
     draw_marker_quality,
     draw_wire_shapes,
     plot_flags,
-    plot_shapes,
 )
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
@@ -180,35 +176,6 @@ def test_rows_are_the_markers_and_spans_their_flags(result: TestResult) -> None:
     # a column is 1/900 of the time drawn
     assert [missing.x0, missing.x1] == pytest.approx([times[0], times[-1]], abs=0.07)
     assert missing.y0 == pytest.approx(4 - 0.36)
-
-
-SPAN = Rig(span=0.1524, roller_radius=0.005, section_radius=0.007)
-
-
-@pytest.fixture
-def between_rollers(result: TestResult, monkeypatch: pytest.MonkeyPatch) -> TestResult:
-    """A test between rollers: its axis sinks at mid-span, and is fitted."""
-    assert result.shape is not None
-    frames = len(result.shape.time)
-    coefficients = np.zeros((frames, 3, 3))
-    coefficients[:, 0, :2] = [-0.06, 0.12]
-    coefficients[:, 1, 1] = np.linspace(0.0, 0.04, frames)
-    coefficients[:, 1, 2] = -coefficients[:, 1, 1]
-    flags = np.full_like(result.shape.flags, PointFlag.MEASURED)
-    shape = replace(result.shape, coefficients=coefficients, flags=flags)
-    monkeypatch.setattr(marker_figures, "read_rig", lambda _: SPAN)
-    return replace(result, shape=shape)
-
-
-def test_rollers_touch_the_specimen_from_both_sides(between_rollers: TestResult) -> None:
-    axes = Figure().subplots()
-    plot_shapes(between_rollers, axes)
-    rollers = [patch for patch in axes.patches if isinstance(patch, Circle)]
-    left, right, first, _last = (roller.center for roller in rollers)
-    assert left == pytest.approx((-76.2, 12.0))
-    assert right == pytest.approx((76.2, 12.0))
-    assert first == pytest.approx((0.0, -12.0), abs=1.5)  # it has moved a little
-    assert [roller.radius for roller in rollers] == pytest.approx([5.0] * 4)
 
 
 def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> None:

@@ -226,9 +226,6 @@ def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
 def test_a_tear_is_no_slip() -> None:
     force = 2000.0 * D_SLIPS - 0.3 * 50.0 * (D_SLIPS > 0.025) + noise()
     assert found(force) == ()
-    told = find_slips(D_SLIPS, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
-    assert isinstance(told, tuple)
-    assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
     # Nor is it one where the force goes on at less than three tenths of its slope.
     for share, count in ((0.2, 0), (0.4, 1)):
         behind = np.maximum(D_SLIPS - 0.025, 0.0)
@@ -241,11 +238,8 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
     travel: float, longest: float
 ) -> None:
     d = np.linspace(0.0, travel, 20_001)
-    assert (
-        _choose_block_size(d, None)
-        == _choose_block_size(d, longest)
-        != _choose_block_size(d, 1.4 * longest)
-    )
+    size, blocks = _choose_block_size(d)
+    assert size * blocks * d[1] == pytest.approx(longest, rel=0.15)
 
 
 @pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])

@@ -117,25 +117,6 @@ def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.01)
 
 
-def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
-    line, boundaries = space_case()
-    whole = walked(line, boundaries, 6)
-    first, held, load, weight = boundaries
-    assert isinstance(held, Held)
-    assert held.frame is not None
-    assert isinstance(load, Load)
-    assert isinstance(weight, Gravity)
-    rest = [
-        first,
-        Held(-1, held.position[3:], held.frame[3:]),
-        Load(load.node, load.force[3:]),
-        Gravity(weight.vector[3:]),
-    ]
-    again = follow(line, rest, steps=3, start=whole.states[3])
-    np.testing.assert_allclose(again.last.positions, whole.last.positions, atol=1e-9)
-    np.testing.assert_allclose(again.last.rests, whole.last.rests, atol=1e-7)
-
-
 @pytest.mark.slow
 def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     """Clamped taut it cannot leave its line; it is not looked at in ever smaller parts."""

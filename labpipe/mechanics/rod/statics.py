@@ -46,7 +46,6 @@ from labpipe.mechanics.rod.walk_errors import (
     check_reach,
     check_rings,
 )
-from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 
@@ -75,7 +74,6 @@ def follow(
     *,
     steps: int,
     settings: RodSettings | None = None,
-    start: RodState | None = None,
     on_step: Callable[[], object] = lambda: None,
 ) -> RodPath:
     """Solve the equilibria of a line at the steps of its boundaries.
@@ -86,8 +84,6 @@ def follow(
     boundaries : grips, loads and supports of the line
     steps : number of steps of their paths
     settings : `RodSettings` with its defaults if None
-    start : state of the same line with its history, from which to start in place of the shape of
-        the line
     on_step : called after each step
 
     Returns
@@ -99,9 +95,9 @@ def follow(
     ------
     ValueError
         If a node is not on the line, a path has a wrong number of rows, two boundaries hold a node
-        at the same time, a line with a ring has a single element, or `start` is of another line.
+        at the same time, or a line with a ring has a single element.
     """
-    walk = _Walk(line, tuple(boundaries), steps, settings or RodSettings(), start)
+    walk = _Walk(line, tuple(boundaries), steps, settings or RodSettings())
     for step in range(steps + 1):
         if not walk.go_to(step):
             break
@@ -116,10 +112,10 @@ class _Walk:
         boundaries: tuple[Boundary, ...],
         steps: int,
         settings: RodSettings,
-        start: RodState | None,
     ) -> None:
         self.line, self.boundaries, self.settings = line, boundaries, settings
-        shape, rests, contacts = _build_start(line, boundaries, start)
+        n = len(line.lengths)
+        shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         self.schedule = Schedule(line, boundaries, steps, shape)
         self.force = self.schedule.force_scale()
         self.states: list[RodState] = []
@@ -130,7 +126,9 @@ class _Walk:
         self.work = self.lost = self.friction_loss = self.jumped = self.slider_loss_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
-        memory = LineMemory(rests, contacts, _find_start_places(self.schedule, start))
+        rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
+        contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
+        memory = LineMemory(rests, contacts, self.schedule.start_places)
         self._set_up(self.schedule.grips(0), -1.0, shape, memory)
         self.work = self._stored_energy()
 
@@ -432,37 +430,3 @@ class _Walk:
             tuple(self.snapped),
             *columns,
         )
-
-
-def _find_start_places(schedule: Schedule, start: RodState | None) -> Floats:
-    """Return the places at which the line passes through the rings, in nodes."""
-    places = schedule.start_places
-    if start is None or len(start.ring_stations) != len(schedule.boundaries):
-        return places
-    stations = schedule.line.stations
-    known_places = np.interp(
-        start.ring_stations[list(schedule.rings)], stations, np.arange(len(stations))
-    )
-    return np.where(np.isfinite(known_places), known_places, places)
-
-
-def _build_start(
-    line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
-) -> tuple[Shape, Floats, Floats]:
-    n, sliders = len(line.lengths), line.section.law.history_size
-    n_planes = sum(isinstance(boundary, Plane) for boundary in boundaries)
-    if start is None:
-        shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
-        contacts = np.tile(line.positions, (n_planes, 1, 1))
-        return shape, np.zeros((n + 1, 2, sliders, 2)), contacts
-    if start.rests.shape != (n + 1, 2, sliders, 2):
-        nodes, _, n_sliders, _ = start.rests.shape
-        message = format_sentence(
-            "mechanics.rod.other_line", elements=nodes - 1, sliders=n_sliders, n=n, own=sliders
-        )
-        raise ValueError(message)
-    shape = Shape(start.positions, start.frames, start.stretches, start.forces)
-    contacts = start.contacts
-    if len(contacts) != n_planes:
-        contacts = np.tile(start.positions, (n_planes, 1, 1))
-    return shape, start.rests, contacts
