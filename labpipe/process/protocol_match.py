@@ -81,8 +81,9 @@ def match_protocols(
     Notes
     -----
     The protocols that use most exports without a fault are compared by these rules, in this order:
-    one of `names` contains the name of the protocol; the protocol states this `length` within 5 %;
-    more than half of the `siblings` have it. The first rule that only one protocol meets decides.
+    one of `names` contains the name of the protocol; the metadata of an export name the standard
+    after which the protocol is named; the protocol states this `length` within 5 %; more than half
+    of the `siblings` have it. The first rule that only one protocol meets decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -92,9 +93,16 @@ def match_protocols(
     if len(best) < 2:
         return best
     namesakes = [match for match in best if _is_named_in(names, match.protocol.name)]
+    texts = [str(text) for export in exports.values() for text in export.metadata.values()]
+    standards = [
+        match
+        for match in best
+        if re.search(r"\d{3,}", match.protocol.name) and _is_named_in(texts, match.protocol.name)
+    ]
     same_length = [match for match in best if _has_length(match.protocol, length)]
     rules = [
         (namesakes, format_sentence("process.reason_namesake")),
+        (standards, format_sentence("process.reason_standard")),
         (same_length, format_sentence("process.reason_length")),
     ]
     for counts in siblings:

@@ -618,7 +618,9 @@ class MaximumForceElongation(TensionResult):
         peak, top = pull.peak, _flat_top(pull)
         if np.isnan(pull.strain[[top.start, top.stop - 1]]).any():
             raise _off_before(pull, "the largest force")
-        width = float(pull.strain[top.stop - 1] - pull.strain[top.start])
+        ends = pull.strain[[top.start, top.stop - 1]] - pull.strain[peak]
+        # The second moment about the sample, if every strain between the ends is as likely.
+        spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
         numbers = []
         for place, is_plastic in enumerate((False, True)):
             number = partial(_strain_at, sample=peak, is_plastic=is_plastic)
@@ -627,7 +629,7 @@ class MaximumForceElongation(TensionResult):
                 self.make_result(
                     test,
                     outcome,
-                    errors | {PEAK: width / np.sqrt(12.0)},
+                    errors | {PEAK: spread},
                     output=place,
                     during=_during(pull, pull.window.start, top.stop),
                     doubts=self.list_doubts(test, pull, number) + _ends_at_peak(test, pull),
@@ -637,13 +639,11 @@ class MaximumForceElongation(TensionResult):
 
 
 def _flat_top(pull: Pull) -> slice:
-    """Return the samples around the largest stress that differ from it by less than noise."""
+    """Return the samples, from the first to the last, that noise may have made the largest."""
     around = slice(max(pull.peak - 50, 0), pull.peak + 50)
     is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _noise(pull.stress[around])
-    before = np.flatnonzero(~is_near_peak[: pull.peak])
-    after = np.flatnonzero(~is_near_peak[pull.peak :])
-    start = int(before[-1]) + 1 if len(before) else 0
-    return slice(start, pull.peak + int(after[0]) if len(after) else len(is_near_peak))
+    near_peak = np.flatnonzero(is_near_peak)
+    return slice(int(near_peak[0]), int(near_peak[-1]) + 1)
 
 
 def _strain_at(pull: Pull, sample: int, *, is_plastic: bool) -> float:

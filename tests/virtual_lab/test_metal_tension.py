@@ -13,7 +13,6 @@ from labpipe.virtual_lab import MetalTension, simulate_tension
 from tests.builders.small_tests import Run
 
 
-
 @pytest.mark.parametrize(
     "scenario",
     [
