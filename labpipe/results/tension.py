@@ -391,8 +391,8 @@ def _doubts_of_extension(test: ReducedTest, pull: Pull) -> Iterator[Reason]:
     extension = find_gauge_length(sizes) * float(pull.strain[last] - np.nanmin(pull.strain))
     moved = float(np.ptp(np.interp(pull.time[: last + 1], travel.time, travel.values)))
     if extension > MAX_EXTENSION * moved > 0.0:
-        facts = {"extension": 1e3 * extension, "travel": 1e3 * moved}
-        yield Reason.of("results.extension_exceeds_travel", **facts)
+        extension, moved = 1e3 * extension, 1e3 * moved
+        yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
 
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
