@@ -46,6 +46,8 @@ MIN_ELASTIC_SHARE = 0.1
 """Least range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
 """Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
+MAX_EXTENSION = 1.1
+"""Extension of the gauge length over the travel of the machine, beyond which both are doubtful."""
 MIN_STRAIN_JUMP = 1e-4
 """Smaller jumps of the strain are ignored."""
 MAX_CHANGE_BY_BEND = 0.005
@@ -343,7 +345,8 @@ class TensionResult(Kind):
 
     def list_doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
         """Return doubts about a number by the elastic line, or by a displacement of the machine."""
-        return tuple(_doubts_of_line(pull, number)) + self._doubts_of_machine(test, pull)
+        doubts = *_doubts_of_line(pull, number), *_doubts_of_extension(test, pull)
+        return doubts + self._doubts_of_machine(test, pull)
 
     def _doubts_of_machine(self, test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
         """Return a doubt about a displacement that may be that of frame and grips."""
@@ -374,6 +377,22 @@ def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
     largest = float(np.fmax.reduce(above, initial=-np.inf))
     if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
         yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
+
+
+def _doubts_of_extension(test: ReducedTest, pull: Pull) -> Iterator[Reason]:
+    """Yield a doubt about an extension that is larger than the travel of the machine.
+
+    The gauge length lies between the grips: one of both channels, or a unit, is wrong.
+    """
+    travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
+    if travel is None or "gauge_length" not in sizes:
+        return
+    last = int(np.nanargmax(pull.strain))
+    extension = find_gauge_length(sizes) * float(pull.strain[last] - np.nanmin(pull.strain))
+    moved = float(np.ptp(np.interp(pull.time[: last + 1], travel.time, travel.values)))
+    if extension > MAX_EXTENSION * moved > 0.0:
+        extension, moved = 1e3 * extension, 1e3 * moved
+        yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
 
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:

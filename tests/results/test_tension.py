@@ -160,10 +160,20 @@ def cut(count: int) -> Callable[[Pulled], Pulled]:
         (ended(90, np.nan), {"proof": "not_reached", "tensile_strength": ""}),
         (ended(600, np.nan), {"elongation_at_break": "extensometer_off", "proof": ""}),
         (ended(90, 0.0), {"proof": "not_reached", "elastic_modulus": "zero_jump"}),
+        (with_extension(lambda x: 2.0 * x), {"elastic_modulus": "extension_exceeds_travel"}),
         (cut(500), {"tensile_strength": "ends_at_peak", "proof": ""}),
         (cut(120), {"tensile_strength": "ends_at_peak", "proof": "not_reached"}),
     ],
-    ids=["jump", "slip", "off-elastic", "off-plastic", "fallen", "cut", "cut-elastic"],
+    ids=[
+        "jump",
+        "slip",
+        "off-elastic",
+        "off-plastic",
+        "fallen",
+        "wrong-unit",
+        "cut",
+        "cut-elastic",
+    ],
 )
 def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) -> None:
     results = measure_replicates(change(steel()))
