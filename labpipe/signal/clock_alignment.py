@@ -164,8 +164,8 @@ def fit_clocks(
     sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
     covariance = covariance * _inflation(pulls, freedom=len(differences) - design.shape[1])
     if repeat is not None:
-        by_drift = repeat.zero_drift_error * sensitivity
-        covariance = covariance + np.outer(by_drift, by_drift)
+        by_drift: Floats = repeat.zero_drift_error**2 * np.outer(sensitivity, sensitivity)
+        covariance = covariance + by_drift
     to_zero = np.array([1.0, -centre])[: len(solution)]
     offset = float(to_zero @ solution), float(np.sqrt(to_zero @ covariance @ to_zero))
     drift = (0.0, np.nan) if is_single else (float(solution[1]), float(np.sqrt(covariance[1, 1])))
