@@ -164,8 +164,8 @@ def fit_clocks(
     sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
     covariance = covariance * _inflation(pulls, freedom=len(differences) - design.shape[1])
     if repeat is not None:
-        by_drift: Floats = repeat.zero_drift_error**2 * np.outer(sensitivity, sensitivity)
-        covariance = covariance + by_drift
+        by_drift = repeat.zero_drift_error * sensitivity
+        covariance += by_drift[:, None] * by_drift
     to_zero = np.array([1.0, -centre])[: len(solution)]
     offset = float(to_zero @ solution), float(np.sqrt(to_zero @ covariance @ to_zero))
     drift = (0.0, np.nan) if is_single else (float(solution[1]), float(np.sqrt(covariance[1, 1])))
@@ -184,7 +184,7 @@ def solve_weighted(design: Floats, values: Floats, errors: Floats) -> tuple[Floa
     The unknowns and their covariance by the errors alone.
     """
     weighted = design / errors[:, None]
-    covariance: Floats = np.linalg.inv(weighted.T @ weighted)
+    covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
     return covariance @ weighted.T @ (values / errors), covariance
 
 
