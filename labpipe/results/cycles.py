@@ -12,15 +12,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
-from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Errors, Kind
+from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import (
     compute_polynomial_weights,
     compute_slope,
@@ -329,16 +328,6 @@ class PerCycle(Kind):
             + self.list_doubts(test, branches),
             part=f".{number}",
         )
-
-
-def compute_shape_error(estimate: Estimate, other: Estimate) -> Errors:
-    """Return the standard error of a rectangular distribution with a change as its half-width.
-
-    Parameters
-    ----------
-    estimate, other : with the shape, and with one term less
-    """
-    return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
 def find_gap_at_peak(

@@ -197,7 +197,7 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure displacement and force at the last sample before the final loss of force."""
-        failure = _require_failure(test)
+        failure = test.require(test.failure)
         place, force = test.measure(partial(_choose_failure_samples, test))
         doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         at_end = during[1], during[1]
@@ -306,14 +306,6 @@ def _measure_next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _require_failure(test: ReducedTest) -> FailurePoint:
-    if isinstance(test.failure, Failure):
-        raise UnavailableError(test.failure)
-    if test.failure is None:
-        raise test.make_error(NO_LOADING)
-    return test.failure
-
-
 def _find_time_to_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
     """Return the time from the start of the loading of the failure to the failure, s."""
     curve = test.required_curve
@@ -399,7 +391,7 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Integrate the force up to the failure."""
-        failure = _require_failure(test)
+        failure = test.require(test.failure)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
         doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))

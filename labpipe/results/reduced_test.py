@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -46,6 +46,7 @@ Choose: TypeAlias = Callable[[Trace], Reading]
 """A function that chooses samples of a curve; raises `UnavailableError` if there are none."""
 
 NO_LOADING = Failure.of("results.no_cycle")
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,6 +233,25 @@ class ReducedTest:
     def make_error(self, reason: Failure) -> UnavailableError:
         """Return an error with the finding that blocked the test, or else with another reason."""
         return UnavailableError(self.findings.blocked or reason)
+
+    def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
+        """Return a part of the test.
+
+        Parameters
+        ----------
+        part : of the test, or why there is none
+        missing : reason if it is None and nothing blocked the test
+
+        Raises
+        ------
+        UnavailableError
+            If there is none.
+        """
+        if isinstance(part, Failure):
+            raise UnavailableError(part)
+        if part is None:
+            raise self.make_error(missing)
+        return part
 
     @property
     def cycles(self) -> list[list[Branch]]:

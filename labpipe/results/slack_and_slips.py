@@ -24,7 +24,7 @@ from labpipe.results.least_squares import (
     find_finite_samples,
     require_samples,
 )
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measure_replicates
+from labpipe.results.reduced_test import ReducedTest, measure_replicates
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers
@@ -724,6 +724,5 @@ class SlackResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return the displacement at which the line of the linear region meets zero force."""
-        during = test.find_loading_interval()
-        slack = test.slack or test.make_error(NO_LOADING).failure
+        slack, during = return_failure(test.require)(test.slack), test.find_loading_interval()
         return Computed((self.make_result(test, slack, during=during),))

@@ -38,7 +38,13 @@ from labpipe.results.cycles import (
     require_unloading,
     select_cycle,
 )
-from labpipe.results.kinds import Computed, Kind, Outcome, find_marked_slips
+from labpipe.results.kinds import (
+    Computed,
+    Kind,
+    Outcome,
+    find_machine_compliance,
+    find_marked_slips,
+)
 from labpipe.results.least_squares import (
     compute_polynomial_weights,
     compute_slope,
@@ -900,23 +906,17 @@ class Modulus(FromStiffness):
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
-        _compute_area(self.area, test.setup.sizes)
+        compute_area(test.setup.sizes, self.area)
         return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        area = return_failure(_compute_area)(self.area, trace.sizes)
+        area = return_failure(compute_area)(trace.sizes, self.area)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return a doubt if the displacement may be that of frame and grips."""
-        limits = test.setup.limits
-        share = limits.machine_compliance * stiffness.estimate.value
-        if test.setup.compliance_stated or not share > limits.machine_share:
-            return Context()
-        usual = 1e6 * limits.machine_compliance
-        reason = Reason.of("results.machine_compliance", usual=usual, share=share)
-        return Context(doubts=(reason,))
+        return Context(doubts=find_machine_compliance(test, stiffness.estimate.value))
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -927,6 +927,7 @@ _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
         lambda outer, inner: 0.25 * np.pi * (outer**2 - inner**2),
     ),
     "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
+    "circle": (("outer_diameter",), lambda outer: 0.25 * np.pi * outer**2),
 }
 """Sizes of a section, m, by the keys of the protocol, and its area, m^2.
 
@@ -935,17 +936,31 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _compute_area(section_kind: str, given: Mapping[str, float]) -> float:
-    """Compute an area from its sizes."""
-    needs, area_of = _AREAS[section_kind]
-    sizes = [given[name] for name in needs if name in given]
-    if len(sizes) < len(needs):
-        missing = " and ".join(f"specimen.section.{name}" for name in needs)
-        raise UnavailableError.of("results.no_area", missing=missing)
-    area = area_of(*sizes)
-    if not area > 0.0:
-        raise UnavailableError.of("results.bad_area", kind=section_kind, area=area)
-    return area
+def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
+    """Return the area of a section from its sizes, m^2.
+
+    Parameters
+    ----------
+    sizes : m (the area m^2), by the keys of the protocol
+    section : a key of `_AREAS`; empty for the first one whose sizes are all given
+
+    Raises
+    ------
+    UnavailableError
+        ``no_area`` without a complete set of sizes, or if they give no area.
+    """
+    for kind in [section] if section else _AREAS:
+        names, area_of = _AREAS[kind]
+        if not all(name in sizes for name in names):
+            continue
+        area = area_of(*(sizes[name] for name in names))
+        if not area > 0.0:
+            raise UnavailableError.of("results.bad_area", kind=kind, area=area)
+        return area
+    missing = "specimen.section.area, or its width and thickness, or outer_diameter"
+    if section:
+        missing = " and ".join(f"specimen.section.{name}" for name in _AREAS[section][0])
+    raise UnavailableError.of("results.no_area", missing=missing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

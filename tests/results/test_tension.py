@@ -17,7 +17,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
-from labpipe.results.tension import compute_area, find_gauge_length
+from labpipe.results.stiffness import compute_area
+from labpipe.results.tension import find_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
