@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -12,10 +12,10 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.extractors import Decide
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Replicates
 
@@ -41,9 +41,6 @@ class FailurePoint:
     lost_before: float = 0.0
     slow_below: float | None = None
 
-
-Choose: TypeAlias = Callable[[Trace], Reading]
-"""A function that chooses samples of a curve; raises `UnavailableError` if there are none."""
 
 NO_LOADING = Failure.of("results.no_cycle")
 _Part = TypeVar("_Part")
@@ -127,7 +124,7 @@ class Stiffness:
     bends_with : m, range of displacement in which a slip affects it; None if no slip does
     """
 
-    decide: Choose
+    decide: Decide
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]
@@ -215,16 +212,14 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`; `decide` may raise
+        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
         UnavailableError
             If there are no such numbers, or no curve.
         """
-        if self.replicates is None:
-            raise self.make_error(NO_LOADING)
-        return measure_replicates(self.replicates, decide, values)
+        return measure_numbers(self.require(self.replicates), decide, values)
 
     def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
         """Measure the first number of a reading, as `measure_numbers`."""
@@ -329,16 +324,6 @@ class ReducedTest:
             first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
-
-
-def measure_replicates(
-    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
-) -> tuple[Measured, ...]:
-    """Measure numbers of replicates; raise `UnavailableError` if there are none."""
-    outcome = measure_numbers(replicates, return_failure(decide), values)
-    if isinstance(outcome, Failure):
-        raise UnavailableError(outcome)
-    return outcome
 
 
 def compute_loading_sign(values: Floats) -> float:

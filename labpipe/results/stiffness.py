@@ -13,7 +13,6 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide, select_part
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
-    CURVE,
     Distance,
     Force,
     Key,
@@ -360,15 +359,23 @@ class LoadingSlope:
     slope: WindowSlope
     lead: float
 
-    def compute(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
+    def compute(self, displacement: Floats, force: Floats, *, has_noise: bool = False) -> Floats:
+        """Return the stiffness of branches, N/m, shape (...), or NaN.
 
-        The window of each row begins at the onset of its force.
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N; the window of each row begins at the onset of
+            its force
+        has_noise : whether noise hides a part of the foot: shape (rows, n), each with its own foot
         """
-        taut = displacement[..., self.first :]
-        begins = self.onset.compute(displacement, force) + self.lead
-        later = begins - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.compute(taut, force[..., self.first :], later)
+        taut, since = displacement[..., self.first :], np.zeros((), dtype=np.int64)
+        if has_noise:
+            begins, first = self.onset.compute_rows(displacement, force)
+            since = np.maximum(first - self.first, 0)
+        else:
+            begins = self.onset.compute(displacement, force)
+        later = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
+        return self.slope.compute(taut, force[..., self.first :], later, since)
 
     @property
     def share_of_start(self) -> float:
@@ -380,23 +387,6 @@ class LoadingSlope:
         path = self.slope.path[stretch][inside]
         is_near_start = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
         return float(is_near_start.mean())
-
-    def compute_rows(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness of branches with noise, each with its own take-up.
-
-        Parameters
-        ----------
-        displacement, force : shape (rows, n), m, N
-
-        Returns
-        -------
-        Shape (rows,), N/m, or NaN.
-        """
-        taut = displacement[:, self.first :]
-        begins, first = self.onset.compute_rows(displacement, force)
-        later = begins + self.lead - taut[:, self.slope.window].mean(axis=-1)
-        since = np.maximum(first - self.first, 0)
-        return self.slope.compute(taut, force[:, self.first :], later, since)
 
 
 def choose_loading_window(
@@ -530,9 +520,7 @@ class UnloadingStiffness(PerCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
-    outputs: ClassVar = (
-        Output("unloading_stiffness", "N/m", "Unloading stiffness", CURVE, first=1),
-    )
+    outputs: ClassVar = (Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1),)
     over: Length
     reads: ClassVar = (1.0, 2.0)
 
@@ -540,19 +528,13 @@ class UnloadingStiffness(PerCycle):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
-
-        def decide(trace: Trace) -> Reading:
-            part, sense = (
-                require_unloading(select_cycle(trace, number)),
-                find_loading_sign(trace, trace.displacement),
-            )
-            slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
-            return Reading(read_part(slope, slice(None)), n)
-
-        return decide
+        part = require_unloading(select_cycle(trace, number))
+        sense = find_loading_sign(trace, trace.displacement)
+        slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
+        return Reading(read_part(slope, slice(None)), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -560,7 +542,7 @@ class LoadingStiffness(PerCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
-    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", CURVE, first=1),)
+    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", first=1),)
     over: Length
     reads: ClassVar = (0.0, 1.0)
 
@@ -568,25 +550,24 @@ class LoadingStiffness(PerCycle):
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples after the onset, with the limit of the measured curve."""
-        like = self._fit_measured(test, number)
+        return partial(self.choose, test, number=number, like=self._fit_measured(test, number))
 
-        def decide(trace: Trace) -> Reading:
-            part = select_cycle(trace, number)[0]
-            parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
-            fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
-            numbers, in_noise = read_part(fit.compute, branch), read_part(fit.compute_rows, branch)
-            return Reading(numbers, fit.slope.n, in_noise, ends_at_samples=True)
-
-        return decide
+    def choose(
+        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
+    ) -> Reading:
+        """Choose the samples after the onset of the force."""
+        del test
+        part = select_cycle(trace, number)[0]
+        parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
+        fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
+        in_noise = read_part(partial(fit.compute, has_noise=True), branch)
+        return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
         fit = self._fit_measured(test, branches[0].cycle)
-        return (
-            None
-            if fit is None
-            else [float(fit.compute(*cut_branch(make_trace(test), branches[0])[1:]))]
-        )
+        _, d, f = cut_branch(make_trace(test), branches[0])
+        return None if fit is None else [float(fit.compute(d, f))]
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt if more than 10 % of the samples are at the start of the window."""
@@ -608,7 +589,7 @@ class Hardening(Kind):
     """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
     result: ClassVar = "hardening"
-    outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
+    outputs: ClassVar = (Output("hardening", "1", "Hardening", first=2),)
     over: Length
 
     method: ClassVar = (
@@ -624,48 +605,39 @@ class Hardening(Kind):
         before = stiffness.make_decider(test, 1)
         base = return_failure(test.measure_one)(before)
         plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
-        numbers = []
-        for later in later_cycles:
-            after = stiffness.make_decider(test, later[0].cycle)
+
+        def decide_first(trace: Trace) -> Reading:
+            reading = return_failure(before)(trace)
+            if isinstance(reading, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
+            return reading
+
+        @return_failure
+        def measure_ratio(later: list[Branch]) -> Measured:
+            after, own = stiffness.make_decider(test, later[0].cycle), None
             decide = combine_numbers(
-                lambda _, after, first: divide(after, first), after, _require_first_cycle(before)
+                lambda _, after, first: divide(after, first), after, decide_first
             )
-            own = stiffness.measure_directly(test, later)
-            values = [own[0] / plain[0]] if own and plain else None
-            numbers.append(
+            if plain and (own := stiffness.measure_directly(test, later)):
+                own = [own[0] / plain[0]]
+            ratio, first_stiffness = test.measure_one(decide, own), test.require(base)
+            if first_stiffness.value <= 3.0 * first_stiffness.error:
+                value = first_stiffness.value
+                raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
+            return ratio
+
+        return Computed(
+            tuple(
                 self.make_result(
                     test,
-                    return_failure(_measure_ratio)(test, decide, values, base),
+                    measure_ratio(later),
                     doubts=doubts + stiffness.list_doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
                     part=f".{later[0].cycle}",
                 )
+                for later in later_cycles
             )
-        return Computed(tuple(numbers))
-
-
-def _require_first_cycle(before: Decide) -> Decide:
-    """Raise ``no_stiffness`` if the stiffness of the first cycle is not available."""
-
-    def decide(trace: Trace) -> Reading:
-        reading = return_failure(before)(trace)
-        if isinstance(reading, Failure):
-            raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
-        return reading
-
-    return decide
-
-
-def _measure_ratio(
-    test: ReducedTest, decide: Decide, values: list[float] | None, base: Measured | Failure
-) -> Measured:
-    """Measure the ratio to a first stiffness; raise if that is not above its noise."""
-    outcome = test.measure_one(decide, values)
-    if isinstance(base, Failure):
-        raise UnavailableError(base)
-    if base.value <= 3.0 * base.error:
-        raise UnavailableError.of("results.first_stiffness_is_noise", value=base.value)
-    return outcome
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -195,7 +195,6 @@ def test_zeros_in_the_slack_and_in_what_counts_from_it() -> None:
     assert test.replicates is not None
     assert isinstance(test.slack, Measured)
     numbers = measure_numbers(test.replicates, slack)
-    assert not isinstance(numbers, Failure)
     assert numbers[0].value == pytest.approx(0.0, abs=1e-9)
     assert numbers[0].error < 0.02 * shares(test.slack)["noise"]
 
@@ -210,7 +209,6 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     made = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
     reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
     numbers = measure_numbers(made, lambda _: reading)
-    assert isinstance(numbers, tuple)
     assert [reason.code for _, reason in numbers[0].doubts] == codes
     for _, reason in numbers[0].doubts:
         assert reason.message.endswith("slack: it remembers")
