@@ -141,22 +141,20 @@ def split_motion(
     block : with the channel of the motion and the minimum stroke
     """
     signals = prepared.signals
-    motion = signals.raw[block.channel]
-    strokes, findings = find_motion_strokes(motion, block)
-    fit, turns, new_findings = join_clocks(signals, protocol.align, motion, strokes)
+    motion, findings = find_motion_strokes(signals.raw[block.channel], block)
+    fit, motion, new_findings = join_clocks(signals, protocol.align, motion)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
-    branches = split_at_turns(motion, strokes, turns)
+    motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
         from labpipe.process.camera_steps import align_cameras  # only these tests load it
 
-        min_stroke = block.min_stroke
         prepared, others, new_findings = align_cameras(
-            prepared, motion, strokes, min_stroke=min_stroke
+            prepared, motion, min_stroke=block.min_stroke
         )
-        clocks = replace(clocks, others=others)
+        motion = replace(motion, clocks=replace(clocks, others=others))
         findings += new_findings
-    return prepared, Motion(motion, branches, clocks), findings
+    return prepared, motion, findings
 
 
 def recheck_rest(
