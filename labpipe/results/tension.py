@@ -19,18 +19,19 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from labpipe.records import causes
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import FittedLine
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import Needs, Output, Share, Snake
-from labpipe.records.estimates import Estimate, UnavailableError, return_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.curve_replicates import make_trace
 from labpipe.results.kinds import Computed, Kind, find_machine_compliance
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
+from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
 
@@ -39,6 +40,12 @@ MIN_ELASTIC_SHARE = 0.1
 """Least range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
 """Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
+MAX_EXTENSION = 1.1
+"""Extension of the gauge length over the travel of the machine, beyond which both are doubtful."""
+MAX_YIELD_ONSET = 5e-3
+"""Largest plastic strain at an upper yield stress."""
+MIN_YIELD_STRAIN = 5e-4
+"""Least plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
 """Smaller jumps of the strain are ignored."""
 MAX_CHANGE_BY_BEND = 0.005
@@ -62,6 +69,9 @@ class ElasticWindow:
     straight: float
 
 
+_NO_SLOPE = Estimate(np.nan, np.nan, 0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pull:
     """The loading of a tension test in stress and strain.
@@ -71,25 +81,27 @@ class Pull:
     time : shape (n,), s
     strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from where
         slack ends, and is NaN where the extensometer is off
-    slope : Pa, of the elastic line; ``slope_estimate`` has its interval
-    centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
     window : samples of the elastic line
     is_straight : whether the line was sought as the longest straight part, not in a stated window
     noise : Pa, standard deviation of single samples of the stress
     strain_noise : 1, the same of the strain
+    slope : Pa, of the elastic line; ``slope_estimate`` has its interval
+    centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
+    without_line : why there is no elastic line; None with one
     """
 
     time: Floats
     strain: Floats
     stress: Floats
-    slope_estimate: Estimate
-    slope: float
-    centre: float
-    level: float
     window: slice
     is_straight: bool
     noise: float
     strain_noise: float
+    slope_estimate: Estimate = _NO_SLOPE
+    slope: float = np.nan
+    centre: float = np.nan
+    level: float = np.nan
+    without_line: Failure | None = None
 
     @property
     def toe(self) -> float:
@@ -130,8 +142,8 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     The pull; a failure without a loading, an area, a gauge length or a straight part.
     """
     trace = make_trace(test)
-    part = select_first_loading(trace)
-    if part.stop - part.start < 2:
+    part = _select_new_strains(trace)
+    if len(part) < 2:
         raise test.make_error(NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
@@ -140,26 +152,48 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
     strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
-    window = _choose_elastic_part(strain, stress, choice)
-    x, y = _few_samples(strain[window], stress[window])
-    require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
-    fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
-    slope = fit.estimate(1)
-    if slope.value <= 0.0:
-        raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
-    return Pull(
+    pull = Pull(
         time=trace.time[part],
         strain=strain,
         stress=stress,
-        slope_estimate=slope,
-        slope=slope.value,
-        centre=float(x.mean()),
-        level=float(fit.coefficients[0]),
-        window=window,
+        window=slice(0, 0),
         is_straight=choice.start is None,
         noise=_noise(stress),
         strain_noise=_noise(strain),
     )
+    line = return_failure(_add_elastic_line)(pull, choice)
+    return replace(pull, without_line=line) if isinstance(line, Failure) else line
+
+
+def _add_elastic_line(pull: Pull, choice: ElasticWindow) -> Pull:
+    window = _choose_elastic_part(pull.strain, pull.stress, choice)
+    x, y = _few_samples(pull.strain[window], pull.stress[window])
+    require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
+    fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+    slope, level = fit.estimate(1), float(fit.coefficients[0])
+    if slope.value <= 0.0:
+        raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
+    pull = replace(pull, slope_estimate=slope, slope=slope.value, window=window)
+    return replace(pull, centre=float(x.mean()), level=level)
+
+
+def _select_new_strains(trace: Trace) -> Ints:
+    """Return the samples of the loading up to a failure, without those of unloading loops.
+
+    A loop ends where the displacement goes beyond that at which it began.
+    """
+    end = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
+    samples, farthest = [np.empty(0, dtype=np.intp)], -np.inf
+    for branch in trace.branches:
+        if branch.direction is Direction.UNLOADING or branch.start >= end:
+            continue
+        loading = np.arange(branch.start, min(branch.stop, end))
+        displacement = trace.displacement[loading]
+        displacement = compute_loading_sign(displacement) * displacement
+        is_new = np.fmax.accumulate(displacement) > farthest
+        samples.append(loading[int(np.argmax(is_new)) :] if is_new.any() else loading[:0])
+        farthest = max(farthest, float(np.fmax.reduce(displacement)))
+    return np.concatenate(samples)
 
 
 def _noise(values: Floats) -> float:
@@ -267,6 +301,7 @@ class TensionResult(Kind):
     """A kind of result in stress and strain, of a curve with an elastic line."""
 
     needs: ClassVar = Needs(branches=True, correction="elastic_line")
+    needs_line: ClassVar = True
 
     @abstractmethod
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
@@ -275,6 +310,8 @@ class TensionResult(Kind):
     def measure(self, test: ReducedTest) -> Computed:
         """Measure each number, also with every input changed by its standard uncertainty."""
         pull = test.require(test.pull)
+        if pull.without_line is not None and self.needs_line:
+            raise UnavailableError(pull.without_line)
         numbers = enumerate(self.list_numbers(test, pull))
         return Computed(
             tuple(self._measure_number(test, pull, number, output) for output, number in numbers)
@@ -327,7 +364,8 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
     """Yield doubts about an elastic line that bends, or that the curve later rises above.
 
     Both occur if an extensometer slips or jumps, or if the specimen is bent: metals do not stiffen.
-    A line in a stated window is right by definition. The displacement may be that of the machine.
+    A line in a stated window is right by definition. The displacement may be that of the machine;
+    that of a gauge length is not larger, as it lies between the grips, or a unit is wrong.
     """
     if pull.is_straight:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
@@ -344,10 +382,18 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
         largest = float(np.fmax.reduce(_rise_above_line(pull)[later], initial=-np.inf))
         if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
-    sizes = test.setup.sizes
+    travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
+    length = find_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        stiffness = pull.slope * compute_area(sizes) / find_gauge_length(sizes)
-        yield from find_machine_compliance(test, stiffness)
+        yield from find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
+    elif travel is not None:
+        last = int(np.nanargmax(pull.strain))
+        extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
+        path = np.interp(pull.time[: last + 1], travel.time, travel.values)
+        moved = 1e3 * float(np.ptp(path))
+        if extension > MAX_EXTENSION * moved > 0.0:
+            name = "results.extension_exceeds_travel"
+            yield Reason.of(name, extension=extension, travel=moved)
 
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
@@ -378,7 +424,7 @@ class ElasticModulus(TensionResult):
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """State the range of stress of the elastic line."""
-        if not isinstance(test.pull, Pull):
+        if not isinstance(test.pull, Pull) or test.pull.without_line is not None:
             return ("slope of the elastic line",)
         stress = test.pull.stress[test.pull.window]
         low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
@@ -399,7 +445,7 @@ class ElasticModulus(TensionResult):
         )
         if not isinstance(pull, Pull):
             return computed
-        window = test.required_curve.displacement[select_first_loading(make_trace(test))]
+        window = test.required_curve.displacement[_select_new_strains(make_trace(test))]
         low, high = (float(end(window[pull.window])) for end in (np.nanmin, np.nanmax))
         strain = float(np.nanmin(pull.strain[pull.window]))
         level = compute_area(sizes) * (pull.level + pull.slope * (strain - pull.centre))
@@ -482,25 +528,39 @@ def _yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than noise and a thousandth.
+    It is a yield if it begins with little plastic strain, other than serrations of later flow, and
+    if the stress is reached again with more: after a slip of the grips or a pause it is not.
     """
-    stress, peak = pull.stress, pull.peak
-    first = pull.window.stop
+    stress, peak, upper = pull.stress, pull.peak, pull.window.stop
     clear = max(6.0 * pull.noise, 1e-3 * float(stress[peak]))
-    until_peak = stress[first : peak + 1]
-    fallen = np.fmax.accumulate(until_peak) - until_peak > clear
-    if not fallen.any():
-        raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear)
-    upper = first + int(np.nanargmax(until_peak[: int(np.argmax(fallen))]))
-    again = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
-    plateau = stress[upper : upper + 1 + int(again[0])] if len(again) else stress[upper : peak + 1]
-    # The first trough is a transient of the machine if the stress rises clearly after it, and
-    # falls again.
+    plastic = pull.strain - pull.toe - stress / pull.slope
+    while upper < peak:
+        until_peak = stress[upper : peak + 1]
+        fallen = np.fmax.accumulate(until_peak) - until_peak > clear
+        if not fallen.any():
+            break
+        upper += int(np.nanargmax(until_peak[: int(np.argmax(fallen))]))
+        again = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
+        stop = upper + 1 + int(again[0]) if len(again) else peak + 1
+        if plastic[upper] > MAX_YIELD_ONSET:
+            break
+        if not len(again) or plastic[stop] - plastic[upper] > MIN_YIELD_STRAIN:
+            return upper, upper + _find_trough(stress[upper:stop], clear)
+        upper = stop
+    raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear)
+
+
+def _find_trough(plateau: Floats, clear: float) -> int:
+    """Find the lowest stress of a plateau; a first trough is left out as a transient.
+
+    It is one if the stress rises clearly after it, and falls again.
+    """
     risen = plateau - np.fmin.accumulate(plateau) > clear
     start = int(np.argmax(risen)) if risen.any() else 0
     later_stress = plateau[start:]
     if start and np.nanmax(np.fmax.accumulate(later_stress) - later_stress) > clear:
-        return upper, upper + start + int(np.nanargmin(later_stress))
-    return upper, upper + int(np.nanargmin(plateau))
+        return start + int(np.nanargmin(later_stress))
+    return int(np.nanargmin(plateau))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -510,6 +570,7 @@ class TensileStrength(TensionResult):
     result: ClassVar = "tensile-strength"
     outputs: ClassVar = (Output("tensile_strength", "Pa", "Tensile strength", ("force",)),)
     method: ClassVar = "largest force over the original area"
+    needs_line: ClassVar = False
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the largest stress."""
@@ -519,12 +580,11 @@ class TensileStrength(TensionResult):
 
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Return a doubt if the record ends without a break and before the force falls."""
-    peak = float(pull.stress[pull.peak])
-    last = float(pull.stress[~np.isnan(pull.stress)][-1])
-    if isinstance(test.failure, FailurePoint) or last < peak - max(6.0 * pull.noise, 5e-3 * peak):
+    """Return a doubt if the record ends without a break: the force may rise again."""
+    if isinstance(test.failure, FailurePoint):
         return ()
-    return (Reason.of("results.ends_at_peak", share=last / peak),)
+    stress = pull.stress[~np.isnan(pull.stress)]
+    return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -608,5 +668,6 @@ class BreakElongation(TensionResult):
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _off_before(pull, "the break")
-        error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(12.0)
+        # The break is as likely anywhere between this sample and the next one.
+        error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
         return _list_elongations(last, (pull.window.start, last), {causes.STEP: error})
