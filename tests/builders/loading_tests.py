@@ -13,8 +13,8 @@ from scipy.signal import lfilter
 
 from labpipe.mechanics.law.plays import MomentLaw
 from labpipe.mechanics.wire.bending_law import fit_play_law
-from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.problem_setup import Wire
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
