@@ -21,12 +21,12 @@ from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.motion import find_motion_turns
+from labpipe.process.motion import Motion, find_motion_turns
 from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, average_level
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import SHAPE
-from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
+from labpipe.records.curve import ClockFit, PointFlag, Shape
 from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
 from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
 from labpipe.records.estimates import Failure
@@ -34,8 +34,8 @@ from labpipe.records.quality import Finding, QualityNote, Severity, doubt_stretc
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
 from labpipe.results.reduced_test import SpanBend
-from labpipe.signal.clock_alignment import match_peaks
-from labpipe.signal.turning_points import Stroke, find_strokes
+from labpipe.signal.clock_alignment import make_clock_fit, match_peaks
+from labpipe.signal.turning_points import find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 _SHAPE_DOUBT_CODES = {
@@ -408,14 +408,14 @@ def _make_span_shape(
 
 
 def align_cameras(
-    prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
+    prepared: Prepared, motion: Motion, *, min_stroke: float
 ) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
     """Fit the clock of the cameras to that of the motion at the turns of mid-span.
 
     Parameters
     ----------
     prepared : its ``mid_span`` is used
-    motion, strokes : the displacement
+    motion : the displacement
     min_stroke : m, of the protocol
 
     Returns
@@ -425,20 +425,23 @@ def align_cameras(
     """
     window = 25.0  # s on each side of a turn of mid-span
     mid_span = prepared.signals.raw.get("mid_span")
-    if mid_span is None or mid_span.clock == motion.clock:
+    if mid_span is None or mid_span.clock == motion.signal.clock:
         return prepared, {}, []
-    own_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
-    turns = find_motion_turns(motion, strokes, window=window)
-    camera_turns = find_motion_turns(mid_span, own_strokes, window=window)
-    first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
-    second = np.array([turn.middle for turn in camera_turns if own_strokes[turn.stroke].sign > 0])
-    pairs, _ = match_peaks(first, second)
+    strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
+    tops = [
+        np.array(
+            [[x.middle, x.arrival.time_error] for x in turns if moved.strokes[x.stroke].sign > 0]
+        )
+        for moved in (motion, Motion(mid_span, strokes=strokes))
+        for turns in [find_motion_turns(moved, window=window)]
+    ]
+    first, second = (top.reshape(-1, 2) for top in tops)
+    pairs, _ = match_peaks(first[:, 0], second[:, 0])
     if not len(pairs):
-        failure = Failure.of("process.no_camera_clock")
-        prepared, findings = _reject_span(prepared, failure)
+        prepared, findings = _reject_span(prepared, Failure.of("process.no_camera_clock"))
         return prepared, {}, findings
-    errors = [turn.arrival.time_error for turn in camera_turns if own_strokes[turn.stroke].sign > 0]
-    fit = _fit_camera_clock(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
+    times, (cameras, errors) = first[pairs[:, 0], 0], second[pairs[:, 1]].T
+    fit = _fit_camera_clock(np.stack([times, cameras, errors]))
     shape = prepared.shape
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))
@@ -447,20 +450,11 @@ def align_cameras(
     return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
 
 
-def _fit_camera_clock(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
-    weights = errors**-2.0
+def _fit_camera_clock(events: Floats) -> ClockFit:
+    motion, cameras, errors = events
+    weights, method = errors**-2.0, "turns of mid-span and of the motion, drift taken as zero"
     offset = float(np.average(cameras - motion, weights=weights))
-    error = float(
-        np.hypot(weights.sum() ** -0.5, _DRIFT_UNCERTAINTY * np.average(motion, weights=weights))
-    )
-    return ClockFit(
-        offset=offset,
-        drift=0.0,
-        offset_interval=Interval.normal_95(offset, error),
-        drift_interval=Interval.normal_95(0.0, _DRIFT_UNCERTAINTY),
-        residual=float(np.sqrt(np.mean((cameras - motion - offset) ** 2))),
-        event_times_motion=motion,
-        event_times_force=cameras,
-        event_errors=errors,
-        method="turns of mid-span and of the motion, drift taken as zero within a bound",
-    )
+    drift_error = _DRIFT_UNCERTAINTY * np.average(motion, weights=weights)
+    error = float(np.hypot(weights.sum() ** -0.5, drift_error))
+    drift, method = (0.0, _DRIFT_UNCERTAINTY), f"{method} within a bound"
+    return make_clock_fit((offset, error), drift, events, method)

@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
     LENGTH,
     NOISE,
@@ -28,16 +28,17 @@ from labpipe.records.causes import (
     SECTION,
     STEP,
 )
-from labpipe.records.curve import FittedLine
+from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.declarations import CURVE, Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.curve_replicates import make_trace
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import require_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
+from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
 
@@ -46,6 +47,12 @@ MIN_ELASTIC_SHARE = 0.1
 """Least range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
 """Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
+MAX_EXTENSION = 1.1
+"""Extension of the gauge length over the travel of the machine, beyond which both are doubtful."""
+MAX_YIELD_ONSET = 5e-3
+"""Largest plastic strain at an upper yield stress."""
+MIN_YIELD_STRAIN = 5e-4
+"""Least plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
 """Smaller jumps of the strain are ignored."""
 MAX_CHANGE_BY_BEND = 0.005
@@ -69,6 +76,9 @@ class ElasticWindow:
     straight: float
 
 
+_NO_SLOPE = Estimate(np.nan, np.nan, 0)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pull:
     """The loading of a tension test in stress and strain.
@@ -78,25 +88,27 @@ class Pull:
     time : shape (n,), s
     strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from where
         slack ends, and is NaN where the extensometer is off
-    slope : Pa, of the elastic line; ``slope_estimate`` has its interval
-    centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
     window : samples of the elastic line
     is_straight : whether the line was sought as the longest straight part, not in a stated window
     noise : Pa, standard deviation of single samples of the stress
     strain_noise : 1, the same of the strain
+    slope : Pa, of the elastic line; ``slope_estimate`` has its interval
+    centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
+    without_line : why there is no elastic line; None with one
     """
 
     time: Floats
     strain: Floats
     stress: Floats
-    slope_estimate: Estimate
-    slope: float
-    centre: float
-    level: float
     window: slice
     is_straight: bool
     noise: float
     strain_noise: float
+    slope_estimate: Estimate = _NO_SLOPE
+    slope: float = np.nan
+    centre: float = np.nan
+    level: float = np.nan
+    without_line: Failure | None = None
 
     @property
     def toe(self) -> float:
@@ -140,8 +152,8 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull | Failure:
 
 def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     trace = make_trace(test)
-    part = select_first_loading(trace)
-    if part.stop - part.start < 2:
+    part = _select_new_strains(trace)
+    if len(part) < 2:
         raise test.make_error(NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
@@ -150,26 +162,54 @@ def _pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
     strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
-    window = _straight_part(strain, stress, choice)
-    x, y = _few_samples(strain[window], stress[window])
+    pull = Pull(
+        time=trace.time[part],
+        strain=strain,
+        stress=stress,
+        window=slice(0, 0),
+        is_straight=choice.start is None,
+        noise=_noise(stress),
+        strain_noise=_noise(strain),
+    )
+    line = return_failure(_add_elastic_line)(pull, choice)
+    return replace(pull, without_line=line) if isinstance(line, Failure) else line
+
+
+def _add_elastic_line(pull: Pull, choice: ElasticWindow) -> Pull:
+    window = _straight_part(pull.strain, pull.stress, choice)
+    x, y = _few_samples(pull.strain[window], pull.stress[window])
     require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
     fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
     slope = fit.estimate(1)
     if slope.value <= 0.0:
         raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
-    return Pull(
-        time=trace.time[part],
-        strain=strain,
-        stress=stress,
+    return replace(
+        pull,
         slope_estimate=slope,
         slope=slope.value,
         centre=float(x.mean()),
         level=float(fit.coefficients[0]),
         window=window,
-        is_straight=choice.start is None,
-        noise=_noise(stress),
-        strain_noise=_noise(strain),
     )
+
+
+def _select_new_strains(trace: Trace) -> Ints:
+    """Return the samples of the loading up to a failure, without those of unloading loops.
+
+    A loop ends where the displacement goes beyond that at which it began.
+    """
+    end = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
+    samples, farthest = [np.empty(0, dtype=np.intp)], -np.inf
+    for branch in trace.branches:
+        if branch.direction is Direction.UNLOADING or branch.start >= end:
+            continue
+        loading = np.arange(branch.start, min(branch.stop, end))
+        displacement = trace.displacement[loading]
+        displacement = compute_loading_sign(displacement) * displacement
+        is_new = np.fmax.accumulate(displacement) > farthest
+        samples.append(loading[int(np.argmax(is_new)) :] if is_new.any() else loading[:0])
+        farthest = max(farthest, float(np.fmax.reduce(displacement)))
+    return np.concatenate(samples)
 
 
 def _noise(values: Floats) -> float:
@@ -326,6 +366,7 @@ class TensionResult(Kind):
     """A kind of result in stress and strain, of a curve with an elastic line."""
 
     needs: ClassVar = Needs(branches=True, correction="elastic_line")
+    needs_line: ClassVar = True
 
     def pull(self, test: ReducedTest) -> Pull:
         """Return the pull of a test.
@@ -339,11 +380,14 @@ class TensionResult(Kind):
             raise UnavailableError(test.pull)
         if test.pull is None:
             raise test.make_error(NO_LOADING)
+        if test.pull.without_line is not None and self.needs_line:
+            raise UnavailableError(test.pull.without_line)
         return test.pull
 
     def list_doubts(self, test: ReducedTest, pull: Pull, number: Number) -> tuple[Reason, ...]:
         """Return doubts about a number by the elastic line, or by a displacement of the machine."""
-        return tuple(_doubts_of_line(pull, number)) + self._doubts_of_machine(test, pull)
+        doubts = *_doubts_of_line(pull, number), *_doubts_of_extension(test, pull)
+        return doubts + self._doubts_of_machine(test, pull)
 
     def _doubts_of_machine(self, test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
         """Return a doubt about a displacement that may be that of frame and grips."""
@@ -374,6 +418,22 @@ def _doubts_of_line(pull: Pull, number: Number) -> Iterator[Reason]:
     largest = float(np.fmax.reduce(above, initial=-np.inf))
     if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
         yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
+
+
+def _doubts_of_extension(test: ReducedTest, pull: Pull) -> Iterator[Reason]:
+    """Yield a doubt about an extension that is larger than the travel of the machine.
+
+    The gauge length lies between the grips: one of both channels, or a unit, is wrong.
+    """
+    travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
+    if travel is None or "gauge_length" not in sizes:
+        return
+    last = int(np.nanargmax(pull.strain))
+    extension = find_gauge_length(sizes) * float(pull.strain[last] - np.nanmin(pull.strain))
+    moved = float(np.ptp(np.interp(pull.time[: last + 1], travel.time, travel.values)))
+    if extension > MAX_EXTENSION * moved > 0.0:
+        extension, moved = 1e3 * extension, 1e3 * moved
+        yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
 
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
@@ -418,7 +478,7 @@ class ElasticModulus(TensionResult):
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """State the range of stress of the elastic line."""
-        if not isinstance(test.pull, Pull):
+        if not isinstance(test.pull, Pull) or test.pull.without_line is not None:
             return ("slope of the elastic line",)
         stress = test.pull.stress[test.pull.window]
         low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
@@ -445,7 +505,7 @@ def _slope(pull: Pull) -> float:
 
 def _drawn_line(test: ReducedTest, pull: Pull) -> FittedLine:
     sizes, curve = test.setup.sizes, test.required_curve
-    part = select_first_loading(make_trace(test))
+    part = _select_new_strains(make_trace(test))
     window = curve.displacement[part][pull.window]
     low, high = float(np.nanmin(window)), float(np.nanmax(window))
     strain = float(np.nanmin(pull.strain[pull.window]))
@@ -543,25 +603,39 @@ def _yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than noise and a thousandth.
+    It is a yield if it begins with little plastic strain, other than serrations of later flow, and
+    if the stress is reached again with more: after a slip of the grips or a pause it is not.
     """
-    stress, peak = pull.stress, pull.peak
-    first = pull.window.stop
+    stress, peak, upper = pull.stress, pull.peak, pull.window.stop
     clear = max(6.0 * pull.noise, 1e-3 * float(stress[peak]))
-    until_peak = stress[first : peak + 1]
-    fallen = np.fmax.accumulate(until_peak) - until_peak > clear
-    if not fallen.any():
-        raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear)
-    upper = first + int(np.nanargmax(until_peak[: int(np.argmax(fallen))]))
-    again = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
-    plateau = stress[upper : upper + 1 + int(again[0])] if len(again) else stress[upper : peak + 1]
-    # The first trough is a transient of the machine if the stress rises clearly after it, and
-    # falls again.
+    plastic = pull.strain - pull.toe - stress / pull.slope
+    while upper < peak:
+        until_peak = stress[upper : peak + 1]
+        fallen = np.fmax.accumulate(until_peak) - until_peak > clear
+        if not fallen.any():
+            break
+        upper += int(np.nanargmax(until_peak[: int(np.argmax(fallen))]))
+        again = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
+        stop = upper + 1 + int(again[0]) if len(again) else peak + 1
+        if plastic[upper] > MAX_YIELD_ONSET:
+            break
+        if not len(again) or plastic[stop] - plastic[upper] > MIN_YIELD_STRAIN:
+            return upper, upper + _find_trough(stress[upper:stop], clear)
+        upper = stop
+    raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear)
+
+
+def _find_trough(plateau: Floats, clear: float) -> int:
+    """Find the lowest stress of a plateau; a first trough is left out as a transient.
+
+    It is one if the stress rises clearly after it, and falls again.
+    """
     risen = plateau - np.fmin.accumulate(plateau) > clear
     start = int(np.argmax(risen)) if risen.any() else 0
     later_stress = plateau[start:]
     if start and np.nanmax(np.fmax.accumulate(later_stress) - later_stress) > clear:
-        return upper, upper + start + int(np.nanargmin(later_stress))
-    return upper, upper + int(np.nanargmin(plateau))
+        return start + int(np.nanargmin(later_stress))
+    return int(np.nanargmin(plateau))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -571,6 +645,7 @@ class TensileStrength(TensionResult):
     result: ClassVar = "tensile-strength"
     outputs: ClassVar = (Output("tensile_strength", "Pa", "Tensile strength", ("force",)),)
     method: ClassVar = "largest force over the original area"
+    needs_line: ClassVar = False
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return the largest stress."""
@@ -582,12 +657,11 @@ class TensileStrength(TensionResult):
 
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Return a doubt if the record ends without a break and before the force falls."""
-    peak = float(pull.stress[pull.peak])
-    last = float(pull.stress[~np.isnan(pull.stress)][-1])
-    if isinstance(test.failure, FailurePoint) or last < peak - max(6.0 * pull.noise, 5e-3 * peak):
+    """Return a doubt if the record ends without a break: the force may rise again."""
+    if isinstance(test.failure, FailurePoint):
         return ()
-    return (Reason.of("results.ends_at_peak", share=last / peak),)
+    stress = pull.stress[~np.isnan(pull.stress)]
+    return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -690,6 +764,7 @@ class BreakElongation(TensionResult):
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _off_before(pull, "the break")
+        # The break is as likely anywhere between this sample and the next one.
         step, numbers = float(np.diff(pull.strain[-2:])[0]), []
         for place, is_plastic in enumerate((False, True)):
             number = partial(_strain_at, sample=last, is_plastic=is_plastic)
@@ -698,7 +773,7 @@ class BreakElongation(TensionResult):
                 self.make_result(
                     test,
                     outcome,
-                    errors | {STEP: abs(step) / np.sqrt(12.0)},
+                    errors | {STEP: abs(step) / np.sqrt(3.0)},
                     output=place,
                     during=_during(pull, pull.window.start, last),
                     doubts=self.list_doubts(test, pull, number),

@@ -89,7 +89,7 @@ def make_mixed_law(
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
     sliders = SliderLaw(
-        float(slopes.min()),
+        max(float(slopes.min()), 0.0),  # nothing but rounding remains of a bare solid wire
         slope_drops[has_slider],
         corners[:-1][has_slider],
         0.0,

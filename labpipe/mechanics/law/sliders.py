@@ -248,17 +248,20 @@ def bend_to_moment(
     Notes
     -----
     From its present value the moment is a concave function of the change of curvature, and of
-    straight parts: Newton's method converges from below in a finite number of steps.
+    straight parts: Newton's method converges from below in a finite number of steps. It begins with
+    the stiffness of sliders that all stick, whichever way the curvature changes.
     """
     max_iterations = 60
-    rounding = 1e-13 * np.abs(moment).max(initial=0.0)
     after = slide(law, curvature, rests)
+    rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(after.moment).max(initial=0.0))
+    stiffness: Floats | float = law.first_stiffness
     for _ in range(max_iterations):
         missing = moment - after.moment
         if np.all(np.abs(missing) <= rounding):
             break
-        curvature = curvature + missing / after.stiffness
+        curvature = curvature + missing / stiffness
         after = slide(law, curvature, rests)
+        stiffness = after.stiffness
     return curvature, after
 
 
