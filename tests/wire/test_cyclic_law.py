@@ -123,6 +123,6 @@ def test_springback_of_bare_winding_wires(
             largest_curvature=1.5 * float(bent[0]),
         )
         moment = compute_moment_curve(section, contacts_of(section), bent).moment
-        history = respond(law, moment, make_unbent_plays(law, 1)).plays
-        after = respond(law, np.zeros(1), history).curvature
+        history = law.respond(moment, law.make_unbent_history(1)).plays
+        after = law.respond(np.zeros(1), history).curvature
         assert 360.0 * (1.0 - float((after / bent)[0])) == pytest.approx(springback, abs=tolerance)
