@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -496,12 +496,18 @@ class Plateau(Kind):
         outcomes = return_failure(self._measure_onset)(test, initial) if is_plateau else None
         during, (d, _) = test.find_loading_interval(), _read_loading(make_trace(test))
         if outcomes is None or isinstance(outcomes, Failure):
-            slopes = {"slope": end.value or 0.0, "slope_below": self.slope_below}
-            slopes |= {"low": end.interval.lower, "high": end.interval.upper}
-            facts: dict[str, Any] = {name: 1e2 * slope for name, slope in slopes.items()}
-            facts |= {"over": 1e3 * self.over, "reached": 1e3 * float(np.nanmax(d))}
-            where = test.signals.force
-            return (), (Finding.of("results.no_plateau", where, of=self.of, **facts),)
+            note = Finding.of(
+                "results.no_plateau",
+                test.signals.force,
+                over=1e3 * self.over,
+                slope=1e2 * (end.value or 0.0),
+                of=self.of,
+                low=1e2 * end.interval.lower,
+                high=1e2 * end.interval.upper,
+                slope_below=1e2 * self.slope_below,
+                reached=1e3 * float(np.nanmax(d)),
+            )
+            return (), (note,)
         method = (
             f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
             f"{self.of} up to the end of first loading"

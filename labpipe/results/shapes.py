@@ -166,15 +166,19 @@ class MomentCurvature(Kind):
         moment = float(np.interp(self.at, law.curvature, law.moment))
         resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
         if resting > moment:
-            facts = {"resting": 1e3 * resting, "moment": 1e3 * moment}
-            yield Reason.of("results.bent_before", **facts, at=self.at)
+            facts = 1e3 * resting, 1e3 * moment
+            yield Reason.of("results.bent_before", resting=facts[0], moment=facts[1], at=self.at)
         if test.setup.mass_per_length is not None or shape is None:
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
         if own_moment > limits.weight_share * moment:
-            facts = {"mass": 1e3 * limits.unstated_mass, "moment": 1e6 * own_moment}
-            share = limits.weight_share
-            yield Reason.of("results.weight_matters", **facts, share=share, at=self.at)
+            yield Reason.of(
+                "results.weight_matters",
+                mass=1e3 * limits.unstated_mass,
+                moment=1e6 * own_moment,
+                share=limits.weight_share,
+                at=self.at,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -392,8 +392,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
         path = np.interp(pull.time[: last + 1], travel.time, travel.values)
         moved = 1e3 * float(np.ptp(path))
         if extension > MAX_EXTENSION * moved > 0.0:
-            name = "results.extension_exceeds_travel"
-            yield Reason.of(name, extension=extension, travel=moved)
+            yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
 
 
 def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
