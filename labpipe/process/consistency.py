@@ -224,16 +224,20 @@ def _check_level(record: Record) -> list[Finding]:
 def _check_force_jumps(record: Record) -> Iterator[Finding]:
     """Report a jump of the force that no specimen causes: up in a loading, any in an unloading."""
     turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
-    sense, jumps = record.sign(record.curve.branches[0]), _find_jumps(record, "force")
-    for sample, size in jumps if len(jumps) <= max_jumps else ():
+    sense = record.sign(record.curve.branches[0])
+    jumps = [
+        (sample, size)
+        for sample, size in _find_jumps(record, "force")
         if any(
             branch.start + turn_reach < sample < branch.stop - turn_reach
             for branch in record.curve.branches
             if branch.direction is Direction.UNLOADING or sense * size > 0.0
-        ):
-            where, during, at = record.signals.force, record.since(sample), record.time(sample)
-            yield Finding.of("process.force_jump", where, "force", during=during, size=size, at=at)
-            return
+        )
+    ]
+    if 0 < len(jumps) <= max_jumps:
+        where, (sample, size) = record.signals.force, jumps[0]
+        during, at = record.since(sample), record.time(sample)
+        yield Finding.of("process.force_jump", where, "force", during=during, size=size, at=at)
 
 
 def _check_drift(record: Record) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
@@ -27,12 +27,12 @@ class Loop(NamedTuple):
     forces: tuple[float, float]
 
 
-def law_of_a2(share: float) -> MomentLaw:
+def law_of_a2(share: float) -> PlayLaw:
     section = wire("A2")
     return cyclic_law(section, contacts_of(section), isotropic_share=share, largest_curvature=120.0)
 
 
-def pulled_twice(law: MomentLaw) -> Loop:
+def pulled_twice(law: PlayLaw) -> Loop:
     state, start, residuals, energies, forces = make_straight(law), 0.0, [], [], []
     for _ in range(2):
         path, load = [start], [0.0]
@@ -87,8 +87,8 @@ def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> N
     law, bent = law_of_a2(share), np.array([5.0, 12.0, 23.5, 37.5])
     section = wire("A2")
     moment = compute_moment_curve(section, contacts_of(section), bent).moment
-    history = respond(law, moment, make_unbent_plays(law, len(bent))).plays
-    after = respond(law, np.zeros(len(bent)), history).curvature
+    history = law.respond(moment, law.make_unbent_history(len(bent))).plays
+    after = law.respond(np.zeros(len(bent)), history).curvature
     assert after / bent == pytest.approx(kept, abs=0.011)
 
 
@@ -123,6 +123,6 @@ def test_springback_of_bare_winding_wires(
             largest_curvature=1.5 * float(bent[0]),
         )
         moment = compute_moment_curve(section, contacts_of(section), bent).moment
-        history = respond(law, moment, make_unbent_plays(law, 1)).plays
-        after = respond(law, np.zeros(1), history).curvature
+        history = law.respond(moment, law.make_unbent_history(1)).plays
+        after = law.respond(np.zeros(1), history).curvature
         assert 360.0 * (1.0 - float((after / bent)[0])) == pytest.approx(springback, abs=tolerance)
