@@ -13,12 +13,19 @@ from labpipe.virtual_lab import (
     CONDUIT_TYPES,
     TAPED_TYPES,
     CantileverScenario,
+    MetalTension,
     build_conduit_scenario,
     build_taped_scenario,
+    simulate_tension,
     simulate_test,
 )
 
-_TYPES = {"wire": (), "taped-bundle": TAPED_TYPES, "conduit-bundle": CONDUIT_TYPES}
+_TYPES = {
+    "wire": (),
+    "metal-tension": (),
+    "taped-bundle": TAPED_TYPES,
+    "conduit-bundle": CONDUIT_TYPES,
+}
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 _WIRE_TYPE = "W1"
 """Type of the simulated wire; it is in no wire sheet, since its law is stated by numbers."""
@@ -49,6 +56,8 @@ def _simulate(options: argparse.Namespace) -> Path:
     if faults:
         raise ValueError(", ".join(faults))
     folder = options.out / options.name
+    if options.kind == "metal-tension":
+        return simulate_tension(MetalTension(name=options.name), folder, options.seed)
     if options.kind == "conduit-bundle":
         conduit = build_conduit_scenario(specimen_type)
         clocks = replace(conduit.clocks, rate=rate, fps=fps)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
 from math import sqrt
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,25 +18,24 @@ from labpipe.markers.rings import Sections, compute_ring_centres, find_sections,
 from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, compute_deflection, fit_shape
 from labpipe.markers.three_point_axis import SpanShape, fit_span
-from labpipe.markers.track_repair import RepairedTracks, repair_tracks
+from labpipe.markers.track_repair import repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.motion import find_motion_turns
+from labpipe.process.motion import Motion, find_motion_turns
 from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, average_level
-from labpipe.protocol.schema import Markers, Protocol
+from labpipe.protocol.schema import Markers
+from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import SHAPE
-from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
-from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
-from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
+from labpipe.records.curve import ClockFit, PointFlag, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote, Severity, doubt_stretches
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
 from labpipe.results.reduced_test import SpanBend
-from labpipe.signal.clock_alignment import match_peaks
-from labpipe.signal.turning_points import Stroke, find_strokes
+from labpipe.signal.clock_alignment import make_clock_fit, match_peaks
+from labpipe.signal.turning_points import find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
 _SHAPE_DOUBT_CODES = {
@@ -48,53 +48,80 @@ _SHAPE_DOUBT_CODES = {
 """Codes of notes that make the shape doubtful; other repairs are only noted."""
 
 
+MarkerStep: TypeAlias = (
+    declarations.RepairMarkers
+    | declarations.SpecimenFrame
+    | declarations.FitShape
+    | declarations.ThreePointShape
+)
+StepOutcome: TypeAlias = tuple[Prepared, list[Finding]]
+T = TypeVar("T")
+
+
+def run_marker_step(
+    prepared: Prepared, step: MarkerStep, settings: Markers | None, span: float | None = None
+) -> StepOutcome:
+    """Run one marker step.
+
+    Parameters
+    ----------
+    prepared : with a take, after the steps that the step needs
+    step : of the protocol
+    settings, span : block ``markers`` of the protocol, and span of the specimen, m
+
+    Raises
+    ------
+    ValueError
+        If there are no marker tracks.
+    """
+    settings = _require(settings)
+    match step:
+        case declarations.RepairMarkers():
+            return repair_marker_tracks(prepared, step, settings)
+        case declarations.SpecimenFrame():
+            return find_specimen_axes(prepared, step)
+        case declarations.FitShape():
+            return fit_specimen_shapes(prepared, step, settings)
+        case declarations.ThreePointShape():
+            return fit_three_point_shape(prepared, step, settings, span)
+
+
+def _require(value: T | None) -> T:
+    """Return what an export or an earlier step provides; a protocol states both."""
+    if value is None:
+        raise ValueError(format_sentence("process.needs_markers"))
+    return value
+
+
 def repair_marker_tracks(
-    prepared: Prepared, step: RepairMarkers, settings: Markers | None
-) -> tuple[Prepared, list[Finding]]:
+    prepared: Prepared, step: declarations.RepairMarkers, settings: Markers
+) -> StepOutcome:
     """Run ``repair-markers``: labels, frozen poses and gaps; then ring centres."""
     take = prepared.take
-    tracks, settings = _require_tracks(take, settings)
+    tracks = _require(take.tracks)
     clamp, findings = _find_clamp(tracks, settings, step, take.role)
     names, left_out = _select_specimen_tracks(tracks, settings, take.role)
-    repaired = repair_tracks(
-        tracks,
-        along=names,
-        max_gap=step.max_gap,
-        max_jump=step.max_jump,
-        frozen=step.frozen,
-        reference=clamp,
-    )
+    limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen": step.frozen}
+    repaired = repair_tracks(tracks, along=names, reference=clamp, **limits)
     if settings.rings == "by-body":
-        repaired = _replace_by_ring_centres(repaired)
+        rings = group_rings(repaired.names)
+        if len(rings) < 3:
+            count, markers, listed = len(rings), len(repaired.names), ", ".join(rings)
+            raise ValueError(
+                format_sentence("process.few_rings", count=count, markers=markers, names=listed)
+            )
+        repaired = compute_ring_centres(repaired, rings)
     findings += [*left_out, *_make_shape_findings(repaired.notes, take.role)]
     return replace(prepared, take=replace(take, clamp=clamp, repaired=repaired)), findings
 
 
-def _replace_by_ring_centres(repaired: RepairedTracks) -> RepairedTracks:
-    rings = group_rings(repaired.names)
-    if len(rings) < 3:
-        count, markers, names = len(rings), len(repaired.names), ", ".join(rings)
-        raise ValueError(
-            format_sentence("process.few_rings", count=count, markers=markers, names=names)
-        )
-    return compute_ring_centres(repaired, rings)
-
-
-def find_specimen_axes(
-    prepared: Prepared, step: SpecimenFrameStep, settings: Markers | None
-) -> tuple[Prepared, list[Finding]]:
+def find_specimen_axes(prepared: Prepared, step: declarations.SpecimenFrame) -> StepOutcome:
     """Run ``specimen-frame``: find the specimen axes, and with a clamp the signal ``travel``."""
-    take, findings = prepared.take, list[Finding]()
-    tracks, settings = _require_tracks(take, settings)
-    if take.repaired is None:
-        raise ValueError(format_sentence("process.needs_repair"))
+    take, findings, signals = prepared.take, list[Finding](), prepared.signals
+    tracks, positions, role = _require(take.tracks), _require(take.repaired).positions, take.role
     is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
-    find_frame = partial(
-        find_specimen_frame,
-        take.clamp,
-        take.repaired.positions,
-        out_of_plane_limit=step.max_out_of_plane,
-    )
+    limit = step.max_out_of_plane
+    find_frame = partial(find_specimen_frame, take.clamp, positions, out_of_plane_limit=limit)
     frame = find_frame(rest=is_at_rest)
     still = _flag_before_motion(tracks.time, frame, take.clamp)
     if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & still).sum() < is_at_rest.sum():
@@ -102,19 +129,17 @@ def find_specimen_axes(
         frame = find_frame(rest=is_at_rest)
         duration, stated = float(np.ptp(tracks.time[is_at_rest])), step.over
         findings.append(
-            Finding.of("process.short_rest_of_clamp", take.role, duration=duration, stated=stated)
+            Finding.of("process.short_rest_of_clamp", role, duration=duration, stated=stated)
         )
-    findings += _make_shape_findings(frame.notes, take.role)
+    findings += _make_shape_findings(frame.notes, role)
     plane, line = 1e3 * frame.out_of_plane, 1e3 * frame.travel_residual
-    findings.append(Finding.of("process.specimen_frame", take.role, plane=plane, line=line))
-    signals = prepared.signals
+    findings.append(Finding.of("process.specimen_frame", role, plane=plane, line=line))
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[is_at_rest])
         signals = signals.add_signal("travel", take.make_signal(tracks.time, travel))
-    return replace(
-        prepared, signals=signals, take=replace(take, frame=frame, rest=is_at_rest)
-    ), findings
+    take = replace(take, frame=frame, rest=is_at_rest)
+    return replace(prepared, signals=signals, take=take), findings
 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
@@ -129,15 +154,13 @@ def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None
 
 
 def fit_specimen_shapes(
-    prepared: Prepared, step: FitShape, settings: Markers | None
-) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``fit-shape``: the shape and the signal ``compute_deflection``."""
-    take, signals = prepared.take, prepared.signals
-    tracks, settings = _require_tracks(take, settings)
-    frame, is_at_rest, repaired = take.frame, take.rest, take.repaired
-    if frame is None or is_at_rest is None or repaired is None:
-        raise ValueError(format_sentence("process.needs_frame"))
-    order = list(frame.order)
+    prepared: Prepared, step: declarations.FitShape, settings: Markers
+) -> StepOutcome:
+    """Carry out ``fit-shape``: the shape and the signal ``deflection``."""
+    take, signals, role = prepared.take, prepared.signals, prepared.take.role
+    tracks, repaired = _require(take.tracks), _require(take.repaired)
+    frame, is_at_rest = _require(take.frame), _require(take.rest)
+    order, grip_error = list(frame.order), settings.offset_uncertainty
     fit = fit_shape(
         frame.to_specimen(repaired.positions[:, order]),
         repaired.flags[:, order],
@@ -146,29 +169,24 @@ def fit_specimen_shapes(
         clamp_specimen=None if take.clamp is None else frame.to_specimen(take.clamp),
         rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
         offsets=Offsets(settings.grip_offset, settings.pull_offset, settings.centre_offset),
-        uncertainties=Offsets(
-            settings.offset_uncertainty, settings.offset_uncertainty, settings.centre_uncertainty
-        ),
+        uncertainties=Offsets(grip_error, grip_error, settings.centre_uncertainty),
         terms=step.terms,
         tip=step.tip,
         rest=is_at_rest,
     )
-    findings = list(_make_shape_findings(fit.notes, take.role))
-    misfit, at_rest = compute_rms(fit.residual), compute_rms(fit.residual[is_at_rest])
-    if misfit > 3.0 * at_rest + 1e-5 and take.clamp is not None:
-        off, quiet = 1e3 * misfit, 1e3 * at_rest
+    findings = list(_make_shape_findings(fit.notes, role))
+    off, quiet = 1e3 * compute_rms(fit.residual), 1e3 * compute_rms(fit.residual[is_at_rest])
+    if off > 3.0 * quiet + 1e-2 and take.clamp is not None:
         findings.append(
-            Finding.of("process.shape_misfit", take.role, "displacement", off=off, quiet=quiet)
+            Finding.of("process.shape_misfit", role, "displacement", off=off, quiet=quiet)
         )
-    off, angle = 1e3 * misfit, float(np.degrees(fit.clamp_angle))
-    findings.append(Finding.of("process.shape_fit", take.role, off=off, angle=angle))
+    angle = float(np.degrees(fit.clamp_angle))
+    findings.append(Finding.of("process.shape_fit", role, off=off, angle=angle))
     if take.clamp is not None:
         signals = signals.add_signal("deflection", _make_deflection_signal(fit, is_at_rest, take))
-        stretch = tracks.time[is_at_rest]
-        at_rest_for = (float(stretch[0]), float(stretch[-1]))
-        signals = replace(
-            signals, zero_stretches={**signals.zero_stretches, "deflection": at_rest_for}
-        )
+        rest_times = tracks.time[is_at_rest]
+        stretch = {"deflection": (float(rest_times[0]), float(rest_times[-1]))}
+        signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
     return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
@@ -198,14 +216,8 @@ def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Fi
             yield Finding(note)
 
 
-def _require_tracks(take: Take, settings: Markers | None) -> tuple[MarkerTracks, Markers]:
-    if take.tracks is None or settings is None:
-        raise ValueError(format_sentence("process.needs_markers"))
-    return take.tracks, settings
-
-
 def _find_clamp(
-    tracks: MarkerTracks, settings: Markers, step: RepairMarkers, role: str
+    tracks: MarkerTracks, settings: Markers, step: declarations.RepairMarkers, role: str
 ) -> tuple[Floats | None, list[Finding]]:
     if settings.clamp is None:
         return None, []
@@ -224,7 +236,7 @@ def _find_clamp(
 
 
 def _repair_clamp_path(
-    tracks: MarkerTracks, body: RigidBody, step: RepairMarkers, role: str
+    tracks: MarkerTracks, body: RigidBody, step: declarations.RepairMarkers, role: str
 ) -> tuple[Floats, list[Finding]]:
     """Return the path of the clamp without stale poses, short gaps interpolated linearly."""
     all_positions = np.concatenate([body.position[:, None], tracks.positions], axis=1)
@@ -232,55 +244,41 @@ def _repair_clamp_path(
     path: Floats = np.where(stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
     if stale.any():
-        times, count = find_run_times(stale, tracks.time), int(stale.sum())
-        note = QualityNote.of(
-            "process.clamp_frozen", body.name, *times, body=body.name, count=count
-        )
-        findings.append(doubt_stretches("displacement", note, role))
+        name, stretches, count = body.name, find_run_times(stale, tracks.time), int(stale.sum())
+        frozen = QualityNote.of("process.clamp_frozen", name, *stretches, body=name, count=count)
+        findings.append(doubt_stretches("displacement", frozen, role))
     lost = np.isnan(path).any(axis=1)
     if not lost.any():
         return path, findings
-    seen_frames = np.flatnonzero(~lost)
-    before = np.searchsorted(seen_frames, np.flatnonzero(lost)) - 1
-    inside = (before >= 0) & (before < len(seen_frames) - 1)
-    gap = np.full(len(before), np.inf)
-    gap[inside] = np.diff(tracks.time[seen_frames])[before[inside]]
-    bridged = np.flatnonzero(lost)[gap <= step.max_gap]
+    seen, times = tracks.time[~lost], tracks.time[lost]
+    after = np.searchsorted(seen, times)
+    edges = np.concatenate([[-np.inf], seen, [np.inf]])
+    bridged = np.flatnonzero(lost)[edges[after + 1] - edges[after] <= step.max_gap]
     for axis in range(3):
-        bridge_times, coordinates = tracks.time[bridged], path[seen_frames, axis]
-        path[bridged, axis] = np.interp(bridge_times, tracks.time[seen_frames], coordinates)
-    note = QualityNote.of(
-        "process.clamp_lost",
-        body.name,
-        body=body.name,
-        lost=int(lost.sum()),
-        bridged=len(bridged),
-        gap=step.max_gap,
+        path[bridged, axis] = np.interp(tracks.time[bridged], seen, path[~lost, axis])
+    name, gap, counts = body.name, step.max_gap, (int(lost.sum()), len(bridged))
+    note = Finding.of(
+        "process.clamp_lost", name, body=name, lost=counts[0], bridged=counts[1], gap=gap
     )
-    return path, [*findings, Finding(note)]
+    return path, [*findings, note]
 
 
 def _select_specimen_tracks(
     tracks: MarkerTracks, settings: Markers, role: str
 ) -> tuple[list[str], list[Finding]]:
     """List the tracks along the specimen, including unlabelled ones."""
-    findings: list[Finding] = []
+    patterns = ("*",) if settings.along == "all" else settings.along
     bodies = [body.name for body in tracks.bodies] if settings.along == "all" else []
     # Motive 1.2x separates body and marker by a colon, 1.1 by a hyphen.
     prefixes = tuple(f"{name}{mark}" for name in {*bodies, settings.clamp} if name for mark in ":-")
-    candidates = [name for name in tracks.names if not name.startswith(prefixes)]
-    other_bodies = sorted({name for name in bodies if name != settings.clamp})
-    if other_bodies:
-        listed = ", ".join(other_bodies)
-        findings.append(Finding.of("process.bodies_left_out", role, bodies=listed))
-    if settings.along != "all":
-        patterns = settings.along
-        candidates = [
-            name
-            for name in candidates
-            if is_unlabelled(name)
-            or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
-        ]
+    candidates = [
+        name
+        for name in tracks.names
+        if not name.startswith(prefixes)
+        and (is_unlabelled(name) or any(name == x or fnmatchcase(name, x) for x in patterns))
+    ]
+    listed = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
+    findings = [Finding.of("process.bodies_left_out", role, bodies=listed)] if listed else []
     visible_names = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
     if len(visible_names) < 3:
         names = ", ".join(visible_names) or "none"
@@ -301,33 +299,27 @@ _DRIFT_UNCERTAINTY = 1e-4 / sqrt(3.0)
 
 
 def fit_three_point_shape(
-    prepared: Prepared, step: ThreePointShape, protocol: Protocol
-) -> tuple[Prepared, list[Finding]]:
+    prepared: Prepared,
+    step: declarations.ThreePointShape,
+    settings: Markers,
+    span: float | None,
+) -> StepOutcome:
     """Run ``three-point-shape``: fit the bent axis, and add the signal ``mid_span``.
 
     Parameters
     ----------
     prepared : with repaired tracks
-    step : of the protocol
-    protocol : with span and marker block
+    step, settings, span : of the protocol
 
     Returns
     -------
     The test with axis, shape and signal, or the reason why there are none.
-
-    Raises
-    ------
-    ValueError
-        If the markers were not repaired before.
     """
-    take, settings = prepared.take, protocol.markers
-    tracks, repaired = take.tracks, take.repaired
-    if tracks is None or settings is None or repaired is None:
-        raise ValueError(format_sentence("process.needs_repair"))
-    span = protocol.specimen.span
+    take = prepared.take
+    time, repaired = _require(take.tracks).time, _require(take.repaired)
     if span is None:
         return _reject_span(prepared, Failure.of("process.no_span"))
-    is_at_rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
+    is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
         shape = fit_span(
@@ -339,34 +331,29 @@ def fit_three_point_shape(
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
-    bent_shape = replace(
+    mid_span = _make_mid_span_signal(shape, time, is_at_rest, take)
+    prepared = replace(
         prepared,
-        signals=prepared.signals.add_signal(
-            "mid_span", _make_mid_span_signal(shape, tracks.time, is_at_rest, take)
-        ),
-        shape=_make_span_shape(sections, shape, tracks.time, repaired.flags),
-        span=SpanBend(shape, tracks.time, is_at_rest),
+        signals=prepared.signals.add_signal("mid_span", mid_span),
+        shape=_make_span_shape(sections, shape, time, repaired.flags),
+        span=SpanBend(shape, time, is_at_rest),
     )
-    note = Finding.of(
-        "process.three_point_shape",
-        take.role,
-        count=sections.count,
-        around=int((shape.lever > 0.0).sum()),
-        noise=1e6 * shape.axis.noise,
-    )
-    return bent_shape, [note]
+    count, around, noise = sections.count, int((shape.lever > 0.0).sum()), 1e6 * shape.axis.noise
+    return prepared, [
+        Finding.of("process.three_point_shape", take.role, count=count, around=around, noise=noise)
+    ]
 
 
-def _reject_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:
+def _reject_span(prepared: Prepared, reason: Failure) -> StepOutcome:
     note = QualityNote(reason.code, Severity.ERROR, "markers", reason.message)
     return replace(prepared, span=reason), [Finding(note)]
 
 
 def _make_mid_span_signal(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
-    compute_deflection = shape.axis.deflection
-    at_rest = compute_deflection[rest & np.isfinite(compute_deflection)]
-    zero = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
-    return replace(take.make_signal(time, compute_deflection - at_rest.mean()), zero_error=zero)
+    deflection = shape.axis.deflection
+    at_rest = deflection[rest & np.isfinite(deflection)]
+    error = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
+    return replace(take.make_signal(time, deflection - at_rest.mean()), zero_error=error)
 
 
 def _flag_bent_frames(sections: Sections) -> Flags:
@@ -408,14 +395,14 @@ def _make_span_shape(
 
 
 def align_cameras(
-    prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
+    prepared: Prepared, motion: Motion, *, min_stroke: float
 ) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
     """Fit the clock of the cameras to that of the motion at the turns of mid-span.
 
     Parameters
     ----------
     prepared : its ``mid_span`` is used
-    motion, strokes : the displacement
+    motion : the displacement
     min_stroke : m, of the protocol
 
     Returns
@@ -425,20 +412,23 @@ def align_cameras(
     """
     window = 25.0  # s on each side of a turn of mid-span
     mid_span = prepared.signals.raw.get("mid_span")
-    if mid_span is None or mid_span.clock == motion.clock:
+    if mid_span is None or mid_span.clock == motion.signal.clock:
         return prepared, {}, []
-    own_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
-    turns = find_motion_turns(motion, strokes, window=window)
-    camera_turns = find_motion_turns(mid_span, own_strokes, window=window)
-    first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
-    second = np.array([turn.middle for turn in camera_turns if own_strokes[turn.stroke].sign > 0])
-    pairs, _ = match_peaks(first, second)
+    strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
+    tops = [
+        np.array(
+            [[x.middle, x.arrival.time_error] for x in turns if moved.strokes[x.stroke].sign > 0]
+        )
+        for moved in (motion, Motion(mid_span, strokes=strokes))
+        for turns in [find_motion_turns(moved, window=window)]
+    ]
+    first, second = (top.reshape(-1, 2) for top in tops)
+    pairs, _ = match_peaks(first[:, 0], second[:, 0])
     if not len(pairs):
-        failure = Failure.of("process.no_camera_clock")
-        prepared, findings = _reject_span(prepared, failure)
+        prepared, findings = _reject_span(prepared, Failure.of("process.no_camera_clock"))
         return prepared, {}, findings
-    errors = [turn.arrival.time_error for turn in camera_turns if own_strokes[turn.stroke].sign > 0]
-    fit = _fit_camera_clock(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
+    times, (cameras, errors) = first[pairs[:, 0], 0], second[pairs[:, 1]].T
+    fit = _fit_camera_clock(np.stack([times, cameras, errors]))
     shape = prepared.shape
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))
@@ -447,20 +437,11 @@ def align_cameras(
     return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
 
 
-def _fit_camera_clock(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
-    weights = errors**-2.0
+def _fit_camera_clock(events: Floats) -> ClockFit:
+    motion, cameras, errors = events
+    weights, method = errors**-2.0, "turns of mid-span and of the motion, drift taken as zero"
     offset = float(np.average(cameras - motion, weights=weights))
-    error = float(
-        np.hypot(weights.sum() ** -0.5, _DRIFT_UNCERTAINTY * np.average(motion, weights=weights))
-    )
-    return ClockFit(
-        offset=offset,
-        drift=0.0,
-        offset_interval=Interval.normal_95(offset, error),
-        drift_interval=Interval.normal_95(0.0, _DRIFT_UNCERTAINTY),
-        residual=float(np.sqrt(np.mean((cameras - motion - offset) ** 2))),
-        event_times_motion=motion,
-        event_times_force=cameras,
-        event_errors=errors,
-        method="turns of mid-span and of the motion, drift taken as zero within a bound",
-    )
+    drift_error = _DRIFT_UNCERTAINTY * np.average(motion, weights=weights)
+    error = float(np.hypot(weights.sum() ** -0.5, drift_error))
+    drift, method = (0.0, _DRIFT_UNCERTAINTY), f"{method} within a bound"
+    return make_clock_fit((offset, error), drift, events, method)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from math import sqrt
-from typing import assert_never
 
 import numpy as np
 
 from labpipe.errors import format_overrides
 from labpipe.process.motion import (
-    Turn,
+    Motion,
     check_turns,
     find_motion_turns,
     find_turn_events,
@@ -20,67 +20,53 @@ from labpipe.process.motion import (
     orient_force,
 )
 from labpipe.process.zeros import average_whole_blocks
-from labpipe.protocol.schema import (
-    Align,
-    AlignCommonStart,
-    AlignNone,
-    AlignStated,
-    AlignTurningPoints,
-)
+from labpipe.protocol import schema
 from labpipe.records.arrays import Floats, median
-from labpipe.records.curve import ClockFit, Interval
+from labpipe.records.curve import ClockFit
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
-from labpipe.signal.clock_alignment import Repeat, find_rough_peaks, fit_clocks, fit_lag
-from labpipe.signal.corners import Corner
-from labpipe.signal.reversals import Reversal
-from labpipe.signal.turning_points import Stroke, find_sharpest_turn
+from labpipe.signal import clock_alignment
+from labpipe.signal.clock_alignment import Repeat, make_clock_fit, solve_weighted
+from labpipe.signal.turning_points import find_sharpest_turn
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
 
 def join_clocks(
-    signals: Signals, align: Align, motion: Signal, strokes: tuple[Stroke, ...]
-) -> tuple[ClockFit | None, list[Turn], list[Finding]]:
+    signals: Signals, align: schema.Align, motion: Motion
+) -> tuple[ClockFit | None, Motion, list[Finding]]:
     """Join the clock of the force to that of the motion by the method of the protocol.
 
     Parameters
     ----------
     signals : raw, with the channel that shows the turns
     align : of the protocol
-    motion, strokes : the travel and its strokes
+    motion : with its strokes
 
     Returns
     -------
-    The fit, None if there is none; the turns of the motion; the findings.
+    The fit, None if there is none; the motion with its turns; the findings.
     """
-    if not strokes or isinstance(align, AlignNone):
-        return None, [], []
+    if not motion.strokes or isinstance(align, schema.AlignNone):
+        return None, motion, []
     force = signals.raw[align.channel or signals.force]
-    is_by_turns = isinstance(align, AlignTurningPoints)
+    is_by_turns = isinstance(align, schema.AlignTurningPoints)
     if not is_by_turns and force.clock == signals.raw[signals.displacement].clock:
-        return None, [], []
-    turns = find_motion_turns(motion, strokes, window=align.motion_window)
+        return None, motion, []
+    motion = replace(motion, turns=find_motion_turns(motion, window=align.motion_window))
     fit: ClockFit | None
-    match align:
-        case AlignStated():
-            fit, findings = use_stated_clocks(force, align, motion, strokes)
-        case AlignCommonStart():
-            fit, findings = fit_common_start(force, align, motion, strokes, turns)
-        case AlignTurningPoints():
-            fit, findings = fit_turning_points(force, align, motion, strokes, turns)
-        case _ as never:
-            assert_never(never)
-    for_clock = not isinstance(align, AlignStated)
-    return fit, turns, [*findings, *check_turns(motion, strokes, turns, for_clock=for_clock)]
+    if isinstance(align, schema.AlignStated):
+        fit, findings = use_stated_clocks(force, align, motion)
+    elif isinstance(align, schema.AlignCommonStart):
+        fit, findings = fit_common_start(force, align, motion)
+    else:
+        fit, findings = fit_turning_points(force, align, motion)
+    for_clock = not isinstance(align, schema.AlignStated)
+    return fit, motion, [*findings, *check_turns(motion, for_clock=for_clock)]
 
 
 def fit_turning_points(
-    force: Signal,
-    align: AlignTurningPoints,
-    motion: Signal,
-    strokes: tuple[Stroke, ...],
-    turns: list[Turn],
+    force: Signal, align: schema.AlignTurningPoints, motion: Motion
 ) -> tuple[ClockFit | None, list[Finding]]:
     """Fit the clock of the force to that of the motion at the peaks in both records.
 
@@ -88,18 +74,18 @@ def fit_turning_points(
     ----------
     force : the raw channel that joins the clocks
     align : windows and limits of the protocol
-    motion, strokes, turns : the travel, its strokes, and the turns between them
+    motion : with its turns
 
     Returns
     -------
     The fit, or None if there is none, and the findings.
     """
-    if _is_constant(force):
-        return None, [_report_constant_force(force, align.channel)]
-    force, findings = orient_force(force), list[Finding]()
-    pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
-    events = find_turn_events(force, pairs, turns, align.force_window)
-    if not events:
+    if findings := _check_constant(force, align.channel):
+        return None, findings
+    force = orient_force(force)
+    pairs, is_ambiguous, counted = match_strokes(motion, force, sign=1)
+    events = find_turn_events(force, pairs, motion, align.force_window)
+    if not events.size:
         error = Finding.of(
             "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
             "align",
@@ -115,102 +101,77 @@ def fit_turning_points(
             )
         )
     fit = _fit_events(events, None)
-    if len(events) > 2 and not _has_relaxation(force, turns, fit):
-        repeat, repeat_findings = _check_repeat(
-            _measure_repeat(motion, strokes, turns, force, fit), fit
-        )
+    if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
+        repeat, repeat_findings = _check_repeat(_measure_repeat(motion, force, fit), fit)
         fit, findings = _fit_events(events, repeat), [*findings, *repeat_findings]
     return fit, [*findings, *_check_fit(fit, align)]
 
 
-def _is_constant(force: Signal) -> bool:
-    return not np.nanmax(force.values) > np.nanmin(force.values)
+def _check_constant(force: Signal, channel: str) -> list[Finding]:
+    """Report a constant force, which has no turn."""
+    if np.nanmax(force.values) > np.nanmin(force.values):
+        return []
+    level, unit = float(np.nanmean(force.values)), force.unit
+    return [
+        Finding.of(
+            "process.constant_channel",
+            channel,
+            blocks=True,
+            channel=channel,
+            level=level,
+            unit=unit,
+        )
+    ]
 
 
-def _report_constant_force(force: Signal, channel: str) -> Finding:
-    level = float(np.nanmean(force.values))
-    return Finding.of(
-        "process.constant_channel",
-        channel,
-        blocks=True,
-        channel=channel,
-        level=level,
-        unit=force.unit,
-    )
-
-
-def _measure_repeat(
-    motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn], force: Signal, fit: ClockFit
-) -> Repeat | None:
+def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
     """Measure the lag from the second cycle to the last on both clocks.
 
     The first cycle is omitted, because it deforms the specimen for the first time.
     """
     trim = 1.0  # s, omitted at both ends of a cycle
-    top_times = {turn.stroke: turn.middle for turn in turns}
+    moved, tops = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
     cycles = [
-        (float(motion.time[up.start]), top_times[number], float(motion.time[down.stop]))
-        for number, (up, down) in enumerate(pairwise(strokes))
-        if up.sign > 0 > down.sign and number in top_times
+        (float(moved.time[up.start]) + trim, tops[number], float(moved.time[down.stop]) - trim)
+        for number, (up, down) in enumerate(pairwise(motion.strokes))
+        if up.sign > 0 > down.sign and number in tops
     ]
     if len(cycles) < 3:
         return None
-    (start, turn, stop), last = cycles[1], cycles[-1]
-    start, stop, guess = start + trim, stop - trim, last[1] - turn
-    moved = fit_lag(
-        motion.time,
-        motion.values,
-        start=start,
-        turn=turn,
-        stop=stop,
-        guess=guess,
-        hysteresis=False,
-    )
-    begin, top, end = (fit.to_force_time(time) for time in (start, turn, stop))
-    fit_force_lag = partial(
-        fit_lag,
-        start=begin,
-        turn=top,
-        stop=end,
-        guess=guess * (1.0 + fit.drift),
-        hysteresis=True,
-    )
-    force_lag = fit_force_lag(force.time, force.values)
-    if isinstance(moved, Failure) or isinstance(force_lag, Failure):
+    start, turn, stop = cycle = cycles[1]
+    guess = cycles[-1][1] - turn
+    lag = clock_alignment.fit_lag(moved.time, moved.values, cycle, guess=guess, hysteresis=False)
+    cycle = fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)
+    guess = guess * (1.0 + fit.drift)
+    fit_force = partial(clock_alignment.fit_lag, cycle=cycle, guess=guess, hysteresis=True)
+    force_lag = fit_force(force.time, force.values)
+    if isinstance(lag, Failure) or isinstance(force_lag, Failure):
         return None
-    error = float(np.hypot(moved.error, force_lag.error))
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
     time, values = (average_whole_blocks(x, 50_000) for x in (force.time, force.values))
     waves = compute_drift_modes(time - time[0], drift)
-    lags = (
-        [fit_force_lag(time, values + wave) for wave in (np.zeros_like(time), *waves)]
-        if waves
-        else []
-    )
-    lag_values = [lag.value for lag in lags if not isinstance(lag, Failure)]
-    drift_error = (
-        float(np.linalg.norm(np.subtract(lag_values[1:], lag_values[0]))) if lag_values else 0.0
-    )
-    return Repeat(moved.value, force_lag.value, error, drift_error)
+    shifts = [values, *(values + wave for wave in waves)] if waves else []
+    shifted = [fit_force(time, shift) for shift in shifts]
+    lags = [x.value for x in shifted if not isinstance(x, Failure)]
+    drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
+    error = float(np.hypot(lag.error, force_lag.error))
+    return Repeat(lag.value, force_lag.value, error, drift_error)
 
 
-def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
+def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     """Check whether the force relaxes in the dwells; cycles are then not comparable."""
     # Share of the range that the force may lose in a dwell: at 0.04 the fitted drift of the clocks
     # was wrong by two standard errors.
     max_relaxation_share = 0.01
-    levels = []
-    for turn in turns:
-        ends = np.array([turn.arrival.time, turn.departure.time])
-        start, stop = fit.to_force_time(ends).tolist()
+    losses = [0.0]
+    for turn in motion.turns:
+        start, stop = (fit.to_force_time(x.time) for x in (turn.arrival, turn.departure))
         inside = start + np.array([[0.1, 0.35], [0.65, 0.9]]) * (stop - start)
         parts = [force.values[slice(*np.searchsorted(force.time, part))] for part in inside]
         if all(np.isfinite(part).any() for part in parts):
-            levels.append([float(np.nanmean(part)) for part in parts])
-    if not levels:
-        return False
+            losses.append(abs(float(np.nanmean(parts[0])) - float(np.nanmean(parts[1]))))
     span = float(np.nanmax(force.values) - np.nanmin(force.values))
-    return max(abs(before - after) for before, after in levels) > max_relaxation_share * span
+    return max(losses) > max_relaxation_share * span
 
 
 def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
@@ -218,55 +179,31 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
-    expected = (1.0 + fit.drift) * repeat.motion
+    later, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
     error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
-    if abs(repeat.force - expected) <= max_lag_difference * error:
+    if abs(later - expected) <= max_lag_difference * error:
         return repeat, []
-    later = repeat.force
     return None, [Finding.of("process.cycles_not_alike", "align", later=later, expected=expected)]
 
 
-def _fit_events(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
+def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
+    """Fit clocks to events; their common error of shape is multiplied, as it does not average."""
+    motion, force, errors, shape_errors = events
+    errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
-    return fit_clocks(
-        *_tabulate_events(events, shape_errors=len(events) - 1),
-        method=method if repeat is None else f"{method}; lag of the repeated cycle",
-        repeat=repeat,
-    )
+    method = method if repeat is None else f"{method}; lag of the repeated cycle"
+    return clock_alignment.fit_clocks(motion, force, errors, method=method, repeat=repeat)
 
 
-def _tabulate_events(events: list[tuple[Corner, Reversal]], *, shape_errors: int) -> Floats:
-    """Return times on both clocks and the errors of their differences: shape (3, events), s.
-
-    The shape error is common to all events of a specimen and does not average out; it is therefore
-    multiplied by the square root of `shape_errors`.
-    """
-    rows = [
-        (
-            motion_event.time,
-            force_event.corner.time,
-            np.hypot(
-                np.hypot(motion_event.time_error, force_event.corner.time_error),
-                np.sqrt(shape_errors) * force_event.shape_error if shape_errors else 0.0,
-            ),
-        )
-        for motion_event, force_event in events
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3).T
-
-
-def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
+def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:
     # Allowed rms residual over the rms error of the turning points: a noisy turn only widens the
     # interval of the offset.
     chance_factor = 2.0
     chance = chance_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, chance):
+        residual, allowed = 1e3 * fit.residual, 1e3 * align.max_residual
         yield Finding.of(
-            "process.alignment_residual",
-            "align",
-            "clock",
-            residual=1e3 * fit.residual,
-            allowed=1e3 * align.max_residual,
+            "process.alignment_residual", "align", "clock", residual=residual, allowed=allowed
         )
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - half_width > align.max_drift:  # beyond its uncertainty
@@ -274,9 +211,7 @@ def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
         yield Finding.of(
             "process.alignment_drift",
             "align",
-            "clock",
-            "displacement",
-            "force",
+            *("clock", "displacement", "force"),
             drift=1e6 * fit.drift,
             half_width=1e6 * half_width,
             allowed=1e6 * align.max_drift,
@@ -286,7 +221,7 @@ def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
 
 
 def use_stated_clocks(
-    force: Signal, align: AlignStated, motion: Signal, strokes: tuple[Stroke, ...]
+    force: Signal, align: schema.AlignStated, motion: Motion
 ) -> tuple[ClockFit, list[Finding]]:
     """Use the stated offset between the clocks of force and motion.
 
@@ -294,7 +229,7 @@ def use_stated_clocks(
     ----------
     force : the raw channel, whose peaks should be at the turns
     align : offset, drift, uncertainty and reason of the protocol
-    motion, strokes : on the clock of the motion
+    motion : with its strokes
 
     Returns
     -------
@@ -307,20 +242,13 @@ def use_stated_clocks(
     is 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM 100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
-    error = align.uncertainty
+    error, assumed = align.uncertainty, ""
     if error is None:
-        error = max(median(np.diff(motion.time)), median(np.diff(force.time)))
-    fit = ClockFit(
-        offset=align.offset,
-        drift=align.drift,
-        offset_interval=Interval.normal_95(align.offset, error),
-        drift_interval=Interval.normal_95(align.drift, max_rate_difference / sqrt(3.0)),
-        residual=0.0,
-        event_times_motion=np.zeros(1),
-        event_times_force=np.full(1, align.offset),
-        event_errors=np.full(1, error),
-        method=f"stated: {align.because}",
-    )
+        error = max(median(np.diff(signal.time)) for signal in (motion.signal, force))
+        assumed = " (one sample, as none is stated)"
+    events = np.array([[0.0], [align.offset], [error]])
+    drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
+    fit = make_clock_fit((align.offset, error), drift, events, method)
     note = Finding.of(
         "process.clocks_stated",
         "align",
@@ -328,42 +256,33 @@ def use_stated_clocks(
         error=error,
         drift=1e6 * align.drift,
         because=align.because,
-        assumed="" if align.uncertainty is not None else " (one sample, as none is stated)",
+        assumed=assumed,
     )
-    return fit, [note, *_check_stated_offset(force, fit, motion, strokes)]
+    return fit, [note, *_check_stated_offset(force, fit, motion)]
 
 
-def _check_stated_offset(
-    force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
-) -> Iterator[Finding]:
+def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterator[Finding]:
     """Report a stated offset with which the force peaks long before or after the motion turns."""
     smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
     max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
-    if not strokes or _is_constant(force):
-        return
-    force = orient_force(force)
-    peaks = find_rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
-    if not len(peaks):
-        return
-    ends = [motion.time[[before.stop, after.start]] for before, after in pairwise(strokes)]
-    top_times = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
+    force, time = orient_force(force), motion.signal.time
+    peaks = clock_alignment.find_rough_peaks(
+        force.time, force.values, smoothing=smoothing, share=peak_share
+    )
+    ends = [time[[before.stop, after.start]] for before, after in pairwise(motion.strokes)]
+    tops = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
     lags = [
         max(0.0, float(np.abs(peaks - top.mean()).min()) - 0.5 * float(np.ptp(top)))
-        for top in top_times
+        for top in (tops if len(peaks) else ())
         if force.time[0] <= top[0] and top[1] <= force.time[-1]
     ]
-    error = float(fit.event_errors[0])
-    lag = median(np.array(lags)) if lags else 0.0
+    lag, error = median(np.array(lags)) if lags else 0.0, float(fit.event_errors[0])
     if lag > max_peak_lag + lag_error_factor * error:
         yield Finding.of("process.clocks_stated_wrong", "align", "clock", "force", lag=lag)
 
 
 def fit_common_start(
-    force: Signal,
-    align: AlignCommonStart,
-    motion: Signal,
-    strokes: tuple[Stroke, ...],
-    turns: list[Turn],
+    force: Signal, align: schema.AlignCommonStart, motion: Motion
 ) -> tuple[ClockFit, list[Finding]]:
     """Fit the clock of the force to that of the motion if one trigger started both recorders.
 
@@ -371,7 +290,7 @@ def fit_common_start(
     ----------
     force : the raw channel that shows the turns
     align : channel and limits of the protocol
-    motion, strokes, turns : the travel, its strokes, and the turns between them
+    motion : with its turns
 
     Returns
     -------
@@ -385,94 +304,58 @@ def fit_common_start(
     turns contradict the common start by more than their own 95 % interval, the start is left out
     and the clocks are doubtful.
     """
-    findings: list[Finding] = []
-    if _is_constant(force):
-        findings.append(_report_constant_force(force, align.channel))
-    force = orient_force(force)
-    pairs = _find_rough_turns(motion, force, strokes, align)
-    events = find_turn_events(force, pairs, turns, align.force_window)
-    shared_turns = _tabulate_events(events, shape_errors=0)
-    lag_at_turns = _average_lag(shared_turns)
-    started_together = (
-        lag_at_turns is None or abs(lag_at_turns[0]) - 1.96 * lag_at_turns[1] <= align.max_offset
-    )
-    fit = _fit_common_start_clock(shared_turns, align, started_together=started_together)
-    return fit, [
-        *findings,
-        _report_start(fit, align, lag_at_turns, started_together=started_together),
-    ]
-
-
-def _find_rough_turns(
-    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
-) -> list[tuple[int, float]]:
-    """Pair the strokes that load with the rough times at which the force turns."""
-    loads = [stroke.sign == strokes[0].sign for stroke in strokes[:-1]]
-    if sum(loads) == 1:
-        turn_time = find_sharpest_turn(force.time, force.values, width=align.force_window)
-        return [] if turn_time is None else [(0, turn_time)]
-    return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
-
-
-def _average_lag(shared_turns: Floats) -> tuple[float, float] | None:
-    """Return the mean difference at the turns and its standard error, s."""
-    motion, force, errors = shared_turns
-    if not len(errors):
-        return None
-    weights = errors**-2.0
-    return float(np.average(force - motion, weights=weights)), float(weights.sum() ** -0.5)
-
-
-def _fit_common_start_clock(
-    shared_turns: Floats, align: AlignCommonStart, *, started_together: bool
-) -> ClockFit:
-    motion, force, spread = shared_turns
-    design: Floats = np.vstack([np.column_stack([np.ones_like(motion), motion]), [0.0, 1.0]])
-    differences = np.append(force - motion, 0.0)
-    errors = np.append(spread, align.max_drift / sqrt(3.0))
-    start_error = align.max_offset / sqrt(3.0)
-    if started_together:
-        design = np.vstack([design, [1.0, 0.0]])
-        differences, errors = np.append(differences, 0.0), np.append(errors, start_error)
-    weighted = design / errors[:, None]
-    covariance = np.linalg.inv(weighted.T @ weighted)
-    offset, drift = (float(value) for value in covariance @ weighted.T @ (differences / errors))
-    offset_error, drift_error = (float(error) for error in np.sqrt(np.diag(covariance)))
-    if not len(spread):  # the trigger
-        motion, force, spread = np.zeros(1), np.zeros(1), np.array([start_error])
-    residuals = force - offset - (1.0 + drift) * motion
-    basis = "the force's corner at the turn"
-    basis = f"common start and {basis}" if started_together else f"{basis} alone"
-    return ClockFit(
-        offset=offset,
-        drift=drift,
-        offset_interval=Interval.normal_95(offset, offset_error),
-        drift_interval=Interval.normal_95(drift, drift_error),
-        residual=float(np.sqrt(np.mean(residuals**2))),
-        event_times_motion=motion,
-        event_times_force=force,
-        event_errors=spread,
-        method=f"{basis}, drift taken as zero within a bound",
-    )
-
-
-def _report_start(
-    fit: ClockFit,
-    align: AlignCommonStart,
-    lag_at_turns: tuple[float, float] | None,
-    *,
-    started_together: bool,
-) -> Finding:
-    channel, within = align.channel, 1e3 * align.max_offset
-    if lag_at_turns is None:
-        return Finding.of("process.start_unchecked", "align", channel=channel, within=within)
-    return Finding.of(
-        "process.common_start" if started_together else "process.not_started_together",
+    findings, force = _check_constant(force, align.channel), orient_force(force)
+    pairs = _find_rough_turns(motion, force, align)
+    events = find_turn_events(force, pairs, motion, align.force_window)[:3]
+    lags, weights = events[1] - events[0], events[2] ** -2.0
+    lag = float(np.average(lags, weights=weights)) if len(lags) else 0.0
+    lag_error = float(weights.sum() ** -0.5) if len(lags) else 0.0
+    is_together = abs(lag) - 1.96 * lag_error <= align.max_offset
+    fit, channel = _fit_common_start_clock(events, align, is_together), align.channel
+    within = 1e3 * align.max_offset
+    if not len(lags):
+        note = Finding.of("process.start_unchecked", "align", channel=channel, within=within)
+        return fit, [*findings, note]
+    note = Finding.of(
+        "process.common_start" if is_together else "process.not_started_together",
         "align",
-        *(() if started_together else ("clock", "force")),
+        *(() if is_together else ("clock", "force")),
         channel=channel,
-        later=1e3 * lag_at_turns[0],
-        known_to=1.96e3 * lag_at_turns[1],
+        later=1e3 * lag,
+        known_to=1.96e3 * lag_error,
         within=within,
         offset=1e3 * fit.offset,
     )
+    return fit, [*findings, note]
+
+
+def _find_rough_turns(
+    motion: Motion, force: Signal, align: schema.AlignCommonStart
+) -> list[tuple[int, float]]:
+    """Pair the strokes that load with the rough times at which the force turns."""
+    strokes = motion.strokes
+    if sum(stroke.sign == strokes[0].sign for stroke in strokes[:-1]) == 1:
+        turn_time = find_sharpest_turn(force.time, force.values, width=align.force_window)
+        return [] if turn_time is None else [(0, turn_time)]
+    return match_strokes(motion, force, sign=strokes[0].sign)[0]
+
+
+def _fit_common_start_clock(
+    events: Floats, align: schema.AlignCommonStart, is_together: bool
+) -> ClockFit:
+    motion, force, errors = events
+    start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
+    design = np.column_stack([np.ones_like(motion), motion])
+    bounds = [([0.0, 1.0], drift_error)]
+    bounds += [([1.0, 0.0], start_error)] if is_together else []
+    design = np.vstack([design, *(row for row, _ in bounds)])
+    differences = np.append(force - motion, np.zeros(len(bounds)))
+    spread = np.append(errors, [error for _, error in bounds])
+    (offset, drift), covariance = solve_weighted(design, differences, spread)
+    offset_error, drift_error = np.sqrt(np.diag(covariance)).tolist()
+    if not len(errors):  # the trigger
+        events = np.array([[0.0], [0.0], [start_error]])
+    basis = "the force's corner at the turn"
+    basis = f"common start and {basis}" if is_together else f"{basis} alone"
+    method = f"{basis}, drift taken as zero within a bound"
+    return make_clock_fit((offset, offset_error), (drift, drift_error), events, method)

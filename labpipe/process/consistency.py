@@ -9,29 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from math import sqrt
+from math import hypot, sqrt
 from typing import Literal
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, find_runs, median
 from labpipe.records.curve import Branch, Curve, Direction
-from labpipe.records.declarations import LIMITS, Limits
+from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
 from labpipe.results.reduced_test import FailurePoint, compute_loading_sign
 from labpipe.signal.rests_and_jumps import find_level_jumps
 from labpipe.signal.turning_points import estimate_noise_level
 
-NO_FINDINGS = Findings()
 COMPARED_POINTS = 40
 """Displacements of a branch at which cycles are compared."""
 MIN_COMPARED_SAMPLES = 5
 """Shorter branches are not compared."""
 REST_ERROR_FACTOR = 6.0
 """Standard errors that a difference of levels must exceed."""
-MIN_REST_SAMPLES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,51 +42,79 @@ class Cycle:
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 
-def check_consistency(
-    signals: Signals,
-    curve: Curve,
-    limits: Limits = LIMITS,
-    *,
-    earlier_findings: Findings = NO_FINDINGS,
-) -> Iterator[Finding]:
-    """Compare the parts of a record.
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A record and what several checks need of it, computed on demand.
 
     Parameters
     ----------
     signals : of the test, with the stretches of their zeros
     curve : of unfiltered force, with branches
     limits : of the lab
-    known : findings about single channels
+    earlier_findings : about single channels
+    """
+
+    signals: Signals
+    curve: Curve
+    limits: Limits
+    earlier_findings: Findings
+
+    @cached_property
+    def largest(self) -> float:
+        """Return the largest force without sign, N."""
+        return float(np.nanmax(np.abs(self.curve.force), initial=0.0))
+
+    @cached_property
+    def noise(self) -> float:
+        """Return the noise of the force, N."""
+        return estimate_noise_level(self.curve.force)
+
+    @cached_property
+    def cycles(self) -> list[Cycle]:
+        """Return the whole cycles with enough samples."""
+        pairs = [
+            (first, second, (_make_path(self.curve, first), _make_path(self.curve, second)))
+            for first, second in pairwise(self.curve.branches)
+            if first.direction is Direction.LOADING and second.cycle == first.cycle
+        ]
+        is_long = [min(len(path[0]) for path in x[2]) >= MIN_COMPARED_SAMPLES for x in pairs]
+        return [Cycle(*pair) for pair, keep in zip(pairs, is_long, strict=True) if keep]
+
+    @cached_property
+    def changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
+        """Return changes of instruments: kind and size, the cycle before and the one after."""
+        found = [(_find_instrument_change(self, *pair), pair) for pair in pairwise(self.cycles)]
+        return [(*change, *pair) for change, pair in found if change is not None]
+
+    def sign(self, branch: Branch) -> float:
+        """Return the sign in which the force changes in a branch."""
+        return compute_loading_sign(self.curve.force[branch.start : branch.stop])
+
+    def time(self, sample: int) -> str:
+        """Return the time of a sample as text."""
+        time = self.curve.time[sample]
+        return f"{time:.3f} s" if self.curve.time_unit == "s" else f"sample {sample + 1}"
+
+    def since(self, sample: int) -> tuple[float, float]:
+        """Return the stretch from a sample to the end, s."""
+        return float(self.curve.time[sample]), float(self.curve.time[-1])
+
+
+def check_consistency(record: Record) -> Iterator[Finding]:
+    """Compare the parts of a record.
+
+    Parameters
+    ----------
+    record : with a curve
 
     Yields
     ------
     A finding for each failed check: which cycle, when, how much, and what is doubtful.
     """
-    where, largest = signals.force, float(np.nanmax(np.abs(curve.force), initial=0.0))
-    if not curve.branches:
+    if not record.curve.branches:
         return
-    yield from _check_repetition(where, curve)
-    yield from _check_displacement_jumps(signals.displacement, curve, largest, earlier_findings)
-    if largest > 0.0:
-        cycles = list(_cycles(curve))
-        yield from _check_rest_force(signals, curve, largest, limits.rest_force)
-        changes = list(_check_cycles(where, curve, cycles, largest, limits.cycle_change))
-        jumps = list(_check_force_jumps(where, curve, earlier_findings))
-        is_level = any(change.code == "cycle_level" for change in changes)
-        yield from jumps or _check_drift(where, curve, limits.rest_force_drift, is_level=is_level)
-        yield from changes
-        yield from _check_turns(where, curve, largest, limits)
-        yield from _check_energy(where, curve, cycles, limits.energy_gain)
-        yield from _check_second_specimen(where, curve, cycles, limits)
-
-
-def _cycles(curve: Curve) -> Iterator[Cycle]:
-    for first, second in pairwise(curve.branches):
-        if first.direction is not Direction.LOADING or second.cycle != first.cycle:
-            continue
-        paths = _make_path(curve, first), _make_path(curve, second)
-        if min(len(path[0]) for path in paths) >= MIN_COMPARED_SAMPLES:
-            yield Cycle(first, second, paths)
+    for check in CHECKS if record.largest > 0.0 else CHECKS[:2]:
+        yield from check(record)
 
 
 def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
@@ -114,11 +141,11 @@ def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, .
     return tuple(np.interp(displacements, *path) for path in paths)
 
 
-def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
+def _check_repetition(record: Record) -> Iterator[Finding]:
     """Report a record with a long sequence of samples that occurs twice: rows were copied."""
     min_repeated = 40
     max_samples = 200_000  # longer records have not been edited in a spreadsheet
-    force, displacement = curve.force, curve.displacement
+    force, displacement = record.curve.force, record.curve.displacement
     if not 4 * min_repeated <= len(force) <= max_samples:
         return
     rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
@@ -131,191 +158,174 @@ def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
     same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
     for start, stop in find_runs(same):
         if len(np.unique(force[start:stop])) >= min_repeated:
-            at, count = _format_time(curve, start), stop - start
-            quantities = "force", "displacement"
+            where, at, count = record.signals.force, record.time(start), stop - start
+            doubtful = "force", "displacement"
             yield Finding.of(
-                "process.samples_repeated", where, *quantities, count=count, at=at, lag=lag
+                "process.samples_repeated", where, *doubtful, count=count, at=at, lag=lag
             )
             return
 
 
 def _find_jumps(
-    curve: Curve, quantity: Literal["force", "displacement"], earlier_findings: Findings
+    record: Record, quantity: Literal["force", "displacement"]
 ) -> list[tuple[int, float]]:
     """Find jumps of a quantity: sample and size, without jumps at the end of a frozen run."""
     max_samples_after_run = 2
+    time = record.curve.time
     stuck_until = [
-        int(np.searchsorted(curve.time, doubt.during[1]))
-        for finding in earlier_findings.entries
+        int(np.searchsorted(time, doubt.during[1]))
+        for finding in record.earlier_findings.entries
         for doubt in finding.doubts
         if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
     ]
     return [
         (sample, size)
-        for sample, size in find_level_jumps(curve.time, getattr(curve, quantity))
+        for sample, size in find_level_jumps(time, getattr(record.curve, quantity))
         if all(abs(sample - end) > max_samples_after_run for end in stuck_until)
     ]
 
 
-def _check_displacement_jumps(
-    where: str, curve: Curve, largest: float, earlier_findings: Findings
-) -> Iterator[Finding]:
+def _check_displacement_jumps(record: Record) -> Iterator[Finding]:
     """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
-    jumps = _find_jumps(curve, "displacement", earlier_findings)
-    falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
-    if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
+    jumps, force = _find_jumps(record, "displacement"), np.abs(record.curve.force)
+    falls = [force[sample - 1] - force[sample] for sample, _ in jumps]
+    if not jumps or (len(jumps) == 1 and falls[0] > break_share * record.largest):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-    mm, at, count = 1e3 * size, _format_time(curve, sample), len(jumps)
-    quantities = "displacement", "force"
-    yield Finding.of("process.zero_jump", where, *quantities, mm=mm, at=at, count=count)
+    where, mm, at = record.signals.displacement, 1e3 * size, record.time(sample)
+    count = len(jumps)
+    yield Finding.of("process.zero_jump", where, "displacement", "force", mm=mm, at=at, count=count)
 
 
-def _check_force_jumps(where: str, curve: Curve, earlier_findings: Findings) -> Iterator[Finding]:
-    """Report a jump of the force that no specimen causes: up in a loading, any in an unloading."""
-    turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
-    sense = _find_sense(curve, curve.branches[0])
-    jumps = _find_jumps(curve, "force", earlier_findings)
-    for sample, size in jumps if len(jumps) <= max_jumps else ():
-        for branch in curve.branches:
-            is_odd = branch.direction is Direction.UNLOADING or sense * size > 0.0
-            if is_odd and branch.start + turn_reach < sample < branch.stop - turn_reach:
-                during, at = (
-                    (float(curve.time[sample]), float(curve.time[-1])),
-                    _format_time(curve, sample),
-                )
-                yield Finding.of(
-                    "process.force_jump", where, "force", during=during, size=size, at=at
-                )
-                return
-
-
-def _check_rest_force(
-    signals: Signals, curve: Curve, largest: float, share: float
-) -> Iterator[Finding]:
+def _check_rest_force(record: Record) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
-    name, before = signals.force, _drop_missing(curve.force[: curve.branches[0].start])
-    if (
-        name in signals.zero_stretches
-        or name in signals.moving_zero_stretches
-        or len(before) < min_samples
-    ):
+    signals, curve, name = record.signals, record.curve, record.signals.force
+    before = _drop_missing(curve.force[: curve.branches[0].start])
+    is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
+    if is_zeroed or len(before) < min_samples:
         return
-    level, error = median(before), estimate_noise_level(curve.force) / sqrt(len(before))
-    if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * largest):
+    level, error = median(before), record.noise / sqrt(len(before))
+    share = abs(level) / record.largest
+    if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * record.largest):
         return
-    part = abs(level) / largest
-    if part > max(share, 2.0 * signals.raw[name].zero_drift):
-        yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=part)
+    if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
+        yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=share)
     else:
-        yield Finding.of("process.rest_force", name, level=level, share=part)
+        yield Finding.of("process.rest_force", name, level=level, share=share)
 
 
-def _check_drift(where: str, curve: Curve, share: float, *, is_level: bool) -> Iterator[Finding]:
+def _check_level(record: Record) -> list[Finding]:
+    """Report a jump of the force, or else a drift of its zero."""
+    return [*_check_force_jumps(record)] or [*_check_drift(record)]
+
+
+def _check_force_jumps(record: Record) -> Iterator[Finding]:
+    """Report a jump of the force that no specimen causes: up in a loading, any in an unloading."""
+    turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
+    sense = record.sign(record.curve.branches[0])
+    jumps = [
+        (sample, size)
+        for sample, size in _find_jumps(record, "force")
+        if any(
+            branch.start + turn_reach < sample < branch.stop - turn_reach
+            for branch in record.curve.branches
+            if branch.direction is Direction.UNLOADING or sense * size > 0.0
+        )
+    ]
+    if 0 < len(jumps) <= max_jumps:
+        where, (sample, size) = record.signals.force, jumps[0]
+        during, at = record.since(sample), record.time(sample)
+        yield Finding.of("process.force_jump", where, "force", during=during, size=size, at=at)
+
+
+def _check_drift(record: Record) -> Iterator[Finding]:
     """Compare the force at rest before and after a test that returns to its first position.
 
     A specimen with friction or permanent set pushes back after unloading. A force against the sense
-    of loading is therefore a drift only if the level also changes between cycles (`is_level`).
+    of loading is therefore a drift only if the level also changes between cycles.
     """
     return_share = 0.02  # largest distance from the first position, share of the stroke
-    first, last = curve.branches[0], curve.branches[-1]
-    before, after = (
-        _drop_missing(curve.force[: first.start]),
-        _drop_missing(curve.force[last.stop :]),
-    )
+    min_rest_samples = 3
+    curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
+    before, after = map(_drop_missing, (curve.force[: first.start], curve.force[last.stop :]))
+    stroke = np.ptp(_drop_missing(curve.displacement))
     distance = abs(curve.displacement[last.stop - 1] - curve.displacement[first.start])
-    has_returned = last.direction is Direction.UNLOADING and distance <= return_share * np.ptp(
-        _drop_missing(curve.displacement)
-    )
-    if not has_returned or min(len(before), len(after)) < MIN_REST_SAMPLES:
+    has_returned = last.direction is Direction.UNLOADING and distance <= return_share * stroke
+    if not has_returned or min(len(before), len(after)) < min_rest_samples:
         return
     part, level = curve.force[first.start : last.stop], median(before)
     end = median(after[-len(before) :])  # the end of a long rest, because specimens relax
     largest = float(np.nanmax(np.abs(part - level)))
-    error = estimate_noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
+    error = record.noise * hypot(len(before) ** -0.5, len(after) ** -0.5)
     change = compute_loading_sign(part) * (end - level)
-    if (abs(change) if is_level else change) >= max(share * largest, REST_ERROR_FACTOR * error):
-        yield Finding.of(
-            "process.zero_drift", where, "force", level=level, end=end, share=abs(change) / largest
-        )
+    if any(kind == "level" for kind, *_ in record.changes):
+        change = abs(change)
+    if change >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
+        where, share = record.signals.force, abs(change) / largest
+        yield Finding.of("process.zero_drift", where, "force", level=level, end=end, share=share)
 
 
-def check_break(
-    where: str, curve: Curve, failure: object, limits: Limits = LIMITS
-) -> Iterator[Finding]:
+def check_break(record: Record, failure: object) -> Iterator[Finding]:
     """Report a force below zero after the specimen broke.
 
     Parameters
     ----------
-    where : name of the force
-    curve, failure : of the test. A force above zero is allowed, because the remains of a specimen
-        may carry it; so is a rebound of a few samples
-    limits : of the lab
+    record : with the corrected curve
+    failure : of the test. A force above zero is allowed, because the remains of a specimen may
+        carry it; so is a rebound of a few samples
     """
     min_tail_samples = 10  # fewer may be a rebound
     if not isinstance(failure, FailurePoint):
         return
-    after = _drop_missing(curve.force[failure.sample + 1 :])
+    force, largest = record.curve.force, record.largest
+    after = _drop_missing(force[failure.sample + 1 :])
     if len(after) < min_tail_samples:
         return
-    level, largest = median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
-    error = estimate_noise_level(curve.force) * sqrt(2.0 / len(after))
-    below = -compute_loading_sign(curve.force[: failure.sample + 1]) * level
-    if below >= max(limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
-        yield Finding.of(
-            "process.zero_drift_after_break", where, "force", level=level, share=below / largest
-        )
+    level, error = median(after[len(after) // 2 :]), record.noise * sqrt(2.0 / len(after))
+    below = -compute_loading_sign(force[: failure.sample + 1]) * level
+    if below >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
+        where, share = record.signals.force, below / largest
+        yield Finding.of("process.zero_drift_after_break", where, "force", level=level, share=share)
 
 
-def _check_cycles(
-    where: str, curve: Curve, cycles: list[Cycle], largest: float, least: float
-) -> Iterator[Finding]:
+def _check_cycles(record: Record) -> Iterator[Finding]:
     """Report changes of scale or level that are the same over a whole cycle.
 
     The instruments cause them: conditioning, hardening, fatigue and permanent set change loading
     and unloading differently. Unloading is also compared alone, because a first loading differs
-    from all others.
+    from all others. An offset of the travel looks like one of the force, but its turns, too, are
+    elsewhere.
     """
-    for before, after in pairwise(cycles):
-        change = _find_instrument_change(before, after, largest, least)
-        if change is None:
-            continue
-        kind, size = change
-        # An offset of the travel looks like one of the force, but its turns are elsewhere, too.
-        is_force_alone = kind == "level" and not _differ_in_turns(before, after, least)
+    for kind, size, before, after in record.changes:
+        (old, _), (new, _) = before.paths[1], after.paths[1]
+        differs_in_turns = abs(new[-1] - old[-1]) > record.limits.cycle_change * (old[-1] - old[0])
+        is_force_alone = kind == "level" and not differs_in_turns
         yield Finding.of(
-            "process.cycle_level"
-            if kind == "level"
-            else "process.cycle_scale"
-            if kind == "scale"
-            else "process.cycle_travel",
-            where,
+            "process.cycle_level" if kind == "level" else "process.cycle_scale",
+            record.signals.force,
             *(("force",) if is_force_alone else ("force", "displacement")),
-            during=(float(curve.time[before.unloading.stop - 1]), float(curve.time[-1])),
+            during=record.since(before.unloading.stop - 1),
             cycle=after.loading.cycle,
-            at=_format_time(curve, after.loading.start),
+            at=record.time(after.loading.start),
             size=size,
         )
 
 
-def _differ_in_turns(before: Cycle, after: Cycle, least: float) -> bool:
-    """Check whether the largest displacements of two cycles differ by a share of the travel."""
-    (old, _), (new, _) = before.paths[1], after.paths[1]
-    return bool(abs(new[-1] - old[-1]) > least * (old[-1] - old[0]))
-
-
 def _find_instrument_change(
-    before: Cycle, after: Cycle, largest: float, least: float
+    record: Record, before: Cycle, after: Cycle
 ) -> tuple[str, float] | None:
-    """Find whether level (N), scale or travel changed between two cycles, and by how much."""
+    """Find whether level (N) or scale changed between two cycles, and by how much."""
     # Ratio of the misfit of two cycles as recorded to that after a change of scale or level. In 246
     # pairs of real and simulated cycles, where the material changes the shape of the curve, it is
     # at most 2.0 in whole cycles, and 4.0 (scale) and 6.2 (level) in unloading alone.
     min_scale_ratio = 3.0
     unloading_scale_ratio, unloading_level_ratio = 5.5, 8.0
-    forces = _interpolate_common_forces(*before.paths, *after.paths)
+    least, forces = (
+        record.limits.cycle_change,
+        _interpolate_common_forces(*before.paths, *after.paths),
+    )
     if not forces:
         return None
     old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
@@ -328,119 +338,100 @@ def _find_instrument_change(
         misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
         if misfit < level_misfit and abs(scale - 1.0) > least and recorded > scale_ratio * misfit:
             return "scale", scale
-        if abs(level) > least * largest and recorded > level_ratio * level_misfit:
+        if abs(level) > least * record.largest and recorded > level_ratio * level_misfit:
             return "level", level
-    old_unloading, back = before.paths[1], after.paths[1]
-    stretch = back[0][-1] / old_unloading[0][-1] if old_unloading[0][-1] > 0.0 else 1.0
-    scaled = (
-        _interpolate_common_forces(old_unloading, (back[0] / stretch, back[1]))
-        if stretch > 0.0
-        else ()
-    )
-    misfit = _rms(scaled[1] - scaled[0]) if scaled else np.inf
-    recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    is_stretched = abs(stretch - 1.0) >= least and recorded >= min_scale_ratio * misfit
-    return ("travel", float(stretch)) if is_stretched else None
+    return None
 
 
-def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
+def _check_turns(record: Record) -> Iterator[Finding]:
     """Report a force that still grows after the motion has turned: it is late, or has jumped."""
     noise_factor = 8.0
-    sense = _find_sense(curve, curve.branches[0])
-    min_growth = noise_factor * estimate_noise_level(curve.force)
+    curve, where, limits = record.curve, record.signals.force, record.limits
+    sense, min_growth = record.sign(curve.branches[0]), noise_factor * record.noise
     growths = []
     for before, after in pairwise(curve.branches):
-        if before.direction is after.direction:
-            continue
         up = sense if before.direction is Direction.LOADING else -sense
         tenths = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
-        end = up * _drop_missing(
-            curve.force[max(before.start, before.stop - tenths[0]) : before.stop]
-        )
-        begin = up * _drop_missing(
-            curve.force[after.start : min(after.stop, after.start + tenths[1])]
-        )
+        end = curve.force[max(before.start, before.stop - tenths[0]) : before.stop]
+        begin = curve.force[after.start : min(after.stop, after.start + tenths[1])]
+        end, begin = up * _drop_missing(end), up * _drop_missing(begin)
+        if before.direction is after.direction or min(len(end), len(begin)) < 3:
+            continue
         width = max(1, min(len(end), len(begin)) // 10)
-        if min(len(end), len(begin)) >= 3:
-            last, first = (
-                float(np.convolve(part, np.ones(width) / width, "valid").max())
-                for part in (end, begin)
-            )
-            step = max(0.0, float(end[-1] - end[0])) / (len(end) - 1)
-            growths.append((after, first - last - step))  # the turn is between two samples
+        mean = np.ones(width) / width
+        last, first = (float(np.convolve(part, mean, "valid").max()) for part in (end, begin))
+        step = max(0.0, float(end[-1] - end[0])) / (len(end) - 1)
+        growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
-    median_growth = median(np.array([growth for _, growth in growths]))
+    usual = median(np.array([growth for _, growth in growths]))
     branch, growth = max(growths, key=lambda turn: turn[1])
-    if median_growth > max(limits.force_lag * largest, min_growth):
-        yield Finding.of(
-            "process.force_late",
-            where,
-            "clock",
-            growth=median_growth,
-            share=median_growth / largest,
-        )
-    elif growth > max(limits.turn_jump * largest, min_growth):
-        during = float(curve.time[branch.start]), float(curve.time[-1])
-        at, cycle = _format_time(curve, branch.start), branch.cycle
+    if usual > max(limits.force_lag * record.largest, min_growth):
+        share = usual / record.largest
+        yield Finding.of("process.force_late", where, "clock", growth=usual, share=share)
+    elif growth > max(limits.turn_jump * record.largest, min_growth):
+        during, at, cycle = record.since(branch.start), record.time(branch.start), branch.cycle
         yield Finding.of(
             "process.turn_jump", where, "force", during=during, growth=growth, at=at, cycle=cycle
         )
 
 
-def _check_energy(where: str, curve: Curve, cycles: list[Cycle], most: float) -> Iterator[Finding]:
+def _check_energy(record: Record) -> Iterator[Finding]:
     """Report cycles whose specimen gives back more energy than was put into it."""
     gains = []
-    for cycle in cycles:
+    for cycle in record.cycles:
         forces = _interpolate_common_forces(*cycle.paths)
-        sense = _find_sense(curve, cycle.loading)
         work_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
-        loss = sense * float(np.mean(forces[0] - forces[1])) / work_in if work_in else 0.0
-        if loss < -most:
-            gains.append((cycle, -loss))
+        if work_in:
+            gain = -record.sign(cycle.loading) * float(np.mean(forces[0] - forces[1])) / work_in
+            gains += [(cycle, gain)] if gain > record.limits.energy_gain else []
     # If most cycles gain energy, columns may be exchanged, or the record may be reversed.
-    affects_most_cycles = len(gains) > len(cycles) / 2
+    affects_most_cycles = len(gains) > len(record.cycles) / 2
     quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
+    where, time = record.signals.force, record.curve.time
     for cycle, gain in gains[:1] if affects_most_cycles else gains:
-        inner = curve.time[[cycle.loading.start + 1, cycle.unloading.stop - 2]]
-        during = None if affects_most_cycles else (float(inner[0]), float(inner[1]))
-        number = cycle.loading.cycle
+        inner = float(time[cycle.loading.start + 1]), float(time[cycle.unloading.stop - 2])
+        during, number = None if affects_most_cycles else inner, cycle.loading.cycle
         yield Finding.of(
             "process.energy_gained", where, *quantities, during=during, cycle=number, gain=gain
         )
 
 
-def _check_second_specimen(
-    where: str, curve: Curve, cycles: list[Cycle], limits: Limits
-) -> Iterator[Finding]:
+def _check_second_specimen(record: Record) -> Iterator[Finding]:
     """Report a record that goes on with another specimen after the first one broke."""
     force_quantile = 0.8  # a broken specimen carries no force over this share of an unloading
-    for before in cycles:
-        later = [branch for branch in curve.branches if branch.start >= before.unloading.stop][:1]
-        forces = (
-            _interpolate_common_forces(*before.paths, _make_path(curve, later[0])) if later else ()
-        )
-        if not forces:
+    branches, limits = record.curve.branches, record.limits
+    for cycle in record.cycles:
+        later = next((x for x in branches if x.start >= cycle.unloading.stop), None)
+        paths = (*cycle.paths, _make_path(record.curve, later)) if later else ()
+        forces = _interpolate_common_forces(*paths) if paths else ()
+        if later is None or not forces:
             continue
-        first, back, second = (
-            float(np.quantile(np.abs(force), force_quantile)) for force in forces
-        )
+        first, back, second = (float(np.quantile(np.abs(x), force_quantile)) for x in forces)
         if back < limits.broken_force * first and second > limits.second_loading * first:
             yield Finding.of(
                 "process.second_specimen",
-                where,
-                "force",
-                "displacement",
-                cycle=before.loading.cycle,
+                record.signals.force,
+                *("force", "displacement"),
+                cycle=cycle.loading.cycle,
                 back=back,
-                later=later[0].cycle,
+                later=later.cycle,
                 second=second,
             )
             return
 
 
-def _find_sense(curve: Curve, branch: Branch) -> float:
-    return compute_loading_sign(curve.force[branch.start : branch.stop])
+CHECKS = (
+    _check_repetition,
+    _check_displacement_jumps,
+    _check_rest_force,
+    _check_level,
+    _check_cycles,
+    _check_turns,
+    _check_energy,
+    _check_second_specimen,
+)
+"""Checks in the order of their findings; those after the second need a force."""
 
 
 def _drop_missing(values: Floats) -> Floats:
@@ -449,7 +440,3 @@ def _drop_missing(values: Floats) -> Floats:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _format_time(curve: Curve, sample: int) -> str:
-    return f"{curve.time[sample]:.3f} s" if curve.time_unit == "s" else f"sample {sample + 1}"

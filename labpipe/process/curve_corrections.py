@@ -19,7 +19,7 @@ from labpipe.protocol.schema import Slack as SlackBlock
 from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
-from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
+from labpipe.records.curve import Aligned, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
@@ -81,30 +81,26 @@ def build_curve(
     time = displacement.time
     force = test.clocks.interpolate(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
+        own = test.force.time
         note = Finding.of(
             "process.no_overlap",
             "align",
             blocks=True,
-            force=test.force.time[0],
-            force_end=test.force.time[-1],
+            force=own[0],
+            force_end=own[-1],
             motion=time[0],
             motion_end=time[-1],
         )
         return None, [note]
-    moved = tuple(_branch_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
+    moved, motion_time = motion.branches, motion.signal.time
+    if len(motion_time) != len(time):  # sample numbers on the other time axis of the same clock
+        lasts = [min(branch.stop, len(motion_time)) - 1 for branch in moved]
+        starts = np.searchsorted(time, motion_time[[branch.start for branch in moved]]).tolist()
+        stops = np.searchsorted(time, motion_time[lasts]).tolist()
+        ends = zip(moved, starts, stops, strict=True)
+        moved = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ends)
     branch, cycle = number_branches(len(time), moved)
     return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
-
-
-def _branch_on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
-    """Convert the sample numbers of a branch to another time axis on the same clock."""
-    if len(motion_time) == len(time):
-        return branch
-    last = min(branch.stop, len(motion_time)) - 1
-    start, stop = np.searchsorted(time, [motion_time[branch.start], motion_time[last]])
-    return Branch(
-        int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
-    )
 
 
 def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
@@ -125,18 +121,21 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
         rule = LossOfForce(failure.force_below, failure.loss, failure.within, failure.at_end_below)
         loss_start = find_final_loss(test, rule)  # in the unfiltered force
     test, findings = _filter_branches(test, loss_start), list[Finding]()
+    curve = test.curve
+    if curve is None:
+        return test, []
     if block.compliance is not None and block.compliance.value > 0.0:
-        test, findings = _subtract_compliance(test, block.compliance)
-    if rule is not None and test.curve is not None:
-        test = replace(test, failure=_find_failure(test.curve, loss_start, rule))
+        test, curve, findings = _subtract_compliance(test, curve, block.compliance)
+    if rule is not None:
+        test = replace(test, failure=_find_failure(curve, loss_start, rule))
     if block.slips is not None:
-        test, more_findings = _correct_slips(test, block.slips)
-        findings += more_findings
+        test, curve, slip_findings = _correct_slips(test, curve, block.slips)
+        findings += slip_findings
     test = replace(test, replicates=replicate_curves(test))
     if block.slack is not None:
-        test, more_findings = _subtract_slack(test, block.slack)
-        findings += more_findings
-    if (line := block.elastic_line) is not None and test.curve is not None:
+        test, slack_findings = _subtract_slack(test, curve, block.slack)
+        findings += slack_findings
+    if (line := block.elastic_line) is not None:
         choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
         test = replace(test, pull=fit_pull(test, choice))
     # Reported last, because slack shifts the origin of the displacement.
@@ -169,22 +168,22 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     return replace(signal, values=bridge_spikes(signal.values, outliers)), [note]
 
 
-def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> CorrectionOutcome:
+def _subtract_compliance(
+    test: ReducedTest, curve: Curve, compliance: MachineCompliance
+) -> tuple[ReducedTest, Curve, list[Finding]]:
     """Subtract the displacement of the frame, and add the change with a higher compliance."""
-    curve = test.curve
-    if curve is None:
-        return test, []
-    value = compliance.value
-    signal = test.displacement.map_values(lambda displacement: displacement - value * curve.force)
+    value, force = compliance.value, curve.force
+    signal = test.displacement.map_values(lambda displacement: displacement - value * force)
     _check_compliance(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
-        other = curve.displacement - higher * curve.force
+        other = curve.displacement - higher * force
         signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: other})
-    largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
+    largest = 1e6 * value * float(np.nanmax(np.abs(force)))
     where, size = test.signals.displacement, 1e6 * value
     note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
-    return replace(_replace_displacement(test, curve, signal), compliance=value), [note]
+    test = replace(test, compliance=value)
+    return *_replace_displacement(test, curve, signal), [note]
 
 
 def _check_compliance(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
@@ -222,10 +221,8 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
         return None
     after = slice(branch.start, None)
     is_back = np.zeros(len(curve.time), dtype=np.bool_)
-    for other_branch in curve.branches:
-        is_back[other_branch.start : other_branch.stop] = (
-            other_branch.direction is Direction.UNLOADING
-        )
+    for other in curve.branches:
+        is_back[other.start : other.stop] = other.direction is Direction.UNLOADING
     force = _find_force_sign(curve) * curve.force[after]
     sample = find_loss_start(curve.time[after], force, rule, is_back[after])
     return sample if isinstance(sample, Failure) else sample + branch.start
@@ -234,28 +231,25 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
 def _find_failure(
     curve: Curve, loss_start: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
-    if isinstance(loss_start, Failure) and loss_start.code == "no_break":
-        loading = slice(curve.branches[0].start, None)
-        force = _find_force_sign(curve) * curve.force[loading]
-        finite = np.flatnonzero(~np.isnan(force))
-        if rule.at_end_below and force[finite[-1]] < rule.at_end_below * np.nanmax(force):
-            return FailurePoint(loading.start + int(finite[-1]))
-        sense = compute_loading_sign(curve.displacement[loading])
-        sample = find_slow_loss(sense * curve.displacement[loading], force, rule)
-        return (
-            loss_start
-            if sample is None
-            else FailurePoint(loading.start + sample, slow_below=rule.force_below)
-        )
-    if loss_start is None or isinstance(loss_start, Failure):
+    if loss_start is None:
+        return None
+    force = _find_force_sign(curve) * curve.force
+    if not isinstance(loss_start, Failure):
+        loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
+        earlier = measure_earlier_loss(curve.time[loading], force[loading], rule)
+        return FailurePoint(loss_start, earlier)
+    if loss_start.code != "no_break":
         return loss_start
-    loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
-    return FailurePoint(
-        loss_start,
-        measure_earlier_loss(
-            curve.time[loading], _find_force_sign(curve) * curve.force[loading], rule
-        ),
-    )
+    start = curve.branches[0].start
+    loading, finite = slice(start, None), np.flatnonzero(~np.isnan(force[start:]))
+    last, largest = start + int(finite[-1]), np.nanmax(force[loading])
+    if rule.at_end_below and force[last] < rule.at_end_below * largest:
+        return FailurePoint(last)
+    path = compute_loading_sign(curve.displacement[loading]) * curve.displacement[loading]
+    sample = find_slow_loss(path, force[loading], rule)
+    if sample is None:
+        return loss_start
+    return FailurePoint(start + sample, slow_below=rule.force_below)
 
 
 def _find_force_sign(curve: Curve) -> float:
@@ -267,55 +261,65 @@ def _find_force_sign(curve: Curve) -> float:
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
     """Filter force and displacement again, each branch separately, as the turns are now known."""
     curve, signals = test.curve, test.signals
-    names = {"force": signals.force, "displacement": signals.displacement}
-    if curve is None or not set(names.values()) & signals.filters.keys():
+    if curve is None:
         return test
     ends = [end for branch in curve.branches for end in (branch.start_time, branch.stop_time)]
     ends += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
     raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
-    curve_values = {"force": curve.force, "displacement": curve.displacement}
-    for quantity, name in names.items():
-        if name in signals.filters:
-            cuts = find_piece_starts(test.clocks, ends, raw[name])
-            filtered_signal = raw[name].map_values(
-                partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
-            )
-            filtered = replace(
-                signals.filtered[name],
-                values=filtered_signal.values,
-                perturbed=filtered_signal.perturbed,
-            )
-            signals = signals.with_filtered(name, filtered)
-            time = signals.filtered[signals.displacement].time
-            curve_values[quantity] = test.clocks.interpolate(filtered, time)
-    corrected = replace(
-        curve, force=curve_values["force"], displacement=curve_values["displacement"]
-    )
-    return replace(test, signals=signals, curve=corrected)
+    on_curve = {"force": curve.force, "displacement": curve.displacement}
+    for name, quantity in signals.quantities.items():
+        if name not in signals.filters:
+            continue
+        cuts = find_piece_starts(test.clocks, ends, raw[name])
+        in_pieces = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
+        values = raw[name].map_values(in_pieces)
+        filtered = signals.filtered[name]
+        filtered = replace(filtered, values=values.values, perturbed=values.perturbed)
+        signals = signals.with_filtered(name, filtered)
+        time = signals.filtered[signals.displacement].time
+        on_curve[quantity] = test.clocks.interpolate(filtered, time)
+    curve = replace(curve, force=on_curve["force"], displacement=on_curve["displacement"])
+    return replace(test, signals=signals, curve=curve)
 
 
-def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
-    curve = test.curve
-    if (
-        curve is None
-        or not (stretch := select_first_loading(make_trace(test))).stop > stretch.start
-    ):
-        return test, []
-    decision = SlipDecision(block.decision)
+def _correct_slips(
+    test: ReducedTest, curve: Curve, block: SlipsBlock
+) -> tuple[ReducedTest, Curve, list[Finding]]:
+    """Find slips in the first loading, and add them back or cut the curve there."""
+    stretch = select_first_loading(make_trace(test))
+    if not stretch.stop > stretch.start:
+        return test, curve, []
+    decision, start = SlipDecision(block.decision), stretch.start
     displacement, force = curve.displacement[stretch], curve.force[stretch]
     outcome = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
     if isinstance(outcome, Failure):
-        reason = outcome.message
-        note = Finding.of("process.slips_not_looked_for", test.signals.force, reason=reason)
-        return test, [note]
-    slips = tuple(
-        replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
-        for slip in outcome
-    )
+        where, reason = test.signals.force, outcome.message
+        return test, curve, [Finding.of("process.slips_not_looked_for", where, reason=reason)]
+    slips = tuple(replace(x, start=x.start + start, stop=x.stop + start) for x in outcome)
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:
-        return _add_slips_back(test, curve), []
-    return _cut_at_slip(test, curve) if slips and decision is SlipDecision.CUT else test, []
+        force = add_slips_back(curve.force, slips)
+        if isinstance(test.failure, FailurePoint):  # the broken specimen does not slip
+            broken = slice(test.failure.sample + 1, None)
+            force[broken] = curve.force[broken]
+        curve = replace(curve, force=force)
+    if slips and decision is SlipDecision.CUT:
+        curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
+        failure = test.failure and Failure("cut", "the curve ends at a slip")
+        test = replace(test, slips=slips[:1], failure=failure)
+    return replace(test, curve=curve), curve, []
+
+
+def _cut_curve(curve: Curve, stop: int) -> Curve:
+    """Discard the force of a curve and its branches from a sample on."""
+    force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
+    end = float(curve.time[stop - 1])
+    branches = tuple(
+        replace(branch, stop=stop, stop_time=end) if branch.stop > stop else branch
+        for branch in curve.branches
+        if branch.start < stop
+    )
+    return replace(curve, force=force, branches=branches)
 
 
 def _make_slip_note(where: str, slip: Slip) -> Finding:
@@ -331,40 +335,9 @@ def _make_slip_note(where: str, slip: Slip) -> Finding:
     )
 
 
-def _add_slips_back(test: ReducedTest, curve: Curve) -> ReducedTest:
-    """Add the drops back, except after the failure of the specimen."""
-    force = add_slips_back(curve.force, test.slips)
-    if isinstance(test.failure, FailurePoint):
-        broken = slice(test.failure.sample + 1, None)
-        force[broken] = curve.force[broken]
-    return replace(test, curve=replace(curve, force=force))
-
-
-def _cut_at_slip(test: ReducedTest, curve: Curve) -> ReducedTest:
-    """Discard the curve from the first slip on."""
-    stop = count_samples_before(test.slips, len(curve.force))
-    force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
-    branches = tuple(
-        replace(branch, stop=min(branch.stop, stop), stop_time=float(curve.time[stop - 1]))
-        if branch.stop > stop
-        else branch
-        for branch in curve.branches
-        if branch.start < stop
-    )
-    return replace(
-        test,
-        slips=test.slips[:1],
-        curve=replace(curve, force=force, branches=branches),
-        failure=None if test.failure is None else Failure("cut", "the curve ends at a slip"),
-    )
-
-
-def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
-    curve, where = test.curve, test.signals.displacement
-    if curve is None:
-        return test, []
+def _subtract_slack(test: ReducedTest, curve: Curve, block: SlackBlock) -> CorrectionOutcome:
     decide = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
-    slack = measure_slack(test, decide)
+    where, slack = test.signals.displacement, measure_slack(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
         is_steep = slack.code == "no_toe"
@@ -376,14 +349,12 @@ def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
         )
         return test, [note]
     offset = slack.value
-    corrected = replace(
-        _replace_displacement(
-            test, curve, test.displacement.map_values(lambda values: values - offset)
-        ),
-        replicates=test.replicates and subtract_slack(test.replicates, decide, slack),
-        slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
-    )
-    return corrected, [Finding.of("process.slack_removed", where, slack=1e3 * offset)]
+    signal = test.displacement.map_values(lambda values: values - offset)
+    test, _ = _replace_displacement(test, curve, signal)
+    replicates = test.replicates and subtract_slack(test.replicates, decide, slack)
+    slips = tuple(_shift_slip(slip, offset) for slip in test.slips)
+    note = Finding.of("process.slack_removed", where, slack=1e3 * offset)
+    return replace(test, replicates=replicates, slips=slips), [note]
 
 
 def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
@@ -437,9 +408,9 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
     return replace(slip, position=slip.position - slack, position_interval=moved)
 
 
-def _replace_displacement(test: ReducedTest, curve: Curve, displacement: Signal) -> ReducedTest:
-    return replace(
-        test,
-        signals=test.signals.with_filtered(test.signals.displacement, displacement),
-        curve=replace(curve, displacement=displacement.values),
-    )
+def _replace_displacement(
+    test: ReducedTest, curve: Curve, displacement: Signal
+) -> tuple[ReducedTest, Curve]:
+    curve = replace(curve, displacement=displacement.values)
+    signals = test.signals.with_filtered(test.signals.displacement, displacement)
+    return replace(test, signals=signals, curve=curve), curve

@@ -81,8 +81,9 @@ def match_protocols(
     Notes
     -----
     The protocols that use most exports without a fault are compared by these rules, in this order:
-    one of `names` contains the name of the protocol; the protocol states this `length` within 5 %;
-    more than half of the `siblings` have it. The first rule that only one protocol meets decides.
+    one of `names` contains the name of the protocol; the metadata of an export name the standard
+    after which the protocol is named; the protocol states this `length` within 5 %; more than half
+    of the `siblings` have it. The first rule that only one protocol meets decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -91,22 +92,27 @@ def match_protocols(
     best.sort(key=lambda match: match.protocol.name)
     if len(best) < 2:
         return best
+    texts = [str(text) for export in exports.values() for text in export.metadata.values()]
     namesakes = [match for match in best if _is_named_in(names, match.protocol.name)]
+    standards = [match for match in best if _is_standard_in(texts, match.protocol.name)]
     same_length = [match for match in best if _has_length(match.protocol, length)]
-    rules = [
-        (namesakes, format_sentence("process.reason_namesake")),
-        (same_length, format_sentence("process.reason_length")),
+    reasons = [
+        (format_sentence("process.reason_namesake"), namesakes),
+        (format_sentence("process.reason_standard"), standards),
+        (format_sentence("process.reason_length"), same_length),
     ]
     for counts in siblings:
-        name = find_majority(counts)
-        text = format_sentence(
-            "process.reason_siblings", count=counts.get(name, 0), total=sum(counts.values())
-        )
-        rules.append(([match for match in best if match.protocol.name == name], text))
-    for met, reason in rules:
-        if len(met) == 1:
-            return [replace(met[0], reason=reason)]
-    return best
+        name, total = find_majority(counts), sum(counts.values())
+        count = counts.get(name, 0)
+        reason = format_sentence("process.reason_siblings", count=count, total=total)
+        reasons.append((reason, [match for match in best if match.protocol.name == name]))
+    decided = [replace(met[0], reason=reason) for reason, met in reasons if len(met) == 1]
+    return decided[:1] or best
+
+
+def _is_standard_in(texts: Sequence[str], protocol: str) -> bool:
+    """Check whether a text contains the standard after which a protocol is named."""
+    return re.search(r"\d{3,}", protocol) is not None and _is_named_in(texts, protocol)
 
 
 def _is_named_in(names: Sequence[str], protocol: str) -> bool:

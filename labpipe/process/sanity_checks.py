@@ -16,8 +16,8 @@ from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats, average_between
-from labpipe.records.curve import Branch, Direction, Shape
-from labpipe.records.declarations import LIMITS, Limits, TravelFromSpeed
+from labpipe.records.curve import Direction
+from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.result import Instrument
@@ -29,86 +29,59 @@ from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.units import GRAVITY
 
 
-def check_rig(
-    signals: Signals,
-    shape: Shape | None,
-    protocol: Protocol,
-    branches: tuple[Branch, ...],
-    *,
-    is_blocked: bool,
-) -> Iterator[Finding]:
-    """Compare rig and specimen of the protocol with the measurement.
+def check_signals(
+    prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings
+) -> Findings:
+    """Add the findings of all checks before the curve is built.
 
     Parameters
     ----------
-    signals, shape : of the test
-    protocol : resolved; with cycles, stroke, length and mass of the specimen, counterweight
-    branches : of the motion
-    is_blocked : whether there is no curve
+    prepared : after all steps
+    motion : with clocks that are joined
+    protocol : resolved
+    findings : so far
     """
-    if branches and protocol.branches is not None:
-        yield from _check_motion(signals.raw[protocol.branches.channel], protocol, branches)
-    force, specimen, block = (
-        signals.filtered.get(signals.force),
-        protocol.specimen,
-        protocol.markers,
-    )
-    if force is None or protocol.curve is None:
-        return
-    if protocol.rig.string is not None:  # the force can fall by the weight on the string only
-        weight = protocol.rig.string.counterweight * GRAVITY
-        weight += compute_prop_force(
-            GRAVITY * (specimen.mass_per_length or 0.0), specimen.length or 0.0
-        )
-        yield from _check_negative(
-            _average_per_second(force), -1.2 * weight - 2e-3, "a string cannot push"
-        )
-    if specimen.span is not None and force.has_time and not is_blocked:
-        means, reason = (
-            _average_per_second(force),
-            "a load that presses on a specimen cannot pull it",
-        )
-        lower_limit = -protocol.limits.pulling_force * float(np.nanmax(means))
-        yield from _check_negative(means, lower_limit, reason)
-    if specimen.length is None or block is None or block.clamp is None or shape is None:
-        return
-    measured_length, stated_length = shape.length, specimen.length
-    if abs(measured_length - stated_length) > max(2e-3, 0.02 * stated_length):
-        yield Finding.of(
-            "process.length_unexpected",
-            "specimen.length",
-            "displacement",
-            seen=1e3 * measured_length,
-            stated=1e3 * stated_length,
-        )
+    for check in (check_rig, check_force, find_holds, check_rest):
+        findings += check(prepared, motion, protocol)
+    if findings.blocked is not None:
+        return findings
+    reversed_signs = check_signs(prepared, motion, protocol)
+    if any(finding.code == "force_reversed" for finding in reversed_signs):
+        findings = findings.without("force_negative")  # the reversed sign is its cause
+    return findings + reversed_signs
 
 
-def _check_motion(
-    motion: Signal, protocol: Protocol, branches: tuple[Branch, ...]
-) -> Iterator[Finding]:
-    rig, first = protocol.rig, branches[0]
-    cycles, speed = len({branch.cycle for branch in branches}), rig.crosshead_speed
-    if rig.cycles is not None and cycles != rig.cycles:
+def check_rig(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+    """Report cycles, stroke, speed and specimen length that differ from those stated."""
+    rig, moved, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
+    if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
+        cycles, expected = branches[-1].cycle, rig.cycles
         yield Finding.of(
-            "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=rig.cycles
+            "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=expected
         )
-    if rig.stroke is not None and not is_full_stroke(motion, rig.stroke):
-        measured, expected = 1e3 * _measure_travel(motion.values), 1e3 * rig.stroke
+    if branches and rig.stroke is not None and not is_full_stroke(motion.signal, rig.stroke):
+        measured, expected_stroke = 1e3 * _measure_travel(moved.values), 1e3 * rig.stroke
         yield Finding.of(
-            "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected
+            "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected_stroke
         )
-    if speed is not None and motion.has_time:
-        moved = _measure_travel(motion.values[first.start : first.stop])
-        measured = moved / max(first.stop_time - first.start_time, 1e-9)
+    if branches and rig.crosshead_speed is not None and moved.has_time:
+        first, speed = branches[0], rig.crosshead_speed
+        duration = max(first.stop_time - first.start_time, 1e-9)
+        measured = _measure_travel(moved.values[first.start : first.stop]) / duration
         if abs(measured - speed) > protocol.limits.speed_deviation * speed:
+            where, measured, speed = "rig.crosshead_speed", 1e3 * measured, 1e3 * speed
+            doubtful = "displacement", "force"
             yield Finding.of(
-                "process.speed_unexpected",
-                "rig.crosshead_speed",
-                "displacement",
-                "force",
-                measured=1e3 * measured,
-                expected=1e3 * speed,
+                "process.speed_unexpected", where, *doubtful, measured=measured, expected=speed
             )
+    length, markers = protocol.specimen.length, protocol.markers
+    if length is None or markers is None or markers.clamp is None or shape is None:
+        return
+    if abs(shape.length - length) > max(2e-3, 0.02 * length):
+        where, seen, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
+        yield Finding.of(
+            "process.length_unexpected", where, "displacement", seen=seen, stated=stated
+        )
 
 
 def _measure_travel(values: Floats) -> float:
@@ -123,45 +96,49 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     motion : the channel that splits the branches
     expected : m
     """
-    return (
-        expected is not None and abs(_measure_travel(motion.values) - expected) <= 0.02 * expected
-    )
+    if expected is None:
+        return False
+    return abs(_measure_travel(motion.values) - expected) <= 0.02 * expected
 
 
-def _check_negative(smooth: Floats, lower_limit: float, why: str) -> Iterator[Finding]:
-    """Report a force whose means over a second fall below the minimum of its load."""
-    lowest = float(np.nanmin(smooth))
-    if lowest < lower_limit - 5.0 * estimate_noise_level(smooth):
-        yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
-
-
-def _average_per_second(force: Signal) -> Floats:
-    """Return moving averages over a second, every tenth of a second."""
+def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[Finding]:
+    """Report a force whose means over a second fall below what its load can cause."""
+    string, specimen = protocol.rig.string, protocol.specimen
+    force = prepared.signals.filtered.get(prepared.signals.force)
+    if force is None or (string is None and specimen.span is None):
+        return
     size = max(1, seconds_to_window(0.1, force.time))
     blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
     window = max(1, seconds_to_window(1.0, force.time[::size]))
-    return moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+    means = moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+    limits = list[tuple[float, str]]()
+    if string is not None:  # the force can fall by the weight on the string only
+        mass, length = specimen.mass_per_length or 0.0, specimen.length or 0.0
+        weight = string.counterweight * GRAVITY + compute_prop_force(GRAVITY * mass, length)
+        limits.append((-1.2 * weight - 2e-3, "a string cannot push"))
+    if specimen.span is not None and force.has_time:
+        lowest = -protocol.limits.pulling_force * float(np.nanmax(means))
+        limits.append((lowest, "a load that presses on a specimen cannot pull it"))
+    lowest, noise = float(np.nanmin(means)), estimate_noise_level(means)
+    for limit, why in limits:
+        if lowest < limit - 5.0 * noise:
+            yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
 
 
-def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
-    """Report a zero whose stretch overlaps the motion.
-
-    Parameters
-    ----------
-    signals : with the stretches of their zeros
-    motion : with clocks that are joined
-    limits : of the lab
-    """
+def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+    """Report a zero whose stretch overlaps the motion."""
     if not motion.branches:
         return
+    signals, overlap = prepared.signals, protocol.limits.zero_overlap
     begins, ends = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
         start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
-        if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
+        if stop > begins + overlap and start < ends - overlap:
+            quantity = "force" if name == signals.force else "displacement"
             yield Finding.of(
                 "process.zero_not_at_rest",
                 name,
-                "force" if name == signals.force else "displacement",
+                quantity,
                 start=start,
                 stop=stop,
                 begins=begins,
@@ -170,7 +147,7 @@ def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Ite
 
 
 def check_mid_span(
-    prepared: Prepared, motion: Motion, limits: Limits = LIMITS
+    prepared: Prepared, motion: Motion, limits: Limits
 ) -> tuple[Prepared, list[Finding]]:
     """Reject cameras that began under load, and report a displacement that differs from theirs.
 
@@ -184,35 +161,26 @@ def check_mid_span(
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
         return prepared, []
-    fit, rest_times = motion.clocks.others.get(mid_span.clock), span.time[span.rest]
-    begins = motion.branches[0].start_time
-    delay = (rest_times if fit is None else fit.to_marker_time(rest_times))[-1] - begins
+    rest_end = motion.clocks.to_curve(span.time[span.rest], mid_span.clock)[-1]
+    delay = rest_end - motion.branches[0].start_time
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    camera_travel, motion_travel = (
-        _measure_travel(mid_span.values),
-        _measure_travel(motion.signal.values),
-    )
-    if abs(camera_travel - motion_travel) <= limits.mid_span_deviation * motion_travel:
+    seen, measured = _measure_travel(mid_span.values), _measure_travel(motion.signal.values)
+    if abs(seen - measured) <= limits.mid_span_deviation * measured:
         return prepared, []
-    facts = Finding.of(
-        "process.mid_span_differs",
-        "mid_span",
-        "displacement",
-        seen=1e3 * camera_travel,
-        measured=1e3 * motion_travel,
-    )
-    return prepared, [facts]
+    seen, measured, doubtful = 1e3 * seen, 1e3 * measured, "displacement"
+    return prepared, [
+        Finding.of("process.mid_span_differs", "mid_span", doubtful, seen=seen, measured=measured)
+    ]
 
 
-def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Finding]:
+def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[Finding]:
     """Report signals that fall while the specimen is loaded, unless the protocol allows it.
 
     Parameters
     ----------
-    signals : of the test
-    motion : with clocks that are joined
+    prepared, motion : of the test, with clocks that are joined
     protocol : its ``curve.reverse`` lists reversed signals; an empty list allows the signs
 
     Notes
@@ -223,15 +191,14 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
     max_opposite_share, error_factor = 0.2, 10.0  # of the largest force; of a block mean
-    curve, displacement = protocol.curve, signals.raw[signals.displacement]
+    signals, curve = prepared.signals, protocol.curve
+    displacement, time = signals.raw[signals.displacement], signals.raw[signals.displacement].time
     if curve is None or not motion.branches:
         return []
-    time = displacement.time
     force = motion.clocks.interpolate(signals.raw[signals.force], time)
     parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
-    sizes = [np.abs(_average_blocks(force[part])) for part in parts]
+    sizes, means = [np.abs(_average_blocks(force[part])) for part in parts], _average_blocks(force)
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
-    means = _average_blocks(force)
     if len(means) < 2 or not max(growths) > 0.0:
         return []
     noise = error_factor * estimate_noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
@@ -239,33 +206,32 @@ def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Fi
     opposite = float((-np.sign(top) * means).max())
     if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
         return []
-    reversed_texts = {"force": f"the force goes to {top:.3g} N"} if top < 0.0 else {}
-    loading, first = parts[int(np.argmax(growths))], parts[0]
-    if signals.displacement in protocol.channels and all(
-        _is_falling(displacement.values[part]) for part in (loading, first)
-    ):
-        lowest = 1e3 * float(np.nanmin(displacement.values))
-        reversed_texts["displacement"] = f"the displacement goes to {lowest:.3g} mm"
-    if curve.reverse is not None:
-        reversed_texts = {
-            name: text for name, text in reversed_texts.items() if name in curve.reverse
-        }
-    is_reversed, names = bool(curve.reverse), ", ".join(reversed_texts)
+    loading = parts[int(np.argmax(growths))], parts[0]
+    is_measured = signals.displacement in protocol.channels
+    is_falling = {
+        "force": top < 0.0,
+        "displacement": is_measured and all(_falls(displacement.values[x]) for x in loading),
+    }
+    lowest = 1e3 * float(np.nanmin(displacement.values))
+    texts = {"force": f"{top:.3g} N", "displacement": f"{lowest:.3g} mm"}
+    names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
+    listed, signs = ", ".join(names), " and ".join(f"the {x} goes to {texts[x]}" for x in names)
     remedy = format_sentence(
-        "process.signs_reversed" if is_reversed else "process.signs_to_reverse",
-        names=names if is_reversed else format_overrides("curve.reverse", f"[{names}]"),
+        "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
+        names=listed if curve.reverse else format_overrides("curve.reverse", f"[{listed}]"),
     )
-    clock = ("clock",) if motion.clocks.force is not None else ()  # joined at peaks of the force
+    # clocks are joined at peaks of the force
+    clock = ("clock",) if motion.clocks.force is not None else ()
     return [
         Finding.of(
             "process.force_reversed" if name == "force" else "process.displacement_reversed",
             getattr(signals, name),
-            f"{name}_sign" if len(reversed_texts) > 1 else name,
+            f"{name}_sign" if len(names) > 1 else name,
             *(clock if name == "force" else ()),
-            signs=" and ".join(reversed_texts.values()),
+            signs=signs,
             remedy=remedy,
         )
-        for name in reversed_texts
+        for name in names
     ]
 
 
@@ -276,7 +242,7 @@ def _average_blocks(values: Floats) -> Floats:
     return average_between(finite, starts) if len(finite) else finite
 
 
-def _is_falling(values: Floats) -> bool:
+def _falls(values: Floats) -> bool:
     finite = values[~np.isnan(values)]
     return len(finite) > 1 and bool(finite[-1] < finite[0])
 
@@ -306,40 +272,33 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
         return
     time, force, path, inside = branch_data
     load, share = float(force[inside][0]), float(force[inside][0] / np.ptp(force))
+    where, zeroed = (
+        signals.force,
+        [x for x in signals.quantities if x in signals.moving_zero_stretches],
+    )
     if share > 0.5 and force[inside][-1] < 0.5 * load:
-        yield Finding.of(
-            "process.begins_with_unloading",
-            signals.force,
-            "force",
-            "displacement",
-            "start",
-            load=load,
-        )
+        doubtful = "force", "displacement", "start"
+        yield Finding.of("process.begins_with_unloading", where, *doubtful, load=load)
         return
     ends = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
     returns = len(ends) > 0 and (np.abs(ends - load) <= 0.5 * load).all()
     if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
-    zeroed_in_motion = [
-        name for name in signals.quantities if name in signals.moving_zero_stretches
-    ]
-    restored = () if signals.force in zeroed_in_motion or not has_slack else (signals.displacement,)
-    doubtful = [signals.quantities[name] for name in zeroed_in_motion if name not in restored]
+    is_restored = has_slack and signals.force not in zeroed
+    doubts = [x for x in zeroed if not (is_restored and x == signals.displacement)]
     first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
-    for quantities, during in ((["start"], first), (doubtful, None)):
-        if quantities:
+    for names, during in ((["start"], first), ([signals.quantities[x] for x in doubts], None)):
+        if names:
             yield Finding.of(
                 "process.begins_under_load",
-                signals.force,
-                *quantities,
+                where,
+                *names,
                 during=during,
                 load=load,
                 share=share,
                 place=1e3 * float(path[0]),
-                zeroed=f"; {' and '.join(zeroed_in_motion)} zeroed there"
-                if zeroed_in_motion
-                else "",
+                zeroed=f"; {' and '.join(zeroed)} zeroed there" if zeroed else "",
             )
 
 
@@ -388,36 +347,32 @@ _CUT_FILE_CODES = {"truncated", "rows_differ"}
 
 
 def find_cut_ends(
-    signals: Signals,
-    motion: Motion,
-    *,
-    is_full_stroke: bool,
-    is_cut_file: bool,
-    limits: Limits = LIMITS,
+    signals: Signals, motion: Motion, protocol: Protocol, findings: Findings
 ) -> dict[str, float]:
     """Find the ends of a record that stops in the middle of a branch.
 
     Parameters
     ----------
-    signals : of the test
-    motion : with clocks that are joined
-    is_full_stroke : whether the motion has the stroke of the rig
-    is_cut_file : whether the end of an export may be missing
-    limits : of the lab
+    signals, motion : of the test, with clocks that are joined
+    protocol : with the stroke of the rig
+    findings : with the notes of the readers, for exports whose end may be missing
 
     Returns
     -------
     End by quantity, s on the clock of the curve; empty for a complete record.
     """
-    moved, branches = motion.signal, motion.branches
-    if not branches:
+    moved, limits, ends = motion.signal, protocol.limits, dict[str, float]()
+    if not motion.branches:
         return {}
-    last, ends = branches[-1], dict[str, float]()
-    if _is_unfinished(
-        moved, branches, limits, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file
-    ):
-        end = float(moved.time[~np.isnan(moved.values)][-1])
-        ends = {"force": end, "displacement": end}
+    last = motion.branches[-1]
+    is_finite = ~np.isnan(moved.values[last.start :])
+    time, values = moved.time[last.start :][is_finite], moved.values[last.start :][is_finite]
+    if moves_at_end(time, values):
+        is_cut = any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
+        is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
+        arrives = is_full_stroke(moved, stroke) if is_single else _has_arrived(motion, limits)
+        if is_cut or not arrives:
+            ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     finite_times = force.time[~np.isnan(force.values)]
     force_end = motion.clocks.to_curve(float(finite_times[-1]), force.clock)
@@ -426,25 +381,36 @@ def find_cut_ends(
     return ends | {"force": force_end} if force_end < last.stop_time - missing else ends
 
 
-def is_file_cut(findings: Findings) -> bool:
-    """Check the notes of readers for exports whose last rows may be missing."""
-    return any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
+def _has_arrived(motion: Motion, limits: Limits) -> bool:
+    """Check whether the last branch reaches the end of the one before it."""
+    values, branches, last = motion.signal.values, motion.branches, motion.branches[-1]
+    start, end = float(values[last.start]), float(values[~np.isnan(values)][-1])
+    path = values if end > start else -values
+    is_loading = last.direction is Direction.LOADING
+    turns = [] if is_loading else [float(path[branches[0].start])]
+    turns += [
+        float(np.nanmax(path[branch.start : branch.stop + 1]))
+        for branch in branches[:-1]
+        if branch.direction is last.direction
+    ]
+    # the force is steep near the peak, and small at the end of unloading
+    shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
+    step = abs(end - start) / max(1, last.stop - last.start)
+    noise = estimate_noise_level(values)
+    tolerance = max(shortfall * _measure_travel(values), step, 5.0 * noise)
+    return bool(turns) and (end if end > start else -end) >= turns[-1] - tolerance
 
 
-def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
+def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report holds of the motion at its turns, and at its end away from the start.
 
-    Parameters
-    ----------
-    where : name of the displacement
-    motion : rests before its first branch and at its first position are not holds
-    limits : of the lab
+    Rests before the first branch and at the first position are not holds.
     """
     min_rows, return_share, still_share = 5.0, 0.1, 0.01  # without times; of the stroke
     moved, branches = motion.signal, motion.branches
     if not branches:
         return
-    unit, lower_limit = ("s", limits.hold_time) if moved.has_time else ("rows", min_rows)
+    unit, lower_limit = ("s", protocol.limits.hold_time) if moved.has_time else ("rows", min_rows)
     is_finite = ~np.isnan(moved.values)
     time, values = moved.time[is_finite], moved.values[is_finite]
     ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
@@ -456,57 +422,13 @@ def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[
     if holds:
         yield Finding.of(
             "process.hold",
-            where,
+            prepared.signals.displacement,
             count=len(holds),
             longest=max(stop - start for start, stop in holds),
             unit=unit,
             place=1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values)),
             start=holds[0][0],
         )
-
-
-def _is_unfinished(
-    motion: Signal,
-    branches: tuple[Branch, ...],
-    limits: Limits,
-    *,
-    is_full_stroke: bool,
-    is_cut_file: bool,
-) -> bool:
-    """Check whether the motion continues at the last sample, before its target."""
-    last = branches[-1]
-    is_finite = ~np.isnan(motion.values[last.start :])
-    time, values = motion.time[last.start :][is_finite], motion.values[last.start :][is_finite]
-    if not moves_at_end(time, values):
-        return False
-    if is_cut_file:
-        return True
-    if len(branches) == 1:
-        return not is_full_stroke
-    return not _has_arrived(motion, branches, float(values[-1]), limits)
-
-
-def _has_arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limits: Limits) -> bool:
-    """Check whether the last branch reaches the end of the one before it."""
-    last = branches[-1]
-    sense = 1.0 if end > motion.values[last.start] else -1.0
-    path = sense * motion.values
-    turns = [
-        float(np.nanmax(path[branch.start : branch.stop + 1]))
-        for branch in branches[:-1]
-        if branch.direction is last.direction
-    ]
-    if last.direction is Direction.UNLOADING:
-        turns.insert(0, float(path[branches[0].start]))
-    if not turns:
-        return False
-    step = abs(end - float(motion.values[last.start])) / max(1, last.stop - last.start)
-    stroke = float(np.nanmax(path) - np.nanmin(path))
-    # the force is steep near the peak, and small at the end of unloading
-    is_loading = last.direction is Direction.LOADING
-    shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
-    tolerance = max(shortfall * stroke, step, 5.0 * estimate_noise_level(motion.values))
-    return sense * end >= turns[-1] - tolerance
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:

@@ -12,7 +12,7 @@ from datetime import date
 from functools import cache
 from importlib.resources import files as package_files
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from labpipe.errors import Fault, LabpipeError, ReadError
 from labpipe.messages import format_sentence
@@ -40,14 +40,12 @@ _US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 _FOLDER_NAME = re.compile(r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)")
 
 
-@dataclass(frozen=True, slots=True)
-class Fact:
+class Fact(NamedTuple):
     """One fact about a test and its source.
 
     Parameters
     ----------
-    key : column of a campaign table: ``date``, ``operator``, ``type``, ``sample``, ``length`` ...;
-        ``take`` for the name that the recording program has for the test
+    key : column of a campaign table: ``date``, ``operator``, ``type``, ``sample``, ``length`` ...
     value : as a test sheet writes it
     source : such as ``force.mat``
     """
@@ -80,8 +78,8 @@ def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
         entries.setdefault(entry, text)
     facts = list[Fact]()
     for key, names in _fact_keys()["keys"].items():
-        values = (_parse_fact(key, entries.get(entry, "")) for entry in names)
-        facts += [Fact(key, value, name) for value in [next(filter(None, values), "")] if value]
+        values = filter(None, (_parse_fact(key, entries.get(entry, "")) for entry in names))
+        facts += [Fact(key, value, name) for value in list(values)[:1]]
     if all(fact.key != "date" for fact in facts) and (day := parse_day(name)):
         facts.append(Fact("date", day, f"the name of {name}"))
     return tuple(facts)
@@ -182,21 +180,17 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
     contradictions : by key, a sentence on the different values
     """
     sources: dict[str, dict[str, list[str]]] = {}
-    for fact in facts:
-        sources.setdefault(fact.key, {}).setdefault(fact.value, []).append(fact.source)
+    for key, value, source in facts:
+        sources.setdefault(key, {}).setdefault(value, []).append(source)
     agreed, contradictions = dict[str, Fact](), dict[str, str]()
-    for key, sources_by_value in sources.items():
-        listed = {
-            value: " and ".join(dict.fromkeys(names)) for value, names in sources_by_value.items()
-        }
-        statements = ", ".join(f"{value} in {names}" for value, names in listed.items())
-        if len(listed) == 1:
-            ((value, names),) = listed.items()
-            agreed[key] = Fact(key, value, names)
+    for key, by_value in sources.items():
+        stated = {value: " and ".join(dict.fromkeys(names)) for value, names in by_value.items()}
+        if len(stated) == 1:
+            agreed[key] = Fact(key, *next(iter(stated.items())))
         else:
-            contradictions[key] = format_sentence(
-                "process.facts_differ", key=key, statements=statements
-            )
+            listed = ", ".join(f"{value} in {names}" for value, names in stated.items())
+            text = format_sentence("process.facts_differ", key=key, statements=listed)
+            contradictions[key] = text
     return agreed, contradictions
 
 
@@ -384,96 +378,72 @@ def infer_test(
     -------
     The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
-    folder_name = folder.resolve().name
-    contents, name = read_folder(folder), safe_name(folder_name)
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
-    stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
-    matches = _match(folder, contents, stated, stated_files, neighbours)
+    contents = read_folder(folder)
+    matches = _match(folder, contents, stated, neighbours)
     match = matches[0] if len(matches) == 1 else None
+    stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
     ambiguous = {
         role: candidate.files[role]
         for candidate in matches
         for role in sorted(candidate.ambiguous_roles - stated_files.keys())
     }
-    exports = {
-        path: export
-        for path, export in contents.exports.items()
-        if all(path.name not in names for names in ambiguous.values())
-    }
-    facts, contradictions = combine_facts(_collect_facts(folder, exports))
-    facts = {key: facts[key] for key in _COPIED_FACTS if key in facts and key not in stated}
-    values = {"test": name} | ({"protocol": match.protocol.name} if match else {})
-    values |= {key: fact.value for key, fact in facts.items()} | dict(stated)
+    unclear = {name for names in ambiguous.values() for name in names}
+    exports = {path: x for path, x in contents.exports.items() if path.name not in unclear}
+    agreed, contradictions = combine_facts(_collect_facts(folder, exports))
+    facts = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
+    values = {"test": safe_name(folder.resolve().name)}
+    values |= {"protocol": match.protocol.name} if match else {}
+    values |= {fact.key: fact.value for fact in facts} | dict(stated)
     inferred_files = _assign_files(contents, matches)
     files = inferred_files | stated_files
     required = ["protocol", "type", "spool", "sample"]
     required += ["span"] if match and results_needing_span(match.protocol) else []
     open_keys = [key for key in required if not values.get(key)]
     open_keys += sorted(ambiguous) or ([] if files else ["files"])
-
-    remarks = [] if "protocol" in stated else [_describe_match(contents, matches)]
-    readers = {path.name: export.reader for path, export in contents.exports.items()}
-    roles = [
-        f"{role}: {', '.join(f'{_escape(file)} ({readers[file]})' for file in names)}"
-        for role, names in inferred_files.items()
-        if role not in stated_files
+    own_files = {role: x for role, x in inferred_files.items() if role not in stated_files}
+    used = unclear.union(*files.values())
+    remarks = [
+        *([] if "protocol" in stated else [_describe_match(contents, matches)]),
+        *_describe_files(contents, own_files, ambiguous),
+        *_describe_facts(facts),
+        *(text for key, text in contradictions.items() if key not in stated),
+        *_describe_unused(folder, contents, used),
     ]
-    remarks += ["; ".join(roles)] if roles else []
-    for role, candidates in sorted(ambiguous.items()):
-        names = ", ".join(map(_escape, candidates))
-        remarks.append(format_sentence("process.role_ambiguous", role=role, names=names))
-    for source in dict.fromkeys(fact.source for fact in facts.values()):
-        listed = ", ".join(f"{x.key} {x.value}" for x in facts.values() if x.source == source)
-        remarks.append(format_sentence("process.facts_from", facts=listed, source=source))
-    remarks += [text for key, text in contradictions.items() if key not in stated]
-    if match is not None and not match.ambiguous_roles and "protocol" not in stated:
-        remarks += [format_sentence("process.look", fault=fault) for fault in match.faults[:3]]
-    remarks += _find_other_names(folder_name, exports)
-    used = {file for names in (*files.values(), *ambiguous.values()) for file in names}
-    remarks += _describe_unused(folder, contents, used)
     return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
 
 
 def _match(
-    folder: Path,
-    contents: FolderContents,
-    stated: Mapping[str, str],
-    stated_files: Mapping[str, tuple[str, ...]],
-    neighbours: Neighbours,
+    folder: Path, contents: FolderContents, stated: Mapping[str, str], neighbours: Neighbours
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit best, by exports, names and the other tests."""
     values = _values_in_name(folder) | dict(stated)
     specimen_type = values.get("type", "")
     counts = [count_protocols(neighbours, folder, specimen_type)] if specimen_type else []
+    candidates = load_all_protocols() if "protocol" not in stated else list[Protocol]()
+    if "protocol" in stated:
+        path = find_protocol(stated["protocol"], beside=folder)
+        with suppress(LabpipeError):  # a wrong or missing one is reported with the sheet
+            candidates += [] if isinstance(path, Fault) else [load_protocol(path)]
     return match_protocols(
         contents.exports,
-        _load_candidates(stated, folder),
+        candidates,
         names=(folder.name, specimen_type, *(path.stem for path in contents.exports)),
         length=_parse_metres(values.get("length", "")),
         siblings=[*counts, count_protocols(neighbours, folder)],
-        stated_files=stated_files,
+        stated_files={role: split_file_names(stated[role]) for role in ROLES if role in stated},
     )
-
-
-def _load_candidates(stated: Mapping[str, str], folder: Path) -> list[Protocol]:
-    """Load the protocol that the user stated, or else all protocols."""
-    if "protocol" not in stated:
-        return load_all_protocols()
-    path = find_protocol(stated["protocol"], beside=folder)
-    with suppress(LabpipeError):  # a wrong or missing one is reported when the sheet is written
-        return [] if isinstance(path, Fault) else [load_protocol(path)]
-    return []
 
 
 def _collect_facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
     """Collect facts; the lab chose the name of the folder, which has priority over exports."""
     facts = list(parse_folder_name(folder.name))
-    named_keys = {*(fact.key for fact in facts), "take"}
-    for path, recording in exports.items():
-        export_facts = collect_export_facts(path.name, recording)
-        facts += [fact for fact in export_facts if fact.key not in named_keys]
-    return facts
+    named = {fact.key for fact in facts}
+    stated = (
+        x for path, export in exports.items() for x in collect_export_facts(path.name, export)
+    )
+    return [*facts, *(fact for fact in stated if fact.key not in named)]
 
 
 def _assign_files(
@@ -500,22 +470,32 @@ def _describe_match(contents: FolderContents, matches: Sequence[ProtocolMatch]) 
             "process.protocol_none" if contents.exports else "process.no_exports"
         )
     if len(matches) > 1:
-        listed = [f"{match.protocol.name}: {match.protocol.about}" for match in matches]
-        names = "\n    ".join(listed)
+        names = "\n    ".join(f"{x.protocol.name}: {x.protocol.about}" for x in matches)
         return format_sentence("process.protocols_alike", count=len(matches), names=names)
-    (match,) = matches
-    reason = match.reason or format_sentence("process.reason_only_one")
-    return format_sentence("process.protocol_chosen", name=match.protocol.name, reason=reason)
+    name, reason = matches[0].protocol.name, matches[0].reason
+    reason = reason or format_sentence("process.reason_only_one")
+    return format_sentence("process.protocol_chosen", name=name, reason=reason)
 
 
-def _find_other_names(name: str, exports: Mapping[Path, Recording]) -> Iterator[str]:
-    """Yield a sentence for each export that was recorded under the name of another test."""
-    for path, export in exports.items():
-        for fact in collect_export_facts(path.name, export):
-            if fact.key == "take" and fact.value != name and parse_folder_name(fact.value):
-                yield format_sentence(
-                    "process.look_other_name", file=path.name, name=fact.value, folder=name
-                )
+def _describe_files(
+    contents: FolderContents,
+    files: Mapping[str, tuple[str, ...]],
+    ambiguous: Mapping[str, tuple[str, ...]],
+) -> Iterator[str]:
+    """Yield sentences on the exports by role, and on roles with several possible exports."""
+    readers = {path.name: export.reader for path, export in contents.exports.items()}
+    if files:
+        listed = {role: [f"{_escape(x)} ({readers[x]})" for x in files[role]] for role in files}
+        yield "; ".join(f"{role}: {', '.join(names)}" for role, names in listed.items())
+    for role, candidates in sorted(ambiguous.items()):
+        names = ", ".join(map(_escape, candidates))
+        yield format_sentence("process.role_ambiguous", role=role, names=names)
+
+
+def _describe_facts(facts: Sequence[Fact]) -> Iterator[str]:
+    for source in dict.fromkeys(fact.source for fact in facts):
+        listed = ", ".join(f"{x.key} {x.value}" for x in facts if x.source == source)
+        yield format_sentence("process.facts_from", facts=listed, source=source)
 
 
 def _describe_unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:

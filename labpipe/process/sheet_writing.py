@@ -118,11 +118,10 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     path = test.folder / SHEET_NAME
     open_values = {column: None for column in test.open if column in _KEY_PATHS}
     data = _arrange({**test.values, **test.files, **open_values})
-    plan_specimen: dict[str, Any] = dict(test.blocks.get("specimen", {}))
-    specimen = data["specimen"]
-    if labels := {**plan_specimen.pop("labels", {}), **specimen.pop("labels", {})}:
+    plan, specimen = dict[str, Any](test.blocks.get("specimen", {})), data["specimen"]
+    if labels := {**plan.get("labels", {}), **specimen.get("labels", {})}:
         specimen["labels"] = labels
-    data["specimen"] = plan_specimen | specimen
+    data["specimen"] = plan | specimen
     if overrides := test.blocks.get("overrides"):
         data["overrides"] = overrides
     _raise_if_any(UsageError, _describe_faults(test.values, {}, data, path, open_keys=test.open))
@@ -204,13 +203,8 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     values : text by column, names of exports by role; None for what is to be filled in
     """
     paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
-    dotted = [column for column in values if "." in column]
-    paths |= {
-        column: ("specimen", block, key)
-        for column in dotted
-        for block, _, key in [column.partition(".")]
-        if block in TEXT_BLOCKS
-    }
+    dotted = [column.partition(".") for column in values if "." in column]
+    paths |= {f"{x}.{key}": ("specimen", x, key) for x, _, key in dotted if x in TEXT_BLOCKS}
     data: dict[str, Any] = {}
     for column, (*blocks, key) in paths.items():
         block = data
@@ -223,7 +217,11 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     data.setdefault("specimen", {})
     data.setdefault("files", None)
     because = {"because": values["because"]} if "because" in values else {}
-    overrides = {x: {"value": values[x]} | because for x in dotted if x not in paths}
+    overrides = {
+        name: {"value": values[name]} | because
+        for name in map("".join, dotted)
+        if name not in paths
+    }
     return data | ({"overrides": overrides} if overrides else {})
 
 
@@ -242,21 +240,16 @@ def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) 
             yield str(ReadError.about("process.column_missing", sheet, heading[0].place, name=name))
 
 
-def _unknown_column(name: str, written: str, file: Path, place: str) -> Iterator[str]:
+def _unknown_column(name: str, written: str, file: Path, place: str) -> list[str]:
     """Describe a column that is neither known nor a dotted key."""
-    if name not in COLUMNS and "." not in name:
-        columns = sort_by_likeness(written, list(COLUMNS))
-        similar_columns = ", ".join(map(repr, columns))
-        yield str(
-            ReadError.about(
-                "process.column_unknown",
-                file,
-                place,
-                near=similar_columns,
-                name=written,
-                likely=columns[0],
-            )
-        )
+    if name in COLUMNS or "." in name:
+        return []
+    columns = sort_by_likeness(written, list(COLUMNS))
+    near, likely = ", ".join(map(repr, columns)), columns[0]
+    error = ReadError.about(
+        "process.column_unknown", file, place, near=near, name=written, likely=likely
+    )
+    return [str(error)]
 
 
 def _describe_faults(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeAlias, assert_never
 
 import numpy as np
 
@@ -19,21 +18,9 @@ from labpipe.process.zeros import (
     required_samples,
 )
 from labpipe.protocol.schema import Protocol, Rig
+from labpipe.records import declarations
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SPEED, TURN
-from labpipe.records.declarations import (
-    Decimate,
-    FitShape,
-    LowPass,
-    RepairMarkers,
-    Smooth,
-    Span,
-    SpecimenFrame,
-    Step,
-    ThreePointShape,
-    TravelFromSpeed,
-    Zero,
-)
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.signal.corners import Corner
@@ -49,7 +36,7 @@ from labpipe.signal.turning_points import find_sharpest_turn
 
 
 def travel_from_speed(
-    signals: Signals, step: TravelFromSpeed, rig: Rig
+    signals: Signals, step: declarations.TravelFromSpeed, rig: Rig
 ) -> tuple[Signals, list[Finding]]:
     """Run ``travel-from-speed``: compute the displacement on the clock of the force.
 
@@ -107,38 +94,19 @@ def travel_from_speed(
     return signals.add_signal(step.channel, signal), [note, missed] if delay > tolerance else [note]
 
 
-def _find_turn(force: Signal, step: TravelFromSpeed) -> Corner:
+def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
-    turn_time = find_sharpest_turn(force.time, force.values, width=step.window)
+    turn_time, window = find_sharpest_turn(force.time, force.values, width=step.window), step.window
     reversal = None
     if turn_time is not None:
-        part = slice(
-            *np.searchsorted(force.time, [turn_time - step.window, turn_time + step.window])
-        )
+        part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=turn_time, window=step.window)
+        reversal = fit_reversal(*inside, near=turn_time, window=window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
-
-
-StepOutcome: TypeAlias = tuple[Prepared, list[Finding]]
-
-
-class ShortStretchError(ValueError):
-    """The stretch of a zero holds too few samples.
-
-    Parameters
-    ----------
-    message : for people
-    needed : required length of the stretch, s
-    """
-
-    def __init__(self, message: str, needed: float) -> None:
-        super().__init__(message)
-        self.needed = needed
 
 
 def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:
@@ -165,7 +133,9 @@ def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Fi
     return prepared, findings
 
 
-def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcome:
+def run_step(
+    prepared: Prepared, step: declarations.Step, protocol: Protocol
+) -> tuple[Prepared, list[Finding]]:
     """Run one step; add its key and a remedy to the message of an error.
 
     Parameters
@@ -180,14 +150,15 @@ def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcome:
     try:
         return apply_step(prepared, step, protocol)
     except ValueError as error:
-        remedy = format_sentence("process.step_remedy")
-        if isinstance(error, ShortStretchError):
-            remedy = f"Write {format_overrides(f'{step.key}.over', f'{error.needed:.2g} s')}."
-        message = f"{step.key} ({step.step}): {error}. {remedy}"
+        text, *remedies = error.args
+        remedy = remedies[0] if remedies else format_sentence("process.step_remedy")
+        message = f"{step.key} ({step.step}): {text}. {remedy}"
         raise ProcessingError(message) from error
 
 
-def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcome:
+def apply_step(
+    prepared: Prepared, step: declarations.Step, protocol: Protocol
+) -> tuple[Prepared, list[Finding]]:
     """Run one step.
 
     Parameters
@@ -203,47 +174,24 @@ def apply_step(prepared: Prepared, step: Step, protocol: Protocol) -> StepOutcom
     Raises
     ------
     ValueError
-        If the step cannot be run on the data.
+        If the step cannot be run on the data: what is wrong, and a remedy if it has its own.
     """
+    signals = prepared.signals
     match step:
-        case RepairMarkers() | SpecimenFrame() | FitShape() | ThreePointShape():
-            return _apply_marker_step(prepared, step, protocol)
-        case TravelFromSpeed():
-            signals, findings = travel_from_speed(prepared.signals, step, protocol.rig)
-        case Zero():
-            signals, findings = zero_signal(prepared.signals, step)
-        case Smooth() | LowPass() | Decimate():
-            signals, findings = _filter_signal(prepared.signals, step, protocol)
-        case _ as never:
-            assert_never(never)
+        case declarations.TravelFromSpeed():
+            signals, findings = travel_from_speed(signals, step, protocol.rig)
+        case declarations.Zero():
+            signals, findings = zero_signal(signals, step)
+        case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
+            signals, findings = _filter_signal(signals, step, protocol)
+        case _:
+            from labpipe.process.camera_steps import run_marker_step  # only these tests load it
+
+            return run_marker_step(prepared, step, protocol.markers, protocol.specimen.span)
     return replace(prepared, signals=signals), findings
 
 
-def _apply_marker_step(
-    prepared: Prepared,
-    step: RepairMarkers | SpecimenFrame | FitShape | ThreePointShape,
-    protocol: Protocol,
-) -> StepOutcome:
-    # Tests without markers do not load these modules.
-    from labpipe.process.camera_steps import (
-        find_specimen_axes,
-        fit_specimen_shapes,
-        fit_three_point_shape,
-        repair_marker_tracks,
-    )
-
-    match step:
-        case RepairMarkers():
-            return repair_marker_tracks(prepared, step, protocol.markers)
-        case SpecimenFrame():
-            return find_specimen_axes(prepared, step, protocol.markers)
-        case FitShape():
-            return fit_specimen_shapes(prepared, step, protocol.markers)
-        case ThreePointShape():
-            return fit_three_point_shape(prepared, step, protocol)
-
-
-def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
+def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, list[Finding]]:
     """Subtract the level of a signal at rest.
 
     Parameters
@@ -253,7 +201,7 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
 
     Raises
     ------
-    ShortStretchError
+    ValueError
         If the stretch holds too few samples.
     """
     name = step.channel
@@ -275,23 +223,23 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
             needed=min_samples,
             rate=1.0 / time_step,
         )
-        raise ShortStretchError(message, (min_samples + 0.5) * time_step)
+        needed = f"{(min_samples + 0.5) * time_step:.2g} s"
+        remedy = f"Write {format_overrides(f'{step.key}.over', needed)}."
+        raise ValueError(message, remedy)
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
         level, error = average_level(finite, other_values)
         method = f"the mean over {duration:.4g} s"
     else:
-        signals = replace(
-            signals, moving_zero_stretches={**signals.moving_zero_stretches, **stretch}
-        )
+        stretches = {**signals.moving_zero_stretches, **stretch}
+        signals = replace(signals, moving_zero_stretches=stretches)
         values = finite if step.at == "start" else finite[::-1]
         level, error, rest_samples = measure_moving_zero(values, other_values)
         rest_time = duration * rest_samples / len(values)
         method = f"the outer end of a line over {duration:.4g} s"
-        method = (
-            f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
-        )
+        if rest_samples:
+            method = f"the mean over the {rest_time:.3g} s before the motion"
     is_short = len(finite) < MIN_SAMPLES_NOISE_UNKNOWN
     note = Finding.of(
         "process.zeroed_on_few" if is_short else "process.zeroed",
@@ -305,7 +253,7 @@ def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     return signals.subtract_level(name, level, error), [note]
 
 
-def _find_zero_stretch(signal: Signal, step: Zero) -> tuple[int, int]:
+def _find_zero_stretch(signal: Signal, step: declarations.Zero) -> tuple[int, int]:
     """Return first and last sample of a zero, at least `MIN_SAMPLES_NOISE_KNOWN` samples apart."""
     time = signal.time
     if step.at == "start":
@@ -322,22 +270,24 @@ def _require_time(signal: Signal, name: str, what: str) -> None:
 
 
 def _filter_signal(
-    signals: Signals, step: Smooth | LowPass | Decimate, protocol: Protocol
+    signals: Signals,
+    step: declarations.Smooth | declarations.LowPass | declarations.Decimate,
+    protocol: Protocol,
 ) -> tuple[Signals, list[Finding]]:
     """Filter a signal; `curve_corrections` repeats this for each branch once its ends are known."""
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
     filter_step: Filter
     match step:
-        case Smooth():
+        case declarations.Smooth():
             window = _window_samples(step.span, signal, protocol)
             length = f" ({window * _median_step(signal):.4g} s)" if signal.has_time else ""
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
-        case LowPass():
+        case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
             filter_step = Butterworth(step.cutoff, 1.0 / _median_step(signal), step.order), 1
-        case Decimate():
+        case declarations.Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
@@ -354,7 +304,7 @@ def _median_step(signal: Signal) -> float:
     return float(np.median(np.diff(signal.time)))
 
 
-def _window_samples(span: Span, signal: Signal, protocol: Protocol) -> int:
+def _window_samples(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
     """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":

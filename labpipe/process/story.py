@@ -20,7 +20,7 @@ from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.clock_joining import join_clocks
-from labpipe.process.consistency import check_break, check_consistency
+from labpipe.process.consistency import Record, check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
     bridge_outliers,
@@ -32,14 +32,9 @@ from labpipe.process.sanity_checks import (
     check_answers,
     check_calibration_due,
     check_mid_span,
-    check_rest,
-    check_rig,
-    check_signs,
+    check_signals,
     check_start,
     find_cut_ends,
-    find_holds,
-    is_file_cut,
-    is_full_stroke,
 )
 from labpipe.process.steps import run_steps
 from labpipe.process.zeros import rezero_at_rest
@@ -146,22 +141,20 @@ def split_motion(
     block : with the channel of the motion and the minimum stroke
     """
     signals = prepared.signals
-    motion = signals.raw[block.channel]
-    strokes, findings = find_motion_strokes(motion, block)
-    fit, turns, new_findings = join_clocks(signals, protocol.align, motion, strokes)
+    motion, findings = find_motion_strokes(signals.raw[block.channel], block)
+    fit, motion, new_findings = join_clocks(signals, protocol.align, motion)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
-    branches = split_at_turns(motion, strokes, turns)
+    motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
         from labpipe.process.camera_steps import align_cameras  # only these tests load it
 
-        min_stroke = block.min_stroke
         prepared, others, new_findings = align_cameras(
-            prepared, motion, strokes, min_stroke=min_stroke
+            prepared, motion, min_stroke=block.min_stroke
         )
-        clocks = replace(clocks, others=others)
+        motion = replace(motion, clocks=replace(clocks, others=others))
         findings += new_findings
-    return prepared, Motion(motion, branches, clocks), findings
+    return prepared, motion, findings
 
 
 def recheck_rest(
@@ -171,27 +164,6 @@ def recheck_rest(
     prepared, findings = check_mid_span(prepared, motion, limits)
     signals, zero_findings = rezero_at_rest(prepared.signals, motion)
     return replace(prepared, signals=signals), [*findings, *zero_findings]
-
-
-def check_signals(
-    prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings
-) -> Findings:
-    """Add the findings of all checks before the curve is built.
-
-    Parameters
-    ----------
-    prepared, motion : of the test
-    protocol : with rig and specimen
-    findings : so far
-    """
-    signals, is_blocked = prepared.signals, findings.blocked is not None
-    findings += check_rig(signals, prepared.shape, protocol, motion.branches, is_blocked=is_blocked)
-    findings += find_holds(signals.displacement, motion, protocol.limits)
-    findings += check_rest(signals, motion, protocol.limits)
-    reversed_signs = [] if is_blocked else check_signs(signals, motion, protocol)
-    if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.without("force_negative")  # the reversed sign is its cause
-    return findings + reversed_signs
 
 
 def add_curve(
@@ -206,14 +178,7 @@ def add_curve(
     protocol : for the stroke of the rig
     block : the corrections
     """
-    ends = find_cut_ends(
-        test.signals,
-        motion,
-        is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
-        is_cut_file=is_file_cut(test.findings),
-        limits=protocol.limits,
-    )
-    test = replace(test, cut_at=ends)
+    test = replace(test, cut_at=find_cut_ends(test.signals, motion, protocol, test.findings))
     if test.findings.blocked:
         return test
     unfiltered, new_findings = bridge_outliers(test.signals)
@@ -222,13 +187,14 @@ def add_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_consistency(test.signals, curve, protocol.limits, earlier_findings=findings)
+    findings += check_consistency(Record(test.signals, curve, protocol.limits, findings))
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
     findings += check_start(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
-        findings += check_break(test.signals.force, test.curve, test.failure, protocol.limits)
+        record = Record(test.signals, test.curve, protocol.limits, findings)
+        findings += check_break(record, test.failure)
     return replace(test, findings=findings)
 
 

@@ -7,20 +7,19 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
-from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Errors, Kind
+from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import (
     compute_polynomial_weights,
     compute_slope,
@@ -68,6 +67,9 @@ _MIN_CROSSING_SAMPLES = 8
 
 
 _MIN_ZERO_FOOT_SAMPLES = 4
+
+_Timed: TypeAlias = tuple[Samples, Floats]
+"""Samples of a branch, and their times in s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,11 +136,8 @@ def find_unloading_end(
     t, d, f = (values[finite] for values in (time, displacement, force))
     require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     lowest_limit = min(force_below, max_zero_share * float(f.max()))
-    limit = (
-        max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
-        if like is None
-        else like.limit
-    )
+    limit = max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
+    limit = limit if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
@@ -157,9 +156,7 @@ def find_unloading_end(
     zero = float(t[last]) + zero_time if is_falling else float(t[last])
     is_after_zero = t > zero + 0.2
     has_reached_zero = is_falling and slope * (t[-1] - zero) < -3.0 * limit
-    is_at_rest = has_reached_zero and _is_resting(
-        t[is_after_zero], d, f[is_after_zero], is_after_zero, limit
-    )
+    is_at_rest = has_reached_zero and _is_resting(t, d, f, is_after_zero, limit)
     if is_at_rest if like is None else like.kind == "at rest" and is_after_zero.any():
         at_rest = as_slice(finite[is_after_zero])
 
@@ -174,14 +171,9 @@ def find_unloading_end(
             "results.few_before_zero", count=int(is_before_zero.sum()), zero=zero
         )
     of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, is_before_zero))
-    of = partial(_extrapolate_to_zero, foot=of_foot if is_falling else None, near=of_near)
-    compute_rows = partial(
-        _extrapolate_rows_to_zero,
-        samples=as_slice(finite),
-        time=from_end,
-        limit=limit,
-        lowest_limit=lowest_limit,
-    )
+    of = partial(_extrapolate_to_zero, of_foot if is_falling else None, of_near)
+    limits = limit, lowest_limit
+    compute_rows = partial(_extrapolate_rows_to_zero, (as_slice(finite), from_end), limits)
     return UnloadingEnd("followed", limit, int(is_before_zero.sum()), of, compute_rows)
 
 
@@ -206,28 +198,23 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     return UnloadingEnd("through zero", limit, len(after), of)
 
 
-def _is_resting(time: Floats, path: Floats, force: Floats, rest: Flags, limit: float) -> bool:
-    """Check whether force and displacement are constant within their noise."""
-    if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(force).max() > 2.0 * limit:
+def _is_resting(t: Floats, d: Floats, f: Floats, rest: Flags, limit: float) -> bool:
+    """Check whether force and displacement are constant within their noise in a part."""
+    if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[rest]).max() > 2.0 * limit:
         return False
-    centred_time, values = time - time.mean(), path[rest]
+    centred_time, values = t[rest] - t[rest].mean(), d[rest]
     slope = float(compute_slope(centred_time, values))
     noise = values - values.mean() - slope * centred_time
-    still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(path))
+    still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(d))
     return abs(slope) * float(np.ptp(centred_time)) <= still
 
 
 def _extrapolate_to_zero(
-    displacement: Floats,
-    force: Floats,
-    *,
-    foot: tuple[Samples, Floats] | None,
-    near: tuple[Samples, Floats],
+    foot: _Timed | None, near: _Timed, displacement: Floats, force: Floats
 ) -> Floats:
     """Return the displacement where the line through the foot is zero; NaN if it does not fall.
 
-    Each argument has samples and their times, s, from the end of the foot. Without a foot, the
-    force is taken as zero at that end.
+    Times are counted from the end of the foot. Without a foot, the force is taken as zero there.
     """
     zero = np.zeros(()) if foot is None else compute_zero_crossing(foot[1], -force[..., foot[0]])
     samples, time = near
@@ -237,18 +224,13 @@ def _extrapolate_to_zero(
 
 
 def _extrapolate_rows_to_zero(
-    displacement: Floats,
-    force: Floats,
-    *,
-    samples: Samples,
-    time: Floats,
-    limit: float,
-    lowest_limit: float,
+    timed: _Timed, given_limits: tuple[float, float], displacement: Floats, force: Floats
 ) -> Floats:
     """Follow the foot of each row to zero; NaN if its force does not return to zero.
 
-    `least` is the limit without noise.
+    `given_limits` are those of zero force, with noise and without.
     """
+    (samples, time), (limit, lowest_limit) = timed, given_limits
     d, f = displacement[:, samples], force[:, samples]
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
@@ -266,9 +248,8 @@ def _extrapolate_rows_to_zero(
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
     middle, level, slope = fit_chosen_lines(is_before_zero, t, d[:, part])
-    ended = (
-        (end >= 0) & (end < len(time) - 3) & (is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES)
-    )
+    ended = (end >= 0) & (end < len(time) - 3)
+    ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
     return np.where(ended, level + slope * (zeros - middle), np.nan)
 
 
@@ -290,14 +271,19 @@ class PerCycle(Kind):
     loading, 1 its end, 2 the end of unloading."""
 
     @abstractmethod
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Return a function that chooses the samples of a cycle on a curve.
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the samples of a cycle on a curve.
 
         Parameters
         ----------
         test : for facts that do not depend on the curve
+        trace : one curve
         number : of the cycle, from 1
         """
+
+    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+        """Return a function that chooses the samples of a cycle on a curve."""
+        return partial(self.choose, test, number=number)
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is measured from other samples than those of the curve."""
@@ -313,32 +299,15 @@ class PerCycle(Kind):
         """Measure a number per cycle."""
         if not test.cycles:
             raise test.make_error(NO_LOADING)
-        return Computed(tuple(self._measure_cycle(test, branches) for branches in test.cycles))
-
-    def _measure_cycle(self, test: ReducedTest, branches: list[Branch]) -> Result:
-        number = branches[0].cycle
-        return self.make_result(
-            test,
-            return_failure(test.measure_one)(
-                self.make_decider(test, number), self.measure_directly(test, branches)
-            ),
-            during=_find_time_interval(branches, self.reads),
-            doubts=find_cut_cycle(
-                test, branches[: self.complete_branches], self.outputs[0].rests_on
-            )
-            + self.list_doubts(test, branches),
-            part=f".{number}",
-        )
-
-
-def compute_shape_error(estimate: Estimate, other: Estimate) -> Errors:
-    """Return the standard error of a rectangular distribution with a change as its half-width.
-
-    Parameters
-    ----------
-    estimate, other : with the shape, and with one term less
-    """
-    return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
+        results, rests_on = list[Result](), self.outputs[0].rests_on
+        for branches in test.cycles:
+            number, complete = branches[0].cycle, branches[: self.complete_branches]
+            decide, values = self.make_decider(test, number), self.measure_directly(test, branches)
+            outcome = return_failure(test.measure_one)(decide, values)
+            doubts = find_cut_cycle(test, complete, rests_on) + self.list_doubts(test, branches)
+            during, part = _find_time_interval(branches, self.reads), f".{number}"
+            results.append(self.make_result(test, outcome, during=during, doubts=doubts, part=part))
+        return Computed(tuple(results))
 
 
 def find_gap_at_peak(
@@ -353,7 +322,8 @@ def find_gap_at_peak(
     """
     curve = test.required_curve
     values: Floats = getattr(curve, quantity)
-    signed_values = find_loading_sign(curve, values) * values[find_cycle_samples(curve, branches)]
+    stretch = find_cycle_samples(curve, branches[0].cycle)
+    signed_values = find_loading_sign(curve, values) * values[stretch]
     if np.isnan(signed_values).all():
         return ()
     top = int(np.nanargmax(signed_values))
@@ -407,17 +377,17 @@ def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
     return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
 
-def find_cycle_samples(curve: Curve | Trace, branches: list[Branch]) -> slice:
+def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
     """Return the samples of a cycle from its first turn to its last one, both included.
 
     A rest between two cycles is divided at its extreme displacement. A last loading without
     unloading includes the hold after it, up to the last sample with a force.
     """
-    last = branches[-1]
-    first, behind = (curve.branches.index(branch) for branch in (branches[0], last))
-    start = _find_turn_before(curve, first) if first else branches[0].start
-    if behind + 1 < len(curve.branches):
-        return slice(start, _find_turn_before(curve, behind + 1) + 1)
+    places = [place for place, part in enumerate(curve.branches) if part.cycle == number]
+    first, last = places[0], curve.branches[places[-1]]
+    start = _find_turn_before(curve, first) if first else curve.branches[first].start
+    if places[-1] + 1 < len(curve.branches):
+        return slice(start, _find_turn_before(curve, places[-1] + 1) + 1)
     if last.direction is Direction.UNLOADING:
         return slice(start, last.stop)
     force_stop = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
@@ -426,16 +396,13 @@ def find_cycle_samples(curve: Curve | Trace, branches: list[Branch]) -> slice:
 
 def _find_turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
-    between_branches = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
-    displacement = (
-        find_loading_sign(curve, curve.displacement) * curve.displacement[between_branches]
-    )
-    if np.isnan(displacement).all():
-        return between_branches.stop - 1
-    is_top = curve.branches[number - 1].direction is Direction.LOADING
-    return between_branches.start + int(
-        np.nanargmax(displacement) if is_top else np.nanargmin(displacement)
-    )
+    before, behind = curve.branches[number - 1 : number + 1]
+    d = curve.displacement[before.stop : behind.start + 1]
+    d = find_loading_sign(curve, curve.displacement) * d
+    if np.isnan(d).all():
+        return behind.start
+    is_top = before.direction is Direction.LOADING
+    return before.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
@@ -474,16 +441,11 @@ class Energy(PerCycle):
     complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples for the integral of the force over a cycle."""
         del test
-
-        def decide(trace: Trace) -> Reading:
-            branches = select_cycle(trace, number)
-            require_unloading(branches)
-            return choose_work_samples(trace, find_cycle_samples(trace, branches))
-
-        return decide
+        require_unloading(select_cycle(trace, number))
+        return choose_work_samples(trace, find_cycle_samples(trace, number))
 
 
 def require_unloading(branches: list[Branch]) -> Branch:
@@ -533,12 +495,7 @@ class ResidualDisplacement(PerCycle):
     result: ClassVar = "residual-displacement"
     outputs: ClassVar = (
         Output(
-            "residual_displacement",
-            "m",
-            "Residual displacement",
-            CURVE,
-            first=1,
-            can_be_negative=True,
+            "residual_displacement", "m", "Residual displacement", first=1, can_be_negative=True
         ),
     )
     force_below: Force
@@ -552,14 +509,17 @@ class ResidualDisplacement(PerCycle):
         """Choose the samples, with limit of zero force and kind of end of the measured curve."""
         measured = return_failure(self._find_end)(make_trace(test), number)
         like = None if isinstance(measured, Failure) else measured
+        return partial(self.choose, test, number=number, like=like)
 
-        def decide(trace: Trace) -> Reading:
-            ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
-            branch = slice(part.start, part.stop)
-            in_noise = read_part(ending.compute_rows, branch) if ending.compute_rows else None
-            return Reading(read_part(ending.compute, branch), ending.n, in_noise)
-
-        return decide
+    def choose(
+        self, test: ReducedTest, trace: Trace, number: int, like: UnloadingEnd | None = None
+    ) -> Reading:
+        """Choose the samples at the end of the unloading branch."""
+        del test
+        ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
+        branch = slice(part.start, part.stop)
+        in_noise = read_part(ending.compute_rows, branch) if ending.compute_rows else None
+        return Reading(read_part(ending.compute, branch), ending.n, in_noise)
 
     def _find_end(
         self, trace: Trace, number: int, like: UnloadingEnd | None = None
@@ -593,17 +553,15 @@ def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     if not 0 < top < len(seen) - 1:
         return 0.0
     up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
-    rise_beyond_top = (
-        up if travel[top + 1] > travel[top] and down > break_ratio * up else 0.5 * min(up, down)
-    )
+    breaks = travel[top + 1] > travel[top] and down > break_ratio * up
+    beyond_top = up if breaks else 0.5 * min(up, down)
     if travel[top + 1] < travel[top] and 1 < top < len(seen) - 2:
         rise, fall = seen[top - 1] - seen[top - 2], seen[top + 1] - seen[top + 2]
         if rise + fall > 0.0:
             after = (seen[top + 1] - seen[top - 1] + fall - rise) / (rise + fall)
-            rise_beyond_top = min(
-                rise_beyond_top, max(seen[top - 1] + rise * (1.0 + after) - seen[top], 0.0)
-            )
-    return float(rise_beyond_top) if np.isfinite(rise_beyond_top) else 0.0
+            crossing = seen[top - 1] + rise * (1.0 + after) - seen[top]
+            beyond_top = min(beyond_top, max(crossing, 0.0))
+    return float(beyond_top) if np.isfinite(beyond_top) else 0.0
 
 
 def _choose_largest_sample(
@@ -619,10 +577,7 @@ def _choose_largest_sample(
     steps : sampling steps of the signal of the quantity per sample of the curve
     """
     values: Floats = getattr(trace, quantity)
-    sense, stretch = (
-        find_loading_sign(trace, values),
-        find_cycle_samples(trace, select_cycle(trace, number)),
-    )
+    sense, stretch = find_loading_sign(trace, values), find_cycle_samples(trace, number)
     signed_values = sense * values[stretch]
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
@@ -660,9 +615,9 @@ class PeakForce(PerCycle):
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the largest sample of the force."""
-        return partial(choose_peak_sample, test, number=number)
+        return choose_peak_sample(test, trace, number)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
@@ -673,7 +628,7 @@ class PeakForce(PerCycle):
         signal, curve = test.force, test.required_curve
         if signal.clock == test.clocks.curve:
             return None
-        stretch = find_cycle_samples(curve, branches)
+        stretch = find_cycle_samples(curve, branches[0].cycle)
         ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
         first, last = (test.clocks.from_curve(float(end), signal.clock) for end in ends)
         values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
@@ -702,10 +657,7 @@ class PeakDisplacement(PerCycle):
     result: ClassVar = "peak-displacement"
     outputs: ClassVar = (
         Output(
-            "peak_displacement",
-            "m",
-            "Displacement at the peak",
-            ("displacement",),
+            *("peak_displacement", "m", "Displacement at the peak", ("displacement",)),
             first=1,
             is_set_by_stroke=True,
         ),
@@ -714,9 +666,9 @@ class PeakDisplacement(PerCycle):
     reads: ClassVar = (0.9, 1.1)
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the largest sample of the displacement."""
-        return partial(_choose_largest_sample, test, quantity="displacement", number=number)
+        return _choose_largest_sample(test, trace, "displacement", number)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Needs, Output
 from labpipe.records.estimates import Failure, UnavailableError
@@ -25,14 +25,13 @@ from labpipe.results.cycles import (
     find_cycle_samples,
     find_gap_at_peak,
     find_loading_sign,
-    select_cycle,
 )
 from labpipe.results.kinds import Computed, Kind
 from labpipe.results.least_squares import find_finite_samples
 from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
 from labpipe.results.sample_noise import Quantity, SampleNoise
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.extractors import Reading, Trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +118,7 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
     """
     finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    last = find_last_above(f, rule.force_below)
+    last = int(find_last_above(f, rule.force_below))
     if last >= len(f) - 1:
         return None
     # At least 1 % more travel, and at most every second step back.
@@ -127,10 +126,11 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
     return int(finite[last]) if continues and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
 
-def find_last_above(force: Floats, share: float) -> Any:
+def find_last_above(force: Floats, share: float) -> Ints:
     """Return the last sample with at least a share of the largest, for each row (..., n)."""
     holds = force >= share * np.max(force, axis=-1, keepdims=True)
-    return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
+    last: Ints = force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
+    return last
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
@@ -197,7 +197,7 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure displacement and force at the last sample before the final loss of force."""
-        failure = _require_failure(test)
+        failure = test.require(test.failure)
         place, force = test.measure(partial(_choose_failure_samples, test))
         doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         at_end = during[1], during[1]
@@ -220,8 +220,9 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     if sample is None:
         raise test.make_error(NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
-        draw_noise = _make_noise_function(test, trace, sample)
-        return _choose_slow_loss_samples(test.failure.slow_below, trace, draw_noise)
+        find = partial(find_last_above, share=test.failure.slow_below)
+        finite = np.flatnonzero(~np.isnan(trace.force))
+        return _choose_by_force(test, trace, sample, finite, find, breaks=True)
     draw_noise = _make_noise_function(test, trace, sample)
     step, rise = _measure_next_step(trace, sample)
     fall, is_clear = _measure_loss_before(test)
@@ -235,6 +236,45 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
         place, force = numbers(drawn)
         count = (len(force),)
         return place + draw_noise("displacement", count), force - lost + draw_noise("force", count)
+
+    return Reading(numbers, 1, in_noise)
+
+
+def _choose_by_force(
+    test: ReducedTest,
+    trace: Trace,
+    sample: int,
+    finite: Ints,
+    find: Callable[[Floats], Ints],
+    *,
+    breaks: bool,
+) -> Reading:
+    """Choose displacement and force where each curve has a certain force.
+
+    Parameters
+    ----------
+    test, trace : the test, and one curve of it
+    sample : where that curve has the force
+    finite : samples with a force
+    find : returns the place among them for each row of forces, in the sense of loading
+    breaks : whether the specimen breaks up to a step after that sample
+    """
+    sense, draw_noise = (
+        find_loading_sign(trace, trace.force),
+        _make_noise_function(test, trace, sample),
+    )
+
+    def numbers(trace: Trace) -> tuple[Floats, Floats]:
+        place, force = trace.displacement[..., finite], trace.force[..., finite]
+        at = np.asarray(find(sense * force))[..., np.newaxis]
+        place = place + np.gradient(place, axis=-1) * trace.steps_beyond * breaks
+        first, second = (
+            np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force)
+        )
+        return first, second
+
+    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
+        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
 
     return Reading(numbers, 1, in_noise)
 
@@ -254,28 +294,6 @@ def _make_noise_function(
         return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
     return drawn
-
-
-def _choose_slow_loss_samples(
-    share: float, trace: Trace, draw_noise: Callable[[Quantity, tuple[int, ...]], Floats]
-) -> Reading:
-    """Choose the sample at which each curve falls below a share of its peak."""
-    sense = find_loading_sign(trace, trace.force)
-
-    def numbers(trace: Trace) -> tuple[Floats, Floats]:
-        finite = np.flatnonzero(~np.isnan(trace.force.reshape(-1, trace.force.shape[-1])[0]))
-        force, place = trace.force[..., finite], trace.displacement[..., finite]
-        last = find_last_above(sense * force, share)[..., np.newaxis]
-        ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
-        step = np.gradient(place, axis=-1)
-        more = trace.steps_beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
-        first_end, second_end = ends
-        return first_end + more, second_end
-
-    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
-        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
-
-    return Reading(numbers, 1, in_noise)
 
 
 def _measure_loss_before(test: ReducedTest) -> tuple[float, bool]:
@@ -306,14 +324,6 @@ def _measure_next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _require_failure(test: ReducedTest) -> FailurePoint:
-    if isinstance(test.failure, Failure):
-        raise UnavailableError(test.failure)
-    if test.failure is None:
-        raise test.make_error(NO_LOADING)
-    return test.failure
-
-
 def _find_time_to_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
     """Return the time from the start of the loading of the failure to the failure, s."""
     curve = test.required_curve
@@ -338,49 +348,40 @@ class PeakForceDisplacement(PerCycle):
 
     result: ClassVar = "displacement-at-peak-force"
     outputs: ClassVar = (
-        Output("displacement_at_peak_force", "m", "Displacement at peak force", CURVE, first=1),
+        Output("displacement_at_peak_force", "m", "Displacement at peak force", first=1),
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
     method: ClassVar = "displacement at the largest force of the cycle, in the sense of loading"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the sample of the largest force of each curve."""
-        return partial(_choose_largest_force, test, number=number)
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the displacement at the largest force; noise may choose a neighbour of it.
+
+        If the specimen breaks there, the peak lies up to a step after the sample.
+        """
+        part = find_cycle_samples(trace, number)
+        finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
+        if not len(finite):
+            raise UnavailableError.of("results.no_sample")
+        place, force = (
+            find_loading_sign(trace, values) * values[finite]
+            for values in (trace.displacement, trace.force)
+        )
+        top = int(np.argmax(force))
+        breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+        reading = _choose_by_force(
+            test,
+            trace,
+            int(finite[top]),
+            finite,
+            lambda f: np.asarray(f.argmax(axis=-1)),
+            breaks=breaks,
+        )
+        return replace(reading, n=len(finite))
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt about missing samples at the peak."""
         return find_gap_at_peak(test, branches, "force")
-
-
-def _choose_largest_force(test: ReducedTest, trace: Trace, number: int) -> Reading:
-    """Choose the displacement at the largest force; noise may choose a neighbour of that sample.
-
-    If the specimen breaks there, the peak lies up to a step after the sample.
-    """
-    part = find_cycle_samples(trace, select_cycle(trace, number))
-    finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
-    if not len(finite):
-        raise UnavailableError.of("results.no_sample")
-    senses = [find_loading_sign(trace, values) for values in (trace.displacement, trace.force)]
-    place, force = (
-        sense * values[finite]
-        for sense, values in zip(senses, (trace.displacement, trace.force), strict=True)
-    )
-    top = int(np.argmax(force))
-    breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
-    draw_noise = _make_noise_function(test, trace, int(finite[top]))
-
-    def numbers(trace: Trace) -> tuple[Floats]:
-        displacement, signed = trace.displacement[..., finite], senses[1] * trace.force[..., finite]
-        largest = np.argmax(signed, axis=-1)[..., np.newaxis]
-        steps = np.gradient(displacement, axis=-1) * trace.steps_beyond * breaks
-        return (np.take_along_axis(displacement + steps, largest, axis=-1)[..., 0],)
-
-    def in_noise(drawn: Trace) -> tuple[Floats]:
-        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
-
-    return Reading(numbers, len(finite), in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -399,7 +400,7 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Integrate the force up to the failure."""
-        failure = _require_failure(test)
+        failure = test.require(test.failure)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
         doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))

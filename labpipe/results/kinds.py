@@ -52,14 +52,15 @@ class Computed:
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
 
-    ``method`` describes how the outputs are measured. It may have settings as fields; ``over_mm``
-    is the setting ``over`` in millimetres.
+    ``method`` describes how the outputs are measured, ``methods`` each of them if they differ. It
+    may have settings as fields; ``over_mm`` is the setting ``over`` in millimetres.
     """
 
     result: ClassVar[str]
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
     method: ClassVar[str] = ""
+    methods: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def measure(self, test: ReducedTest) -> Computed:
@@ -78,7 +79,7 @@ class Kind(ABC):
     def list_methods(self, test: ReducedTest) -> tuple[str, ...]:
         """Return the method of each output."""
         del test
-        return (self.method,) * len(self.outputs)
+        return self.methods or (self.method,) * len(self.outputs)
 
     def compute(self, test: ReducedTest) -> Computed:
         """Measure the numbers of a test, or return all outputs as not available.
@@ -219,6 +220,22 @@ def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) ->
         return ()
     places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
     return (Reason.of("results.slip_in_window", places=places),)
+
+
+def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason, ...]:
+    """Return a doubt if the displacement may be that of frame and grips.
+
+    Parameters
+    ----------
+    test : with the limits of the lab
+    stiffness : N/m
+    """
+    limits = test.setup.limits
+    share = limits.machine_compliance * stiffness
+    if test.setup.compliance_stated or not share > limits.machine_share:
+        return ()
+    usual = 1e6 * limits.machine_compliance
+    return (Reason.of("results.machine_compliance", usual=usual, share=share),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,15 +19,9 @@ from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.cycles import find_cut_cycle
 from labpipe.results.kinds import Computed, Kind, find_marked_slips
 from labpipe.results.least_squares import CommonPath, find_finite_samples, require_samples
-from labpipe.results.reduced_test import (
-    NO_LOADING,
-    Choose,
-    ReducedTest,
-    Stiffness,
-    measure_replicates,
-)
-from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import Measured
+from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _TANGENTS_PER_LENGTH = 8
@@ -61,7 +55,7 @@ class Tangents:
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats, *, length: float) -> Tangents:
-        """Choose the samples of the tangents of a curve.
+        """Decide the samples of the tangents of a curve.
 
         Parameters
         ----------
@@ -92,7 +86,9 @@ class Tangents:
             raise UnavailableError.of("results.too_short", reached=reached, length=1e3 * length)
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         stretches = _Stretches.of(d, np.arange(high, low, -length / _TANGENTS_PER_LENGTH), length)
-        stretches.require_first()
+        require_samples(int(stretches.products[0, 0, 0]), _MIN_TANGENT_SAMPLES)
+        if not stretches.is_enough[0]:
+            raise UnavailableError.of("results.displacement_jumps")
         usable = slice(int(np.argmin([*stretches.is_enough, False])))
         levels, slopes = (
             stretches.expand(weight)[usable] for weight in stretches.compute_weights()
@@ -208,7 +204,8 @@ class Tangents:
         usable = stretches.is_enough
         rows = stretches.expand(stretches.compute_weights()[1])[usable]
         reached = _find_first_place(stretches.places[usable], f @ rows.T, slope)
-        full, short = (_fit_levels_at(d, f, middle, length) for length in (self.length, half))
+        at = np.full(len(f), middle)
+        full, short = (_fit_levels(d, f, at, length) for length in (self.length, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
         moved = np.where(np.isnan(reached), 0.0, reached - onset)
@@ -238,14 +235,6 @@ def _fit_levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
         taken = np.take_along_axis(f[is_finite], inside, axis=1)
         level = np.einsum("rm,rm->r", weights, taken)
         levels[is_finite] = np.where(stretches.is_enough, level, np.nan)
-    return levels
-
-
-def _fit_levels_at(d: Floats, f: Floats, place: float, length: float) -> Floats:
-    """Return forces of curves (R, k) at one place, from a parabola around it."""
-    stretch = _Stretches.of(d, np.array([place]), length)
-    level, _ = stretch.compute_weights()
-    levels: Floats = f @ stretch.expand(level)[0]
     return levels
 
 
@@ -300,13 +289,6 @@ class _Stretches:
             products,
             (count >= _MIN_TANGENT_SAMPLES) & is_wide,
         )
-
-    def require_first(self) -> None:
-        """Require a parabola through the first of them."""
-        count = int(self.products[0, 0, 0])
-        require_samples(count, _MIN_TANGENT_SAMPLES)
-        if not self.is_enough[0]:
-            raise UnavailableError.of("results.displacement_jumps")
 
     def expand(self, weights: Floats) -> Floats:
         """Expand weights (p, m) of the samples of each stretch to all samples (p, k)."""
@@ -409,7 +391,7 @@ class Plateau(Kind):
         line = FittedLine("slope_at_end", slope, level, start, stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
 
-    def _choose_tangents(self, trace: Trace, initial: Choose) -> tuple[Tangents, Reading]:
+    def _choose_tangents(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""
         slope = initial(trace)
         value = float(slope.numbers(trace)[0])
@@ -417,8 +399,8 @@ class Plateau(Kind):
             raise UnavailableError.of("results.no_initial_slope", value=value)
         return Tangents.of(*_read_loading(trace), length=self.over), slope
 
-    def _decide_end(self, trace: Trace, *, initial: Choose) -> Reading:
-        """Choose the samples for the slope at the end over that at the start."""
+    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading:
+        """Decide the samples for the slope at the end over that at the start."""
         tangents, slope = self._choose_tangents(trace, initial)
         steeper = self._change_per_step(trace, tangents)
 
@@ -443,9 +425,9 @@ class Plateau(Kind):
         return float(tangents.fit_end_slope(f) - before.fit_end_slope(f[:-1]))
 
     def _decide_onset(
-        self, trace: Trace, *, initial: Choose, corner: _Corner | None = None
+        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
     ) -> Reading:
-        """Choose the samples for the onset of the plateau and its force.
+        """Decide the samples for the onset of the plateau and its force.
 
         With `corner`, the numbers include the error from the length of the tangents.
         """
@@ -487,7 +469,7 @@ class Plateau(Kind):
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
-    def _estimate_corner(self, replicates: Replicates, initial: Choose) -> _Corner:
+    def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
         """Return that error for the measured curve, less noise.
 
         The smooth curve may have no corners of this size.
@@ -512,6 +494,7 @@ class Plateau(Kind):
             return (), ()
         is_plateau = end.interval.upper < self.slope_below
         outcomes = return_failure(self._measure_onset)(test, initial) if is_plateau else None
+        during, (d, _) = test.find_loading_interval(), _read_loading(make_trace(test))
         if outcomes is None or isinstance(outcomes, Failure):
             note = Finding.of(
                 "results.no_plateau",
@@ -522,41 +505,37 @@ class Plateau(Kind):
                 low=1e2 * end.interval.lower,
                 high=1e2 * end.interval.upper,
                 slope_below=1e2 * self.slope_below,
-                reached=1e3 * float(np.nanmax(_read_loading(make_trace(test))[0])),
+                reached=1e3 * float(np.nanmax(d)),
             )
             return (), (note,)
-        below = f"{1e2 * self.slope_below:g} % of {self.of}"
-        method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
+        method = (
+            f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
+            f"{self.of} up to the end of first loading"
+        )
         doubts = find_marked_slips(test, initial.bends_with) or _find_gap_at_end(
             test, test.cycles[0][0]
         )
-        during, method = test.find_loading_interval(), f"{method} loading"
         common = {"method": method, "during": during, "doubts": doubts}
         return self.make_results(test, outcomes, first=1, **common), ()
 
     def _measure_onset(self, test: ReducedTest, initial: Stiffness) -> tuple[Measured, ...]:
         """Measure the onset, with the length of the tangents as a further input."""
-        replicates = test.replicates
-        if replicates is None:
-            raise UnavailableError(NO_LOADING)
-        length = Input(TANGENT, _mark_shorter_tangents, law="ends")
-        more = replace(replicates, inputs=(*replicates.inputs, length))
+
+        def shorten(trace: Trace, x: float) -> Trace:
+            return replace(trace, sizes={**trace.sizes, TANGENT: x})
+
+        replicates = test.require(test.replicates)
+        more = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
         decide = partial(self._decide_onset, initial=initial.decide)
         decide(replicates.measured)
-        return measure_replicates(
-            more, partial(decide, corner=self._estimate_corner(replicates, initial.decide))
-        )
+        decide = partial(decide, corner=self._estimate_corner(replicates, initial.decide))
+        return measure_numbers(replace(replicates, inputs=more), decide)
 
 
 def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
     """Return displacement and force of the first loading."""
     stretch = select_first_loading(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
-
-
-def _mark_shorter_tangents(trace: Trace, x: float) -> Trace:
-    """Mark a trace for tangents shorter by a share of their length."""
-    return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
 
 def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:

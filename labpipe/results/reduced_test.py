@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -12,10 +12,10 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.curve import Aligned, Bending, Branch, Curve, Direction, Shape, Slip
 from labpipe.records.declarations import LIMITS, Limits
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.extractors import Decide
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Replicates
 
@@ -42,10 +42,8 @@ class FailurePoint:
     slow_below: float | None = None
 
 
-Choose: TypeAlias = Callable[[Trace], Reading]
-"""A function that chooses samples of a curve; raises `UnavailableError` if there are none."""
-
 NO_LOADING = Failure.of("results.no_cycle")
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +124,7 @@ class Stiffness:
     bends_with : m, range of displacement in which a slip affects it; None if no slip does
     """
 
-    decide: Choose
+    decide: Decide
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]
@@ -214,16 +212,14 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`; `decide` may raise
+        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
         UnavailableError
             If there are no such numbers, or no curve.
         """
-        if self.replicates is None:
-            raise self.make_error(NO_LOADING)
-        return measure_replicates(self.replicates, decide, values)
+        return measure_numbers(self.require(self.replicates), decide, values)
 
     def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
         """Measure the first number of a reading, as `measure_numbers`."""
@@ -232,6 +228,25 @@ class ReducedTest:
     def make_error(self, reason: Failure) -> UnavailableError:
         """Return an error with the finding that blocked the test, or else with another reason."""
         return UnavailableError(self.findings.blocked or reason)
+
+    def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
+        """Return a part of the test.
+
+        Parameters
+        ----------
+        part : of the test, or why there is none
+        missing : reason if it is None and nothing blocked the test
+
+        Raises
+        ------
+        UnavailableError
+            If there is none.
+        """
+        if isinstance(part, Failure):
+            raise UnavailableError(part)
+        if part is None:
+            raise self.make_error(missing)
+        return part
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -309,16 +324,6 @@ class ReducedTest:
             first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
             stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
-
-
-def measure_replicates(
-    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
-) -> tuple[Measured, ...]:
-    """Measure numbers of replicates; raise `UnavailableError` if there are none."""
-    outcome = measure_numbers(replicates, return_failure(decide), values)
-    if isinstance(outcome, Failure):
-        raise UnavailableError(outcome)
-    return outcome
 
 
 def compute_loading_sign(values: Floats) -> float:

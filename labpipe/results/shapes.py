@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.causes import SCALE_OF_FORCE
+from labpipe.records.causes import MARKER_SIDE, SCALE_OF_FORCE, SHAPE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
-from labpipe.results.cycles import compute_shape_error
-from labpipe.results.kinds import Computed, Errors, Kind, compute_scale_error
+from labpipe.records.result import Result
+from labpipe.results.kinds import Computed, Kind, compute_scale_error
 from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, SpanBend
+from labpipe.results.reduced_test import ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
@@ -129,88 +129,56 @@ class MomentCurvature(Kind):
         law = bending.law
         if law is None:
             raise UnavailableError(bending.reason or Failure.of("results.no_law"))
-        outcome = return_failure(_read_stiffness)(law, self)
+        outcome = return_failure(self._read_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        doubts = _find_misfit(test, law) or (
-            *_find_earlier_bending(bending, law, self),
-            *_find_missing_weight(test, law, self),
-        )
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
+        doubts = tuple(self.list_doubts(test, bending, law))
         return Computed((self.make_result(test, outcome, error, during=during, doubts=doubts),))
 
+    def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
+        if self.at > (largest := float(law.curvature[-1])):
+            raise UnavailableError.of(
+                "results.curvature_not_reached", largest=largest, needed=self.at
+            )
+        if self.at <= law.floor:
+            raise UnavailableError.of("results.below_noise", floor=law.floor, needed=self.at)
+        from labpipe.results.measured_law import evaluate_law  # only these tests load it
 
-def _read_stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate:
-    largest = float(law.curvature[-1])
-    if entry.at > largest:
-        raise UnavailableError.of("results.curvature_not_reached", largest=largest, needed=entry.at)
-    if entry.at <= law.floor:
-        raise UnavailableError.of("results.below_noise", floor=law.floor, needed=entry.at)
-    from labpipe.results.measured_law import evaluate_law  # only these tests load it
+        covariance, curvature = law.compliance_covariance, np.array([self.at])
+        points = evaluate_law(law.knots, law.compliance, covariance, curvature, scale_error=0.0)
+        value, error = getattr(points, self.kind), getattr(points, f"{self.kind}_error")
+        return Estimate(float(value[0]), float(error[0]), law.n_frames)
 
-    points = evaluate_law(
-        law.knots, law.compliance, law.compliance_covariance, np.array([entry.at]), scale_error=0.0
-    )
-    value, error = (
-        (points.secant, points.secant_error)
-        if entry.kind == "secant"
-        else (points.tangent, points.tangent_error)
-    )
-    return Estimate(float(value[0]), float(error[0]), law.n_frames)
+    def list_doubts(
+        self, test: ReducedTest, bending: Bending, law: MeasuredLaw
+    ) -> Iterator[Reason]:
+        """Yield doubts about the law: shapes, earlier bending, and the weight of the specimen.
 
-
-def _find_earlier_bending(
-    bending: Bending, law: MeasuredLaw, entry: MomentCurvature
-) -> tuple[Reason, ...]:
-    """Return a doubt if the wire had been bent as far the other way before the test."""
-    resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
-    moment = float(np.interp(entry.at, law.curvature, law.moment))
-    if resting <= moment:
-        return ()
-    resting, moment = 1e3 * resting, 1e3 * moment
-    return (Reason.of("results.bent_before", resting=resting, moment=moment, at=entry.at),)
-
-
-def _find_missing_weight(
-    test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature
-) -> tuple[Reason, ...]:
-    """Return a doubt if the weight of the specimen is unknown and may matter."""
-    if test.setup.mass_per_length is not None or test.shape is None:
-        return ()
-    moment = float(np.interp(entry.at, law.curvature, law.moment))
-    limits = test.setup.limits
-    own_moment = 0.5 * GRAVITY * limits.unstated_mass * test.shape.length**2
-    if own_moment <= limits.weight_share * moment:
-        return ()
-    reason = Reason.of(
-        "results.weight_matters",
-        mass=1e3 * limits.unstated_mass,
-        moment=1e6 * own_moment,
-        share=limits.weight_share,
-        at=entry.at,
-    )
-    return (reason,)
-
-
-def _find_misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
-    """Return a doubt if markers deviate from the shapes of the law by more than their noise."""
-    limit = 3.0 * law.noise + 2e-5  # m
-    if test.shape is None or not law.residual > limit:
-        return ()
-    return (Reason.of("results.law_misfit", residual=1e6 * law.residual, limit=1e6 * limit),)
-
-
-_Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
-
-
-def _require_span(test: ReducedTest) -> _Parts:
-    """Return axis, curve, first loading, and times of the frames on the clock of the curve."""
-    bend, curve, branch = test.span, test.curve, test.first_loading
-    if isinstance(bend, Failure):
-        raise UnavailableError(bend)
-    if bend is None or curve is None or branch is None:
-        raise test.make_error(NO_LOADING)
-    fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
-    return bend, curve, branch, bend.time if fit is None else fit.to_marker_time(bend.time)
+        Parameters
+        ----------
+        test, bending, law : of the test
+        """
+        shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5  # m
+        if shape is not None and law.residual > limit:
+            residual = 1e6 * law.residual
+            yield Reason.of("results.law_misfit", residual=residual, limit=1e6 * limit)
+            return
+        moment = float(np.interp(self.at, law.curvature, law.moment))
+        resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+        if resting > moment:
+            facts = 1e3 * resting, 1e3 * moment
+            yield Reason.of("results.bent_before", resting=facts[0], moment=facts[1], at=self.at)
+        if test.setup.mass_per_length is not None or shape is None:
+            return
+        own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
+        if own_moment > limits.weight_share * moment:
+            yield Reason.of(
+                "results.weight_matters",
+                mass=1e3 * limits.unstated_mass,
+                moment=1e6 * own_moment,
+                share=limits.weight_share,
+                at=self.at,
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,28 +211,28 @@ class MidSpan(Window):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
-        parts = _require_span(test)
-        bend, frames = parts[0], _Frames.of(test, parts)
-        outcomes, other = (
+        frames = _SpanFrames.of(test)
+        shape, results = frames.bend.shape, list[Result]()
+        outcomes, with_fewer_terms = (
             (
-                return_failure(self._fit_stiffness)(parts, curvature),
+                return_failure(self._fit_stiffness)(frames, curvature),
                 return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
             )
-            for curvature in (bend.shape.axis.mid_span, bend.shape.fewer_terms)
+            for curvature in (shape.axis.mid_span, shape.fewer_terms)
         )
-        errors = [_compute_shape_errors(bend, *pair) for pair in zip(outcomes, other, strict=True)]
-        if errors[0]:
-            errors[0] = {**errors[0], **compute_scale_error(test, outcomes[0])}
-        during = test.find_loading_interval()
-        return Computed(
-            tuple(
-                self.make_result(test, outcome, error, output=place, during=during)
-                for place, (outcome, error) in enumerate(zip(outcomes, errors, strict=True))
-            )
-        )
+        for output, (outcome, other) in enumerate(zip(outcomes, with_fewer_terms, strict=True)):
+            errors: dict[str, float] = {}
+            if not (isinstance(outcome, Failure) or isinstance(other, Failure)):
+                # Half-widths of rectangular distributions.
+                errors[SHAPE] = abs(other.value - outcome.value) / sqrt(3.0)
+                errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
+                errors |= compute_scale_error(test, outcome) if output == 0 else {}
+            during = test.find_loading_interval()
+            results.append(self.make_result(test, outcome, errors, output=output, during=during))
+        return Computed(tuple(results))
 
-    def _fit_stiffness(self, parts: _Parts, curvature: Floats) -> Estimate:
-        bend, curve, branch, time = parts
+    def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
+        curve, branch, time = frames.curve, frames.loading, frames.time
         inside = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
         if not (travelled[inside] > self.stop).any():
@@ -273,7 +241,7 @@ class MidSpan(Window):
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
         inside &= (travelled >= self.start) & (travelled <= self.stop)
-        bent_axis = bend.shape.axis
+        bent_axis = frames.bend.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * bent_axis.span * force
         if "large-deflection" in self.corrections:
@@ -282,59 +250,49 @@ class MidSpan(Window):
         return fit_secant_stiffness(time, curvature, moment, inside)
 
 
-def _compute_shape_errors(
-    bend: SpanBend, outcome: Estimate | Failure, other: Estimate | Failure
-) -> Errors:
-    """Compute the errors from fewer terms of the shape and from the side of the markers."""
-    if isinstance(outcome, Failure) or isinstance(other, Failure):
-        return {}
-    side = bend.shape.side_share * abs(outcome.value) / sqrt(3.0)
-    return {**compute_shape_error(outcome, other), "side of the markers": side}
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Frames:
-    """Times of the frames of a test.
+class _SpanFrames:
+    """Frames of a bent span, with the curve of the test and its first loading.
 
-    time : shape (frames,), s, on the clock of the curve; rest : shape (frames,), before the
-    loading; cuts : first frames of the branches, and after the last one; seed : of draws
+    time : shape (frames,), s, on the clock of the curve; seed : of draws
     """
 
-    time: Floats
-    rest: Flags
+    bend: SpanBend
+    curve: Curve
     loading: Branch
-    cuts: tuple[int, ...]
+    time: Floats
     seed: bytes
 
     @classmethod
-    def of(cls, test: ReducedTest, parts: _Parts) -> _Frames:
-        bend, curve, branch, time = parts
-        ends = [*(branch.start_time for branch in curve.branches), curve.branches[-1].stop_time]
-        cuts = tuple(int(cut) for cut in np.searchsorted(time, ends))
-        return cls(time, bend.rest, branch, cuts, test.seed)
+    def of(cls, test: ReducedTest) -> _SpanFrames:
+        bend, loading = test.require(test.span), test.require(test.first_loading)
+        fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
+        time = bend.time if fit is None else fit.to_marker_time(bend.time)
+        return cls(bend, test.required_curve, loading, time, test.seed)
 
-    def drawn(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
+    def draw(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
         """Draw errors of a weighted sum over the first of several signals, shape (replicates,).
 
         All signals share one noise process, each with its own size.
         """
         spline_intervals = 40  # per branch
         batch_records = 50
-        smooth = [
-            fit_smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values
-        ]
+        branches = self.curve.branches
+        ends = [*(branch.start_time for branch in branches), branches[-1].stop_time]
+        cuts: list[int] = np.searchsorted(self.time, ends).tolist()
+        smooth = [fit_smooth_curve(self.time, value, cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
         values, smooth = (
             [share * one for share, one in zip(shares, value, strict=True)]
             for value in (values, smooth)
         )
-        moving = [slice(low, high) for low, high in pairwise(self.cuts)]
+        moving = [slice(low, high) for low, high in pairwise(cuts)]
         noise = estimate_noise(
             [value[part] for value in values for part in moving],
             [curve[part] for curve in smooth for part in moving],
-            [value[: self.cuts[0]] for value in values],
-            [value[self.cuts[-1] :] for value in values],
+            [value[: cuts[0]] for value in values],
+            [value[cuts[-1] :] for value in values],
             copies=len(values),
         )
         rng = make_generator(self.seed, name)
@@ -346,29 +304,21 @@ class _Frames:
 
 
 def _measure_at_turn(
-    values: Floats, frames: _Frames, name: str, similar: Sequence[Floats] = ()
+    values: Floats, frames: _SpanFrames, name: str, similar: Sequence[Floats] = ()
 ) -> Estimate:
     """Estimate the change of a quantity from rest to the end of loading.
 
-    Its noise is estimated together with that of similar signals.
+    The value there is that of two parabolas that meet. Its noise is estimated together with that
+    of similar signals.
     """
-    at_rest = frames.rest & np.isfinite(values)
+    is_finite = np.isfinite(values)
+    at_rest = frames.bend.rest & is_finite
     if at_rest.sum() < 8:
         raise UnavailableError.of("results.no_rest", count=int(at_rest.sum()))
     branch = frames.loading
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
-    weights = _compute_turn_weights(frames.time - branch.stop_time, values, window)
-    count = int((weights != 0.0).sum())
-    weights = weights - at_rest / at_rest.sum()
-    value = float(weights @ np.nan_to_num(values))
-    errors_of_draws = frames.drawn([values, *similar], weights, name)
-    low, high = np.quantile(errors_of_draws, (0.025, 0.975)).tolist()
-    return Estimate(value, float(errors_of_draws.std()), count, Interval(value - high, value - low))
-
-
-def _compute_turn_weights(time: Floats, values: Floats, window: float) -> Floats:
-    """Return the weights of frames in the value of two parabolas that meet at time zero."""
-    is_near = np.isfinite(values) & (np.abs(time) <= window)
+    time = frames.time - branch.stop_time
+    is_near = is_finite & (np.abs(time) <= window)
     t = time[is_near]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
@@ -376,7 +326,12 @@ def _compute_turn_weights(time: Floats, values: Floats, window: float) -> Floats
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
     weights = np.zeros(len(time))
     weights[is_near] = np.linalg.pinv(design)[0]
-    return weights
+    count = int((weights != 0.0).sum())
+    weights = weights - at_rest / at_rest.sum()
+    value = float(weights @ np.nan_to_num(values))
+    errors_of_draws = frames.draw([values, *similar], weights, name)
+    low, high = np.quantile(errors_of_draws, (0.025, 0.975)).tolist()
+    return Estimate(value, float(errors_of_draws.std()), count, Interval(value - high, value - low))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -394,16 +349,15 @@ class Twist(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the turn of a section where the motion turns, against rest."""
-        parts = _require_span(test)
-        bend, shape = parts[0], parts[0].shape
-        sections_with_twist = np.flatnonzero(shape.lever > 0.0)
-        if not len(sections_with_twist):
+        frames = _SpanFrames.of(test)
+        shape = frames.bend.shape
+        sections = np.flatnonzero(shape.lever > 0.0)  # whose markers show a twist
+        if not len(sections):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
-        x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
-        section = int(sections_with_twist[np.argmin(np.abs(x[sections_with_twist]))])
+        x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
+        section = int(sections[np.argmin(np.abs(x[sections]))])
         note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
-        frames = _Frames.of(test, parts)
-        other_twists = [shape.twist[:, other] for other in sections_with_twist if other != section]
+        other_twists = [shape.twist[:, other] for other in sections if other != section]
         similar = [other for other in other_twists if np.isfinite(other).any()]
         twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:

@@ -24,10 +24,10 @@ from labpipe.results.least_squares import (
     find_finite_samples,
     require_samples,
 )
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, measure_replicates
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
-from labpipe.uncertainty.intervals import Measured, SmoothNumbers
+from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
 from labpipe.uncertainty.linear_fits import fit_linear
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -680,7 +680,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     effect on the curve, so that an error of the zero of the displacement cancels. Doubts about the
     slack become doubts about that input.
     """
-    without_inputs = measure_replicates(replace(replicates, inputs=()), slack)
+    without_inputs = measure_numbers(replace(replicates, inputs=()), slack)
     draws = np.where(
         np.isnan(without_inputs[0].deviations),
         np.nanmean(without_inputs[0].deviations),
@@ -703,7 +703,7 @@ def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     base = return_failure(slack)(smooth)
     if isinstance(base, Failure):
         return quantity
-    decided = SmoothNumbers.of(return_failure(slack), smooth, base)
+    decided = SmoothNumbers.of(slack, smooth, base)
     less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
@@ -724,6 +724,5 @@ class SlackResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return the displacement at which the line of the linear region meets zero force."""
-        during = test.find_loading_interval()
-        slack = test.slack or test.make_error(NO_LOADING).failure
+        slack, during = return_failure(test.require)(test.slack), test.find_loading_interval()
         return Computed((self.make_result(test, slack, during=during),))

@@ -13,7 +13,6 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide, select_part
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
-    CURVE,
     Distance,
     Force,
     Key,
@@ -38,7 +37,13 @@ from labpipe.results.cycles import (
     require_unloading,
     select_cycle,
 )
-from labpipe.results.kinds import Computed, Kind, Outcome, find_marked_slips
+from labpipe.results.kinds import (
+    Computed,
+    Kind,
+    Outcome,
+    find_machine_compliance,
+    find_marked_slips,
+)
 from labpipe.results.least_squares import (
     compute_polynomial_weights,
     compute_slope,
@@ -354,15 +359,23 @@ class LoadingSlope:
     slope: WindowSlope
     lead: float
 
-    def compute(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
+    def compute(self, displacement: Floats, force: Floats, *, has_noise: bool = False) -> Floats:
+        """Return the stiffness of branches, N/m, shape (...), or NaN.
 
-        The window of each row begins at the onset of its force.
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N; the window of each row begins at the onset of
+            its force
+        has_noise : whether noise hides a part of the foot: shape (rows, n), each with its own foot
         """
-        taut = displacement[..., self.first :]
-        begins = self.onset.compute(displacement, force) + self.lead
-        later = begins - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.compute(taut, force[..., self.first :], later)
+        taut, since = displacement[..., self.first :], np.zeros((), dtype=np.int64)
+        if has_noise:
+            begins, first = self.onset.compute_rows(displacement, force)
+            since = np.maximum(first - self.first, 0)
+        else:
+            begins = self.onset.compute(displacement, force)
+        later = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
+        return self.slope.compute(taut, force[..., self.first :], later, since)
 
     @property
     def share_of_start(self) -> float:
@@ -374,23 +387,6 @@ class LoadingSlope:
         path = self.slope.path[stretch][inside]
         is_near_start = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
         return float(is_near_start.mean())
-
-    def compute_rows(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the stiffness of branches with noise, each with its own take-up.
-
-        Parameters
-        ----------
-        displacement, force : shape (rows, n), m, N
-
-        Returns
-        -------
-        Shape (rows,), N/m, or NaN.
-        """
-        taut = displacement[:, self.first :]
-        begins, first = self.onset.compute_rows(displacement, force)
-        later = begins + self.lead - taut[:, self.slope.window].mean(axis=-1)
-        since = np.maximum(first - self.first, 0)
-        return self.slope.compute(taut, force[:, self.first :], later, since)
 
 
 def choose_loading_window(
@@ -524,9 +520,7 @@ class UnloadingStiffness(PerCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
-    outputs: ClassVar = (
-        Output("unloading_stiffness", "N/m", "Unloading stiffness", CURVE, first=1),
-    )
+    outputs: ClassVar = (Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1),)
     over: Length
     reads: ClassVar = (1.0, 2.0)
 
@@ -534,19 +528,13 @@ class UnloadingStiffness(PerCycle):
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
     )
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
-
-        def decide(trace: Trace) -> Reading:
-            part, sense = (
-                require_unloading(select_cycle(trace, number)),
-                find_loading_sign(trace, trace.displacement),
-            )
-            slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
-            return Reading(read_part(slope, slice(None)), n)
-
-        return decide
+        part = require_unloading(select_cycle(trace, number))
+        sense = find_loading_sign(trace, trace.displacement)
+        slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
+        return Reading(read_part(slope, slice(None)), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -554,7 +542,7 @@ class LoadingStiffness(PerCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
-    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", CURVE, first=1),)
+    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", first=1),)
     over: Length
     reads: ClassVar = (0.0, 1.0)
 
@@ -562,25 +550,24 @@ class LoadingStiffness(PerCycle):
 
     def make_decider(self, test: ReducedTest, number: int) -> Decide:
         """Choose the samples after the onset, with the limit of the measured curve."""
-        like = self._fit_measured(test, number)
+        return partial(self.choose, test, number=number, like=self._fit_measured(test, number))
 
-        def decide(trace: Trace) -> Reading:
-            part = select_cycle(trace, number)[0]
-            parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
-            fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
-            numbers, in_noise = read_part(fit.compute, branch), read_part(fit.compute_rows, branch)
-            return Reading(numbers, fit.slope.n, in_noise, ends_at_samples=True)
-
-        return decide
+    def choose(
+        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
+    ) -> Reading:
+        """Choose the samples after the onset of the force."""
+        del test
+        part = select_cycle(trace, number)[0]
+        parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
+        fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
+        in_noise = read_part(partial(fit.compute, has_noise=True), branch)
+        return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number of the measured curve, taut from the first sample above noise."""
         fit = self._fit_measured(test, branches[0].cycle)
-        return (
-            None
-            if fit is None
-            else [float(fit.compute(*cut_branch(make_trace(test), branches[0])[1:]))]
-        )
+        _, d, f = cut_branch(make_trace(test), branches[0])
+        return None if fit is None else [float(fit.compute(d, f))]
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt if more than 10 % of the samples are at the start of the window."""
@@ -602,7 +589,7 @@ class Hardening(Kind):
     """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
     result: ClassVar = "hardening"
-    outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
+    outputs: ClassVar = (Output("hardening", "1", "Hardening", first=2),)
     over: Length
 
     method: ClassVar = (
@@ -618,48 +605,39 @@ class Hardening(Kind):
         before = stiffness.make_decider(test, 1)
         base = return_failure(test.measure_one)(before)
         plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
-        numbers = []
-        for later in later_cycles:
-            after = stiffness.make_decider(test, later[0].cycle)
+
+        def decide_first(trace: Trace) -> Reading:
+            reading = return_failure(before)(trace)
+            if isinstance(reading, Failure):
+                raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
+            return reading
+
+        @return_failure
+        def measure_ratio(later: list[Branch]) -> Measured:
+            after, own = stiffness.make_decider(test, later[0].cycle), None
             decide = combine_numbers(
-                lambda _, after, first: divide(after, first), after, _require_first_cycle(before)
+                lambda _, after, first: divide(after, first), after, decide_first
             )
-            own = stiffness.measure_directly(test, later)
-            values = [own[0] / plain[0]] if own and plain else None
-            numbers.append(
+            if plain and (own := stiffness.measure_directly(test, later)):
+                own = [own[0] / plain[0]]
+            ratio, first_stiffness = test.measure_one(decide, own), test.require(base)
+            if first_stiffness.value <= 3.0 * first_stiffness.error:
+                value = first_stiffness.value
+                raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
+            return ratio
+
+        return Computed(
+            tuple(
                 self.make_result(
                     test,
-                    return_failure(_measure_ratio)(test, decide, values, base),
+                    measure_ratio(later),
                     doubts=doubts + stiffness.list_doubts(test, later),
                     during=(first[0].start_time, later[0].stop_time),
                     part=f".{later[0].cycle}",
                 )
+                for later in later_cycles
             )
-        return Computed(tuple(numbers))
-
-
-def _require_first_cycle(before: Decide) -> Decide:
-    """Raise ``no_stiffness`` if the stiffness of the first cycle is not available."""
-
-    def decide(trace: Trace) -> Reading:
-        reading = return_failure(before)(trace)
-        if isinstance(reading, Failure):
-            raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
-        return reading
-
-    return decide
-
-
-def _measure_ratio(
-    test: ReducedTest, decide: Decide, values: list[float] | None, base: Measured | Failure
-) -> Measured:
-    """Measure the ratio to a first stiffness; raise if that is not above its noise."""
-    outcome = test.measure_one(decide, values)
-    if isinstance(base, Failure):
-        raise UnavailableError(base)
-    if base.value <= 3.0 * base.error:
-        raise UnavailableError.of("results.first_stiffness_is_noise", value=base.value)
-    return outcome
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -900,23 +878,17 @@ class Modulus(FromStiffness):
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
-        _compute_area(self.area, test.setup.sizes)
+        compute_area(test.setup.sizes, self.area)
         return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
-        area = return_failure(_compute_area)(self.area, trace.sizes)
+        area = return_failure(compute_area)(trace.sizes, self.area)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
         """Return a doubt if the displacement may be that of frame and grips."""
-        limits = test.setup.limits
-        share = limits.machine_compliance * stiffness.estimate.value
-        if test.setup.compliance_stated or not share > limits.machine_share:
-            return Context()
-        usual = 1e6 * limits.machine_compliance
-        reason = Reason.of("results.machine_compliance", usual=usual, share=share)
-        return Context(doubts=(reason,))
+        return Context(doubts=find_machine_compliance(test, stiffness.estimate.value))
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -927,6 +899,7 @@ _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
         lambda outer, inner: 0.25 * np.pi * (outer**2 - inner**2),
     ),
     "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
+    "circle": (("outer_diameter",), lambda outer: 0.25 * np.pi * outer**2),
 }
 """Sizes of a section, m, by the keys of the protocol, and its area, m^2.
 
@@ -935,17 +908,31 @@ differ: a modulus has to state which one it refers to.
 """
 
 
-def _compute_area(section_kind: str, given: Mapping[str, float]) -> float:
-    """Compute an area from its sizes."""
-    needs, area_of = _AREAS[section_kind]
-    sizes = [given[name] for name in needs if name in given]
-    if len(sizes) < len(needs):
-        missing = " and ".join(f"specimen.section.{name}" for name in needs)
-        raise UnavailableError.of("results.no_area", missing=missing)
-    area = area_of(*sizes)
-    if not area > 0.0:
-        raise UnavailableError.of("results.bad_area", kind=section_kind, area=area)
-    return area
+def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
+    """Return the area of a section from its sizes, m^2.
+
+    Parameters
+    ----------
+    sizes : m (the area m^2), by the keys of the protocol
+    section : a key of `_AREAS`; empty for the first one whose sizes are all given
+
+    Raises
+    ------
+    UnavailableError
+        ``no_area`` without a complete set of sizes, or if they give no area.
+    """
+    for kind in [section] if section else _AREAS:
+        names, area_of = _AREAS[kind]
+        if not all(name in sizes for name in names):
+            continue
+        area = area_of(*(sizes[name] for name in names))
+        if not area > 0.0:
+            raise UnavailableError.of("results.bad_area", kind=kind, area=area)
+        return area
+    missing = "specimen.section.area, or its width and thickness, or outer_diameter"
+    if section:
+        missing = " and ".join(f"specimen.section.{name}" for name in _AREAS[section][0])
+    raise UnavailableError.of("results.no_area", missing=missing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

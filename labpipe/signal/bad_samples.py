@@ -244,32 +244,21 @@ class _Channel:
 
     def _leaves_steeply(self, sample: int, away: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
-        # Resolution steps within half the run length; a round top has 3.
-        min_rise_in_steps = 5.0
-        # Slope next to the run over the slope farther away; it decreases towards a round top.
-        min_slope_ratio = 0.3
-        # Share of steps above zero; below it the channel is slow for its resolution.
-        min_moving_share = 0.8
-        # Share of the range below which missing values do not matter.
-        min_lost_share = 0.005
-        room = sample if away < 0 else len(self.values) - 1 - sample
-        reach = min(max(2, length // 2), room)
+        # Resolution steps within half the run length; a round top has 3. Slope next to the run over
+        # the slope farther away; it decreases towards a round top. Share of the range below which
+        # missing values do not matter.
+        min_rise_in_steps, min_slope_ratio, min_lost_share = 5.0, 0.3, 0.005
+        reach = min(max(2, length // 2), sample if away < 0 else len(self.values) - 1 - sample)
         rise = np.abs(self.values[sample + away * np.arange(reach + 1)] - self.values[sample])
-        rise = rise[: int(np.argmax(rise)) + 1] if np.isfinite(rise).all() else rise[:0]
-        if not len(rise) > 2:
+        if reach < 2 or not np.isfinite(rise).all():
             return False
-        reach = len(rise) - 1
-        steps = np.abs(np.diff(rise))
-        moving = steps[steps > 0.0]
-        # A slow channel repeats a value before each step of its resolution.
-        is_slow = len(moving) <= min_moving_share * len(steps)
-        step = moving.min(initial=np.inf) if is_slow else self.resolution
         half = reach // 2
         far_slope = float(rise[-1] - rise[half]) / (reach - half)
         # The first step may be partly in the run.
         near_slope = max(float(rise[half]) / half, float(rise[2] - rise[1]))
-        min_rise = max(min_rise_in_steps * float(step), min_lost_share * (self.high - self.low))
-        return bool(rise[-1] > min_rise) and near_slope >= min_slope_ratio * far_slope
+        share = min_lost_share * (self.high - self.low)
+        is_far = rise[-1] > max(min_rise_in_steps * self.resolution, share)
+        return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
     def _other_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""

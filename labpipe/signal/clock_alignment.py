@@ -152,36 +152,61 @@ def fit_clocks(
         raise ValueError(message)
     centre = float(np.average(motion, weights=errors**-2.0))
     design = np.column_stack([np.ones_like(motion), motion - centre])
-    differences, weights = force - motion, 1.0 / errors
+    differences, spread = force - motion, errors
     if repeat is not None:
         design = np.vstack([design, [0.0, repeat.motion]])
         differences = np.append(differences, repeat.force - repeat.motion)
-        weights = np.append(weights, 1.0 / repeat.error)
+        spread = np.append(spread, repeat.error)
     is_single = len(differences) == 1
     design = design[:, : 1 if is_single else 2]
-    weighted = design * weights[:, None]
-    covariance = np.linalg.inv(weighted.T @ weighted)
-    solution = covariance @ weighted.T @ (differences * weights)
-    misfit = differences - design @ solution
-    covariance = covariance * _inflation(
-        misfit * weights, freedom=len(differences) - design.shape[1]
-    )
+    solution, covariance = solve_weighted(design, differences, spread)
+    pulls = (differences - design @ solution) / spread
+    sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
+    covariance = covariance * _inflation(pulls, freedom=len(differences) - design.shape[1])
     if repeat is not None:
-        sensitivity = np.linalg.lstsq(weighted, np.eye(len(differences))[-1] * weights, rcond=None)[
-            0
-        ]
-        covariance = covariance + repeat.zero_drift_error**2 * np.outer(sensitivity, sensitivity)
-    drift = 0.0 if is_single else float(solution[1])
+        by_drift = repeat.zero_drift_error * sensitivity
+        covariance += by_drift[:, None] * by_drift
     to_zero = np.array([1.0, -centre])[: len(solution)]
-    offset = float(to_zero @ solution)
-    offset_error = float(np.sqrt(to_zero @ covariance @ to_zero))
-    drift_error = float("nan") if is_single else float(np.sqrt(covariance[1, 1]))
+    offset = float(to_zero @ solution), float(np.sqrt(to_zero @ covariance @ to_zero))
+    drift = (0.0, np.nan) if is_single else (float(solution[1]), float(np.sqrt(covariance[1, 1])))
+    return make_clock_fit(offset, drift, np.stack([motion, force, errors]), method)
+
+
+def solve_weighted(design: Floats, values: Floats, errors: Floats) -> tuple[Floats, Floats]:
+    """Solve linear equations by weighted least squares.
+
+    Parameters
+    ----------
+    design, values, errors : shape (equations, unknowns), (equations,) and (equations,)
+
+    Returns
+    -------
+    The unknowns and their covariance by the errors alone.
+    """
+    weighted = design / errors[:, None]
+    covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
+    return covariance @ weighted.T @ (values / errors), covariance
+
+
+def make_clock_fit(
+    offset: tuple[float, float], drift: tuple[float, float], events: Floats, method: str
+) -> ClockFit:
+    """Make the relation of two clocks with normal 95 % intervals.
+
+    Parameters
+    ----------
+    offset, drift : value and standard error, s and dimensionless
+    events : shape (3, events), s: times on both clocks, standard errors of their differences
+    method : description of the search for events
+    """
+    motion, force, errors = events
+    residuals = force - offset[0] - (1.0 + drift[0]) * motion
     return ClockFit(
-        offset=offset,
-        drift=drift,
-        offset_interval=Interval.normal_95(offset, offset_error),
-        drift_interval=Interval.normal_95(drift, drift_error),
-        residual=float(np.sqrt(np.mean(misfit[: len(motion)] ** 2))),
+        offset=offset[0],
+        drift=drift[0],
+        offset_interval=Interval.normal_95(*offset),
+        drift_interval=Interval.normal_95(*drift),
+        residual=float(np.sqrt(np.mean(residuals**2))),
         event_times_motion=motion,
         event_times_force=force,
         event_errors=errors,
@@ -206,10 +231,8 @@ def _inflation(pulls: Floats, *, freedom: int) -> float:
 def fit_lag(
     time: Floats,
     values: Floats,
+    cycle: tuple[float, float, float],
     *,
-    start: float,
-    turn: float,
-    stop: float,
     guess: float,
     hysteresis: bool,
 ) -> Estimate | Failure:
@@ -218,7 +241,7 @@ def fit_lag(
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    start, turn, stop : s, the earlier cycle: its beginning, its peak, its end
+    cycle : s, beginning, peak and end of the earlier cycle
     guess : s, the lag to within a second
     hysteresis : whether the loop may have shifted along the displacement between the two cycles;
         False for a motion
@@ -238,6 +261,7 @@ def fit_lag(
     share of the sum of squares that is not noise (Fuller, Measurement Error Models,
     1987, sec. 1.2).
     """
+    start, turn, stop = cycle
     samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
     bins = max(0, min(2000, samples // 2))
     if bins < _MIN_BINS:

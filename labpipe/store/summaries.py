@@ -88,7 +88,8 @@ def to_json(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [to_json(entry) for entry in value]
     if isinstance(value, np.ndarray):
-        return to_json(value.tolist())
+        is_plain = value.dtype.kind in "biuf" and bool(np.isfinite(value).all())
+        return value.tolist() if is_plain else to_json(value.tolist())
     if isinstance(value, float):
         return replace_non_finite(value)
     return str(value) if isinstance(value, str | date) else value

@@ -14,7 +14,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, Samples
 from labpipe.records.curve import Branch
-from labpipe.records.estimates import Failure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,8 +125,8 @@ class Reading:
         return self.noisy_numbers or self.numbers
 
 
-Decide: TypeAlias = Callable[[Trace], Reading | Failure]
-"""Chooses the samples of numbers on one curve; or returns why they are not available."""
+Decide: TypeAlias = Callable[[Trace], Reading]
+"""Chooses the samples of numbers on one curve; raises `UnavailableError` if there are none."""
 
 
 def read_part(
@@ -158,27 +157,17 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
     ----------
     function : of a trace and of the first number of each part
     parts : numbers on which it depends
-
-    Returns
-    -------
-    Returns a reading, or the first failure of a part.
     """
 
-    def decide(trace: Trace) -> Reading | Failure:
-        readings = list[Reading]()
-        for part in parts:
-            outcome = part(trace)
-            if isinstance(outcome, Failure):
-                return outcome
-            readings.append(outcome)
+    def decide(trace: Trace) -> Reading:
+        readings = [part(trace) for part in parts]
 
         def numbers(trace: Trace) -> tuple[Floats]:
             return (function(trace, *(reading.numbers(trace)[0] for reading in readings)),)
 
         def drawn(trace: Trace) -> tuple[Floats]:
-            return (
-                function(trace, *(reading.replicate_numbers(trace)[0] for reading in readings)),
-            )
+            values = (reading.replicate_numbers(trace)[0] for reading in readings)
+            return (function(trace, *values),)
 
         is_cut = all(reading.ends_at_samples for reading in readings)
         has_corners = any(reading.depends_on_corners for reading in readings)

@@ -21,7 +21,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import NOISE, STEP, make_contribution
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
@@ -82,7 +82,7 @@ class Measured:
 
 def measure_numbers(
     replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
-) -> tuple[Measured, ...] | Failure:
+) -> tuple[Measured, ...]:
     """Measure numbers of a curve with their uncertainty.
 
     Parameters
@@ -93,8 +93,12 @@ def measure_numbers(
 
     Returns
     -------
-    One for each number of the reading; a failure if the measured curve, or half of the replicates,
-    do not have them.
+    One for each number of the reading.
+
+    Raises
+    ------
+    UnavailableError
+        If the measured curve, or half of the replicates, do not have them.
     """
     # Noise below this share of the number raises no doubt,
     slight_share = 5e-4
@@ -102,13 +106,9 @@ def measure_numbers(
     # less than a fifth.
     small_uncertainty_share = 0.38
     reading = decide(replicates.measured)
-    if isinstance(reading, Failure):
-        return reading
     if values is None:
         values = [float(number) for number in reading.numbers(replicates.measured)]
     plain = _decide_on_smooth(replicates, decide, reading)
-    if isinstance(plain, Failure):
-        return plain
     smooth = SmoothNumbers.of(decide, replicates.smooth, plain, replicates.curves)
     drawn = [np.asarray(plain.replicate_numbers(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
@@ -118,8 +118,8 @@ def measure_numbers(
     input_doubts = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.compute_change(quantity, x) for x in (-1.0, 1.0))
-        if np.isnan(low + high).any():
-            low, high = _mirrored(low, high)
+        if np.isnan(low + high).any():  # a missing change on one side is the mirrored other one
+            low, high = np.where(np.isnan(low), -high, low), np.where(np.isnan(high), -low, high)
             doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
         z = replicates.draw_input(quantity)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
@@ -128,7 +128,7 @@ def measure_numbers(
     lost = float(np.isnan(off).any(axis=0).mean())
     not_repeatable = Reason.of("uncertainty.not_repeatable", lost=lost)
     if lost >= 0.5:
-        return not_repeatable
+        raise UnavailableError(not_repeatable)
     if lost > 0.05:
         doubts.append(("", not_repeatable))
     noise_doubts = tuple(_slow_noise_doubts(replicates, plain.n))
@@ -184,19 +184,17 @@ def _between_samples(
     return drawn, np.where(corners == 0.0, spread, np.copysign(drawn.std(axis=1), spread))
 
 
-def _decide_on_smooth(
-    replicates: Replicates, decide: Decide, reading: Reading
-) -> Reading | Failure:
+def _decide_on_smooth(replicates: Replicates, decide: Decide, reading: Reading) -> Reading:
     """Choose the samples on the smooth curve; if that fails, on the measured one."""
-    plain = decide(replicates.smooth)
+    plain = return_failure(decide)(replicates.smooth)
     if isinstance(plain, Reading):
         return plain
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
-    coarse = decide(replicates.blocks)
-    if isinstance(coarse, Reading):
-        return coarse
-    return Failure.of("uncertainty.no_replicate", why=plain.message)
+    coarse = return_failure(decide)(replicates.blocks)
+    if isinstance(coarse, Failure):
+        raise UnavailableError.of("uncertainty.no_replicate", why=plain.message)
+    return coarse
 
 
 def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
@@ -270,7 +268,7 @@ class SmoothNumbers:
         plain = trace, reading, _numbers_of(reading, trace)
         smooth = cls(decide, *plain, *plain, {} if curves is None else curves)
         fine = smooth._curve(None, 0.0, times)
-        fine_reading = decide(fine)
+        fine_reading = return_failure(decide)(fine)
         if isinstance(fine_reading, Failure):
             return smooth
         numbers = _numbers_of(fine_reading, fine)
@@ -286,7 +284,7 @@ class SmoothNumbers:
         changes = list[Floats]()
         for has_corners in (False, True):
             fine = self.trace.refine(parts_per_step, has_corners=has_corners)
-            reading = self.decide(fine)
+            reading = return_failure(self.decide)(fine)
             if isinstance(reading, Failure):
                 return np.zeros(len(self.numbers))
             changes.append(_numbers_of(reading, fine))
@@ -308,7 +306,7 @@ class SmoothNumbers:
             return _numbers_of(self.reading, self._curve(quantity, by, 1)) - self.numbers
         times = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
         moved = self._curve(quantity, by, times)
-        outcome = self.decide(moved)
+        outcome = return_failure(self.decide)(moved)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
         return _numbers_of(reading, moved) - self.fine_numbers
 
@@ -326,11 +324,6 @@ class SmoothNumbers:
 
 def _numbers_of(reading: Reading, trace: Trace) -> Floats:
     return np.array([float(number) for number in reading.numbers(trace)])
-
-
-def _mirrored(low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Replace a missing change on one side by the mirrored other one."""
-    return np.where(np.isnan(low), -high, low), np.where(np.isnan(high), -low, high)
 
 
 def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:

@@ -23,6 +23,7 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     build_taped_scenario,
     build_wire_scenario,
 )
+from labpipe.virtual_lab.metal_tension import MetalTension, simulate_tension
 from labpipe.virtual_lab.observations import (
     ConduitObservation,
     Observation,
@@ -48,6 +49,7 @@ __all__ = [
     "ConduitScenario",
     "CrimpCampaign",
     "CrimpLot",
+    "MetalTension",
     "Observation",
     "TapedCampaign",
     "TensileCampaign",
@@ -60,6 +62,7 @@ __all__ = [
     "build_wire_scenario",
     "observe",
     "simulate_campaigns",
+    "simulate_tension",
     "simulate_test",
     "write_wire_sheet",
 ]

@@ -21,7 +21,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
@@ -554,7 +554,7 @@ class _Cycle:
 
     def _solve_step(
         self, shape: CantileverShape, travel: float, max_curvature: float
-    ) -> tuple[MomentLaw, CantileverShape, float]:
+    ) -> tuple[PlayLaw, CantileverShape, float]:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
         force_tolerance = 1e-5
@@ -571,15 +571,15 @@ class _Cycle:
                 break
         return law, ahead, max_curvature
 
-    def _find_law(self, max_curvature: float) -> MomentLaw:
+    def _find_law(self, max_curvature: float) -> PlayLaw:
         """Return the law after a largest curvature, on which only bundles depend."""
         wire = self.test.wire
         return wire.law(self.number, max_curvature) if isinstance(wire, BundleModel) else wire.law()
 
-    def _bend(self, law: MomentLaw, state: WireState, travel: float) -> CantileverShape:
+    def _bend(self, law: PlayLaw, state: WireState, travel: float) -> CantileverShape:
         return bend_to_travel(law, state, self.test.length, self.rig, travel)
 
-    def _find_event(self, law: MomentLaw, shape: CantileverShape) -> float:
+    def _find_event(self, law: PlayLaw, shape: CantileverShape) -> float:
         """Return the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(law, shape.state, self.test.length, weight)

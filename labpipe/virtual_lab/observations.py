@@ -22,7 +22,7 @@ from typing import Generic, TypeAlias, TypeVar, overload
 import numpy as np
 import yaml
 
-from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.records.harness_bundle import NONE
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing
@@ -505,10 +505,10 @@ def _collect_bending_facts(observation: Observation | ConduitObservation) -> dic
     }
 
 
-def _compute_first_loading(law: MomentLaw) -> dict[str, object]:
+def _compute_first_loading(law: PlayLaw) -> dict[str, object]:
     """Return the corners of the law for first loading, N m and 1/m."""
     moment = np.concatenate([[0.0], law.half_widths])
-    curvature = respond(law, moment, make_unbent_plays(law, len(moment))).curvature
+    curvature = law.respond(moment, law.make_unbent_history(len(moment))).curvature
     return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 

@@ -36,11 +36,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.mechanics.law.mixed_law import MixedLaw
 from labpipe.mechanics.law.plays import (
-    LinearLaw,
     PlayLaw,
     find_corners,
+    make_linear_plays,
     make_polygon_law,
     make_stick_slip_law,
 )
@@ -92,9 +91,9 @@ class ElasticModel:
     stiffness: float
     mass_per_length: float = 0.0
 
-    def law(self) -> LinearLaw:
+    def law(self) -> PlayLaw:
         """Return the law."""
-        return LinearLaw(self.stiffness)
+        return make_linear_plays(self.stiffness)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +217,7 @@ class StrandedWire:
         )
         return scale_law(law, self.factor)
 
-    def law(self) -> PlayLaw | MixedLaw:
+    def law(self) -> PlayLaw:
         """Return the law of moment against curvature, with hysteresis: see `first_loading`."""
         law = self.first_loading()
         if self.isotropic_share == 0.0:

@@ -37,7 +37,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import NONE
@@ -364,7 +364,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     half = HalfBundle(test, test.bundle.law(), arc_length)
-    state_at_rest = half.release(make_unbent_plays(half.law, test.n_stations))
+    state_at_rest = half.release(half.law.make_unbent_history(test.n_stations))
     loading = [state_at_rest, *_solve_branch(half, state_at_rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
@@ -456,7 +456,7 @@ class HalfBundle:
     """
 
     test: ThreePointTest
-    law: MomentLaw
+    law: PlayLaw
     arc_length: Floats
 
     def friction(self, travel: float, is_unloading: bool) -> float:
@@ -467,7 +467,7 @@ class HalfBundle:
     def release(self, plays: Floats) -> HalfShape:
         """Return the shape without force of a bundle with this history."""
         nothing = np.zeros(self.test.n_stations)
-        answer = respond(self.law, nothing, plays)
+        answer = self.law.respond(nothing, plays)
         shape = self._compute_shape(answer.curvature)
 
         def gaps(contact: float) -> Floats:
@@ -489,7 +489,7 @@ class HalfBundle:
         unknowns = np.append(state.moment, [0.5 * state.force, state.contact])
         steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
-            answer = respond(self.law, unknowns[:-2], state.plays)
+            answer = self.law.respond(unknowns[:-2], state.plays)
             curvatures = answer.curvature + answer.compliance * steps[:, :-2]
             equations = self._compute_residuals(
                 unknowns + steps, curvatures, goal_displacement, friction
@@ -509,7 +509,7 @@ class HalfBundle:
         self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
     ) -> HalfShape:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
-        answer = respond(self.law, moment, plays)
+        answer = self.law.respond(moment, plays)
         shape = self._compute_shape(answer.curvature)
         x, y, angle = shape
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.markers.specimen_shape import Offsets, fit_shape
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,
@@ -28,7 +28,7 @@ RESTING = 20
 NO_ERRORS = BendingErrors(force_noise=0.0, force_zero=0.0, force_scale=0.0, offset=0.0)
 
 
-def pulled(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShape]:
+def pulled(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]:
     """Shapes of a wire that hangs under the counterweight, the string just slack, and is pulled."""
     start = bend_under_force(law, make_straight(law, 48), LENGTH, np.array([0.0, -WEIGHT]))
     tip = (float(start.x[-1]), float(start.y[-1]))
@@ -45,7 +45,7 @@ HEAVY = 0.3
 """N/m, of a wire with weight: twelve per cent of the load at a millimetre."""
 
 
-def lifted(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShape]:
+def lifted(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]:
     """Shapes of a wire that weighs `HEAVY`, lies level at rest, and is pulled by its string."""
     shapes, state = [], make_straight(law, 48, self_weight=HEAVY)
     rig = StringRig(STRING, WEIGHT, LENGTH, STRING)
@@ -55,7 +55,7 @@ def lifted(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShap
     return shapes
 
 
-def loaded(law: MomentLaw, *, force: float, frames: int) -> list[CantileverShape]:
+def loaded(law: PlayLaw, *, force: float, frames: int) -> list[CantileverShape]:
     """Shapes of a straight wire under a growing end load normal to the clamped axis."""
     shapes, state = [], make_straight(law, 48)
     shapes.append(compute_shape(law, state, LENGTH))
@@ -132,7 +132,7 @@ def bending_test(
     )
 
 
-def law_moment(law: MomentLaw, curvature: Floats, *, most: float = 0.5) -> Floats:
+def law_moment(law: PlayLaw, curvature: Floats, *, most: float = 0.5) -> Floats:
     """Moment of a law's first loading at curvatures, N m."""
     moment = np.linspace(0.0, most, 200_001)
     beyond = np.maximum(moment[:, None] - law.half_widths, 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import MomentLaw, make_stick_slip_law
+from labpipe.mechanics.law.plays import PlayLaw, make_stick_slip_law
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, make_straight
 from labpipe.records.arrays import Floats
 
@@ -19,7 +19,7 @@ WIRE = make_stick_slip_law(
 )
 
 
-def by_stations(law: MomentLaw, deflections: Floats) -> Floats:
+def by_stations(law: PlayLaw, deflections: Floats) -> Floats:
     state, loads = make_straight(law, 64), []
     for deflection in deflections:
         shape = bend_to_deflection(law, state, LENGTH, float(deflection))

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.bending_law import fit_play_law
-from labpipe.mechanics.wire.calibration.fit import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.problem_setup import Wire
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -51,7 +51,7 @@ def wire_of(name: str, phi: float = PHI, modulus: float = MODULUS, scale: float 
     return Wire(section, make_contacts(rings, strand=MU_S, insulation=MU_P, radial_force=radial))
 
 
-def law_of(wire: Wire, n_plays: int = 200) -> MomentLaw:
+def law_of(wire: Wire, n_plays: int = 200) -> PlayLaw:
     return fit_play_law(wire.section, wire.contacts, largest_curvature=80.0, n_plays=n_plays)
 
 

@@ -17,7 +17,7 @@ import pytest
 from labpipe.mechanics.decks import DECKS
 from labpipe.mechanics.decks.lookup import write_sliders_csv, write_sliders_json
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
-from labpipe.mechanics.law.plays import make_concave_law
+from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.end_load_path import compute_end_load_path
 from labpipe.mechanics.wire.wire_table import wire_table

@@ -44,7 +44,6 @@ from labpipe.mechanics.decks.lookup import (
 from labpipe.mechanics.decks.unloading import find_bends, make_table_strands
 from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
 from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_wire_sliders
-from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
 from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.records.arrays import Floats
@@ -514,8 +513,8 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
         law = cyclic_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
-        history = respond(law, moment, make_unbent_plays(law, len(bends))).plays
-        after = respond(law, np.zeros(len(bends)), history).curvature
+        history = law.respond(moment, law.make_unbent_history(len(bends))).plays
+        after = law.respond(np.zeros(len(bends)), history).curvature
         assert kept == pytest.approx(after / bends, abs=0.004)
     least, most = np.array(numbers["wire"]["lost"]).T
     assert np.all(numbers["masing"]["lost"] < least)

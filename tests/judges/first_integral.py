@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.records.arrays import Floats
 
 
@@ -22,14 +22,14 @@ def closed_form(tip_angle: float) -> tuple[float, float, float]:
     return root**2, deflection, 1.0 - float(np.sqrt(2.0 * np.sin(tip_angle))) / root
 
 
-def complementary_energy(law: MomentLaw, moment: Floats) -> Floats:
+def complementary_energy(law: PlayLaw, moment: Floats) -> Floats:
     """Integral of kappa dM on first loading, per length, N, shape of `moment`."""
     beyond = np.maximum(np.abs(moment)[..., None] - law.half_widths, 0.0)
     slipped: Floats = 0.5 * beyond**2 @ law.compliances
     return 0.5 * moment**2 / law.stiffness + slipped
 
 
-def by_first_integral(law: MomentLaw, length: float, load: float) -> tuple[float, float, float]:
+def by_first_integral(law: PlayLaw, length: float, load: float) -> tuple[float, float, float]:
     """Deflection, tip angle and clamp's moment of the wire.
 
     While nothing unloads, W*(M) + P sin(psi) is the same everywhere, W* the integral of the

@@ -15,13 +15,7 @@ from labpipe.mechanics.law.equivalent_material import (
 )
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_dahl
-from labpipe.mechanics.law.plays import (
-    LinearLaw,
-    PlayLaw,
-    compute_first_curvature,
-    make_unbent_plays,
-    respond,
-)
+from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature, make_linear_plays
 from labpipe.mechanics.law.sliders import fit_sliders, make_unbent_rests, slide
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import loss_card, wire_table
@@ -38,15 +32,17 @@ def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
     assert curvature[:61] == pytest.approx(compute_first_curvature(PLAYS_TABLE, MOMENT), rel=1e-12)
     assert curvature[61:] == pytest.approx(-curvature[:61], rel=1e-12)
     assert slope[[1, 7, 20, 40]] == pytest.approx([0.5, 1.0, 1.25, 2.25], rel=1e-12)
-    assert LoadingTable.of_plays(LinearLaw(4.0)).bend(MOMENT)[0] == pytest.approx(MOMENT / 4.0)
+    assert LoadingTable.of_plays(make_linear_plays(4.0)).bend(MOMENT)[0] == pytest.approx(
+        MOMENT / 4.0
+    )
 
 
 @pytest.mark.parametrize("rest", [-2.0, -0.3, 0.0, 1.7])
 def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     table, still = LoadingTable.of_plays(PLAYS_TABLE), np.array([rest])
-    plays = respond(PLAYS_TABLE, still, make_unbent_plays(PLAYS_TABLE, 1)).plays
+    plays = PLAYS_TABLE.respond(still, PLAYS_TABLE.make_unbent_history(1)).plays
     for moment in np.linspace(rest, 5.0, 23):
-        wanted = respond(PLAYS_TABLE, np.array([moment]), plays)
+        wanted = PLAYS_TABLE.respond(np.array([moment]), plays)
         curvature, slope = table.bend_on(still, np.array([[moment]]))
         assert curvature[0] == pytest.approx(wanted.curvature, abs=1e-12)
         if abs(moment - rest) > 1e-9:

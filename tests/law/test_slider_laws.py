@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders, make_table_card
-from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.law.sliders import (
     TURNS,
     SliderLaw,
@@ -68,10 +67,10 @@ def test_a_loop_by_hand() -> None:
 def test_masing_against_plays(turns: list[float]) -> None:
     """The dual form: what the sliders answer bends the plays by what bent the sliders."""
     plays = convert_to_plays(LAW)
-    rests, history = make_unbent_rests(LAW, 1), make_unbent_plays(plays, 1)
+    rests, history = make_unbent_rests(LAW, 1), plays.make_unbent_history(1)
     for turn in turns:
         found = slide(LAW, np.array([turn]), rests)
-        answer = respond(plays, found.moment, history)
+        answer = plays.respond(found.moment, history)
         assert answer.curvature == pytest.approx(turn, abs=1e-9)
         rests, history = found.rests, answer.plays
 
@@ -145,9 +144,8 @@ def test_a_constant_stiffness_has_no_sliders() -> None:
     assert compute_slider_moment(law, np.array([2.0])).tolist() == [1.0]
     found = slide(law, np.array([2.0]), make_unbent_rests(law, 1))
     assert (found.moment.tolist(), found.stiffness.tolist()) == ([1.0], [0.5])
-    answer = respond(
-        convert_to_plays(law), np.array([1.0]), make_unbent_plays(convert_to_plays(law), 1)
-    )
+    plays = convert_to_plays(law)
+    answer = plays.respond(np.array([1.0]), plays.make_unbent_history(1))
     assert answer.curvature == pytest.approx(2.0)
 
 

@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from labpipe.process.clock_joining import fit_common_start, fit_turning_points, use_stated_clocks
-from labpipe.process.motion import Turn, check_turns, find_motion_turns
+from labpipe.process.motion import Motion, Turn, check_turns, find_motion_turns
 from labpipe.protocol.schema import AlignCommonStart, AlignStated, AlignTurningPoints
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit
 from labpipe.records.quality import Findings
 from labpipe.records.signals import Signal
 from labpipe.signal.clock_alignment import Repeat
-from labpipe.signal.turning_points import Stroke, find_strokes
+from labpipe.signal.turning_points import find_strokes
 from tests.approved import Approve
 from tests.builders.reasons import doubted
 
@@ -134,11 +134,15 @@ def travel(*corners: tuple[float, float], seed: int = 1, noise: float = 1e-5) ->
 SHARP = travel((0, 0), (5, 0), (25, 20), (45, 0), (50, 0))
 
 
-def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, list[Turn]]:
-    signal = Signal(time, motion, "m", "markers")
-    strokes = find_strokes(time, motion, min_stroke=5e-3)
-    turns = find_motion_turns(signal, strokes, window=25.0)
-    return Findings() + check_turns(signal, strokes, turns), turns
+def moved(signal: Signal, window: float, min_stroke: float = 5e-3) -> Motion:
+    strokes = find_strokes(signal.time, signal.values, min_stroke=min_stroke)
+    motion = Motion(signal, strokes=strokes)
+    return replace(motion, turns=find_motion_turns(motion, window=window))
+
+
+def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, tuple[Turn, ...]]:
+    turned = moved(Signal(time, motion, "m", "markers"), 25.0)
+    return Findings() + check_turns(turned), turned.turns
 
 
 def test_turns_in_corners() -> None:
@@ -146,7 +150,7 @@ def test_turns_in_corners() -> None:
     assert [turn.stroke for turn in turns] == [0, 1, 2]
     for turn in turns:
         assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=5e-3)
-        assert len(turn.corners) == 1
+        assert turn.arrival is turn.departure
         assert turn.dwell == 0.0
     assert not found.doubts
 
@@ -165,8 +169,8 @@ def test_waits_have_two_corners(dwell: float) -> None:
             turns, np.column_stack([test.corners[:-1, 1], test.corners[1:, 0]]), strict=True
         ):
             assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
-            assert len(turn.corners) == 2
-            seen = [(corner.time, corner.time_error) for corner in turn.corners]
+            assert turn.arrival is not turn.departure
+            seen = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
             pulls += [(at - real) / error for (at, error), real in zip(seen, true, strict=True)]
     assert np.mean(np.abs(pulls) < 1.96) > 0.85
 
@@ -235,10 +239,6 @@ class Seen:
             self, force=replace(self.force, time=self.force.time[part], values=known[part])
         )
 
-    @property
-    def strokes(self) -> tuple[Stroke, ...]:
-        return find_strokes(self.travel.time, self.travel.values, min_stroke=0.01)
-
 
 @dataclass(frozen=True)
 class Joined:
@@ -267,8 +267,7 @@ def seen(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Seen:
 
 
 def aligned(made: Seen, align: AlignTurningPoints = ALIGN, *, window: float = 8.0) -> Joined:
-    turns = find_motion_turns(made.travel, made.strokes, window=window)
-    fit, found = fit_turning_points(made.force, align, made.travel, made.strokes, turns)
+    fit, found = fit_turning_points(made.force, align, moved(made.travel, window, 0.01))
     return Joined(fit, Findings() + found)
 
 
@@ -334,13 +333,11 @@ def joined(test: Dwelling, *, hidden: int | None = None) -> Joined:
     if hidden is not None:
         turn = test.corners[hidden, 1] + 0.5 * test.dwell
         travel[np.abs(time - turn) < 0.5 * test.dwell + 0.6] = np.nan
-    motion = Signal(time, travel, "m", "markers")
+    motion = moved(Signal(time, travel, "m", "markers"), 25.0)
     force = Signal(*test.seen_by_load_cell(), "N", "force")
-    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
-    turns = find_motion_turns(motion, strokes, window=25.0)
     align = ALIGN.model_copy(update={"max_residual": 10e-3})
-    fit, found = fit_turning_points(force, align, motion, strokes, turns)
-    return Joined(fit, Findings() + found + check_turns(motion, strokes, turns))
+    fit, found = fit_turning_points(force, align, motion)
+    return Joined(fit, Findings() + found + check_turns(motion))
 
 
 def dwelling(dwell: float, relaxes: float, seed: int) -> Dwelling:
@@ -418,9 +415,7 @@ def recorded_together(
 
 
 def fitted(motion: Signal, force: Signal) -> tuple[ClockFit, Findings]:
-    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
-    turns = find_motion_turns(motion, strokes, window=TOGETHER.motion_window)
-    fit, found = fit_common_start(force, TOGETHER, motion, strokes, turns)
+    fit, found = fit_common_start(force, TOGETHER, moved(motion, TOGETHER.motion_window))
     return fit, Findings() + found
 
 
@@ -453,8 +448,8 @@ def taken(
 ) -> tuple[Findings, ClockFit]:
     motion = Signal(*test.seen_by_cameras(), "m", "markers")
     time, force = test.seen_by_load_cell()
-    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
-    fit, found = use_stated_clocks(Signal(time, sign * force, "N", "force"), align, motion, strokes)
+    turned = moved(motion, align.motion_window)
+    fit, found = use_stated_clocks(Signal(time, sign * force, "N", "force"), align, turned)
     return Findings() + found, fit
 
 

@@ -11,11 +11,7 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.camera_steps import (
-    find_specimen_axes,
-    fit_specimen_shapes,
-    repair_marker_tracks,
-)
+from labpipe.process.camera_steps import run_marker_step
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
@@ -66,11 +62,11 @@ def done(
 ) -> tuple[Prepared, Findings]:
     mend, turn, fit = steps(protocol)
     said = words(protocol, **changes)
-    made, first = repair_marker_tracks(
+    made, first = run_marker_step(
         Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, said
     )
-    made, second = find_specimen_axes(made, turn, said)
-    made, third = fit_specimen_shapes(made, fit, said)
+    made, second = run_marker_step(made, turn, said)
+    made, third = run_marker_step(made, fit, said)
     return made, Findings((*first, *second, *third))
 
 

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.process.calibrated_signals import check_channels
+from labpipe.process.calibrated_signals import Prepared, check_channels
 from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
+    check_force,
     check_rest,
     check_rig,
     check_signs,
     find_cut_ends,
-    is_file_cut,
     list_certified_instruments,
 )
 from labpipe.protocol.load import parse_protocol
@@ -76,8 +76,15 @@ def branches_of(motion: Floats, shortest: float = 5e-3) -> tuple[Branch, ...]:
 
 def of_rig(motion: Floats, force: Floats | None = None, length: float | None = None) -> Findings:
     signals = signals_of(motion, force)
-    shape = None if length is None else shape_of(length)
-    return Findings() + check_rig(signals, shape, WIRE, branches_of(motion), is_blocked=False)
+    prepared = Prepared(signals, shape=None if length is None else shape_of(length))
+    return of_limits(prepared, branches_of(motion), WIRE)
+
+
+def of_limits(prepared: Prepared, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
+    assert protocol.branches is not None
+    motion = Motion(prepared.signals.raw[protocol.branches.channel], branches, Clocks("markers"))
+    checks = check_rig, check_force
+    return Findings(tuple(x for check in checks for x in check(prepared, motion, protocol)))
 
 
 def of_slack(since: float, lost: float) -> Findings:
@@ -88,7 +95,7 @@ def of_slack(since: float, lost: float) -> Findings:
 def of_rest(name: str) -> Findings:
     zeroed = replace(signals_of(SHARP), zero_stretches={name: (4.0, 6.0)})
     motion = Motion(zeroed.raw["travel"], branches_of(SHARP), Clocks("markers"))
-    return Findings() + check_rest(zeroed, motion)
+    return Findings() + check_rest(Prepared(zeroed), motion, WIRE)
 
 
 def shape_of(length: float) -> Shape:
@@ -110,8 +117,7 @@ def of_speed(speed: str, scale: float = 1.0) -> Findings:
     made = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
     made = made.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
     parts = branches_of(scale * SHARP, 5e-3 * scale)
-    protocol = parse_protocol(text, "p.yaml")
-    return Findings() + check_rig(made, None, protocol, parts, is_blocked=False)
+    return of_limits(Prepared(made), parts, parse_protocol(text, "p.yaml"))
 
 
 PROTOCOL = """\
@@ -145,7 +151,8 @@ def of_signs(record: PlainRecord, reverse: str = "", fit: ClockFit | None = None
     signals = signals.add_signal("displacement", Signal(time, displacement, "m", "frame"))
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     motion = Motion(signals.raw["displacement"], branches, Clocks("frame", fit))
-    return Findings() + check_signs(signals, motion, parse_protocol(PROTOCOL % reverse, "p.yaml"))
+    protocol = parse_protocol(PROTOCOL % reverse, "p.yaml")
+    return Findings() + check_signs(Prepared(signals), motion, protocol)
 
 
 RECORD = up_and_down()
@@ -239,11 +246,12 @@ def test_a_file_with_fewer_rows_than_it_promised(
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
     notes = [QualityNote(code, Severity.WARNING, "frame: file", "") for code in codes]
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
+    rig = f"rig: {{stroke: {np.ptp(displacement)} m}}\n" if is_full else ""
     ends = find_cut_ends(
         signals,
         Motion(motion, branches, Clocks("frame")),
-        is_full_stroke=is_full,
-        is_cut_file=is_file_cut(Findings(tuple(map(Finding, notes)))),
+        parse_protocol(PROTOCOL % "" + rig, "p.yaml"),
+        Findings(tuple(map(Finding, notes))),
     )
     assert ends.get("force", np.inf) == pytest.approx(expected)
 

@@ -26,8 +26,8 @@ def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
     flags = np.zeros(13, int)
     for sense in (1.0, -1.0):
         curve = Curve(np.arange(13.0), sense * way, way, flags, flags, branches)
-        assert find_cycle_samples(curve, [*branches[:2]]) == slice(0, 7)
-        assert find_cycle_samples(curve, [*branches[2:]]) == slice(6, 13)
+        assert find_cycle_samples(curve, 1) == slice(0, 7)
+        assert find_cycle_samples(curve, 2) == slice(6, 13)
 
 
 def test_parts_of_a_cycle_counted_in_branches() -> None:

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.results.beam import compute_prop_force
@@ -124,7 +124,7 @@ def test_intervals_hold_the_scale_and_what_frames_share() -> None:
 STIFFNESS = 5e-3
 
 
-SHAPES = pulled(LinearLaw(STIFFNESS), travel=0.05, frames=101)
+SHAPES = pulled(make_linear_plays(STIFFNESS), travel=0.05, frames=101)
 
 
 TEST = bending_test(SHAPES)
@@ -173,8 +173,8 @@ def law_of(test: BendingTest) -> MeasuredLaw:
     return bending.law
 
 
-LAWS: dict[str, tuple[MomentLaw, float]] = {
-    "elastic": (LinearLaw(5e-3), 5e-4),
+LAWS: dict[str, tuple[PlayLaw, float]] = {
+    "elastic": (make_linear_plays(5e-3), 5e-4),
     "stick and slip": (WireModel().law(), 2e-3),
     "kinked": (bilinear_law(8e-3, 2e-3, 0.02), 1.5e-2),  # rounded between two knots
 }
@@ -182,7 +182,7 @@ LAWS: dict[str, tuple[MomentLaw, float]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "share"), LAWS.values(), ids=LAWS)
-def test_an_exact_loading_gives_its_law(law: MomentLaw, share: float) -> None:
+def test_an_exact_loading_gives_its_law(law: PlayLaw, share: float) -> None:
     measured = law_of(bending_test(pulled(law, travel=0.05, frames=101)))
     above = measured.curvature > 1.0
     true = law_moment(law, measured.curvature)

@@ -30,7 +30,7 @@ from labpipe.results.moment_curvature import (
     make_stated_state,
 )
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.shapes import MomentCurvature, _find_missing_weight
+from labpipe.results.shapes import MomentCurvature
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel
@@ -81,7 +81,7 @@ def check_weight(test: ReducedTest, result: Result) -> None:
     assert law is not None
     for factor, codes in ((0.8, []), (0.5, ["weight_not_stated"])):
         soft = replace(law, moment=factor * law.moment)
-        doubts = _find_missing_weight(test, soft, MomentCurvature(at=1.0))
+        doubts = MomentCurvature(at=1.0).list_doubts(test, test.bending, soft)
         assert [reason.code for reason in doubts] == codes
 
 

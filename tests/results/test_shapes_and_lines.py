@@ -10,14 +10,14 @@ from labpipe.process.curve_corrections import correct_curve
 from labpipe.protocol.schema import CurveBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
-from labpipe.records.curve import Branch, Direction, PointFlag, Shape
+from labpipe.records.curve import Branch, Curve, Direction, PointFlag, Shape
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Signals
 from labpipe.results.cycles import PeakDisplacement
-from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.shapes import TipTravel, _Frames, _measure_at_turn
+from labpipe.results.reduced_test import ReducedTest, SpanBend
+from labpipe.results.shapes import TipTravel, _measure_at_turn, _SpanFrames
 from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
@@ -84,7 +84,11 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     time: Floats = np.arange(1800.0) / 25.0
     way = np.interp(time, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
     loading = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
-    frames = _Frames(time, time < 4.0, loading, (100, 900, 1700), b"seed")
+    back = Branch(900, 1700, 1, Direction.UNLOADING, 36.0, 68.0)
+    numbers = np.zeros(1800, dtype=np.int64)
+    curve = Curve(time, way, way, numbers, numbers, (loading, back))
+    bend = SpanBend(None, time, time < 4.0)  # type: ignore[arg-type]  # its shape is not read
+    frames = _SpanFrames(bend, curve, loading, time, b"seed")
     rows = [way + flicker((1, 1800), seed)[0] for seed in range(60)]
 
     def estimate(seed: int, *others: Floats) -> Estimate:
@@ -191,7 +195,6 @@ def test_zeros_in_the_slack_and_in_what_counts_from_it() -> None:
     assert test.replicates is not None
     assert isinstance(test.slack, Measured)
     numbers = measure_numbers(test.replicates, slack)
-    assert not isinstance(numbers, Failure)
     assert numbers[0].value == pytest.approx(0.0, abs=1e-9)
     assert numbers[0].error < 0.02 * shares(test.slack)["noise"]
 
@@ -206,7 +209,6 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     made = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
     reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
     numbers = measure_numbers(made, lambda _: reading)
-    assert isinstance(numbers, tuple)
     assert [reason.code for _, reason in numbers[0].doubts] == codes
     for _, reason in numbers[0].doubts:
         assert reason.message.endswith("slack: it remembers")

@@ -189,9 +189,11 @@ def test_loading_of_replicates_is_off_as_tests_are() -> None:
     tests = [float(fit.compute(d, f)) for fit, d, f in zip(alone, path, forces, strict=True)]
     measured = alone[-1]
     smooth = choose_loading_window(time, up, force, length=over, like=measured)
-    off = smooth.compute_rows(
-        up + noise_rows(kind, 2e-5, shape, seed=3), force + noise_rows(kind, 2e-3, shape, seed=4)
-    ) - float(smooth.compute(up, force))
+    drawn = (
+        noise_rows(kind, deviation, shape, seed=seed) for deviation, seed in ((2e-5, 3), (2e-3, 4))
+    )
+    rows = smooth.compute(up + next(drawn), force + next(drawn), has_noise=True)
+    off = rows - float(smooth.compute(up, force))
     x = np.linspace(0.0, over, 5001)
     lever = x - x.mean()
     true = lever @ (40.0 * np.minimum(x, 0.002) + 20.0 * x + 400.0 * x**2) / (lever @ x)

@@ -17,7 +17,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
-from labpipe.results.tension import compute_area, find_gauge_length
+from labpipe.results.stiffness import compute_area
+from labpipe.results.tension import find_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
@@ -152,6 +153,47 @@ def cut(count: int) -> Callable[[Pulled], Pulled]:
     return lambda x: Pulled(x.time[:count], x.force[:count], x.extension[:count], x.travel[:count])
 
 
+def looped(at: int) -> Callable[[Pulled], Pulled]:
+    """Unload to half of the force along the modulus, and load again."""
+
+    def change(pulled: Pulled) -> Pulled:
+        force, extension, travel = pulled.force, pulled.extension, pulled.travel
+        fall = np.concatenate([np.linspace(0.0, 0.5, 40), np.linspace(0.5, 0.0, 40)]) * force[at]
+        back = fall * GAUGE / AREA / MODULUS
+        loops = (force[at] - fall, extension[at] - back, travel[at] - 1.3 * back - 4e-8 * fall)
+        records = [
+            np.insert(record, at + 1, loop)
+            for record, loop in zip((force, extension, travel), loops, strict=True)
+        ]
+        return Pulled(np.arange(len(records[0])) / 5.0, *records)
+
+    return change
+
+
+def slipped(pulled: Pulled) -> Pulled:
+    """Slip in the grips at half of the proof stress: force and strain fall and come back."""
+    start = int(np.argmax(pulled.force > 0.5 * PROOF * AREA))
+    fallen, back = slice(start, start + 10), slice(start + 10, start + 20)
+    force, extension, travel = pulled.force.copy(), pulled.extension.copy(), pulled.travel.copy()
+    for part, share in ((fallen, np.full(10, 0.9)), (back, np.linspace(0.9, 1.0, 10))):
+        extension[part] += (share - 1.0) * pulled.force[start] * GAUGE / AREA / MODULUS
+        force[part] += (share - 1.0) * pulled.force[start]
+    return Pulled(pulled.time, force, extension, travel)
+
+
+@pytest.mark.parametrize("at", [80, 350, 600])
+def test_numbers_of_a_pull_with_an_unloading_loop_are_those_without(at: int) -> None:
+    plain, loop = measure_replicates(steel()), measure_replicates(looped(at)(steel()))
+    for name, result in plain.items():
+        if result.value is not None:
+            assert loop[name].value == pytest.approx(result.value, rel=0.003), name
+
+
+def test_a_slip_in_the_grips_is_no_yield_point() -> None:
+    result = measure_replicates(slipped(steel()))["upper_yield_stress"]
+    assert [reason.code for reason in result.reasons][:1] == ["no_yield_point"]
+
+
 @pytest.mark.parametrize(
     ("change", "codes"),
     [
@@ -160,10 +202,20 @@ def cut(count: int) -> Callable[[Pulled], Pulled]:
         (ended(90, np.nan), {"proof": "not_reached", "tensile_strength": ""}),
         (ended(600, np.nan), {"elongation_at_break": "extensometer_off", "proof": ""}),
         (ended(90, 0.0), {"proof": "not_reached", "elastic_modulus": "zero_jump"}),
+        (with_extension(lambda x: 2.0 * x), {"elastic_modulus": "extension_exceeds_travel"}),
         (cut(500), {"tensile_strength": "ends_at_peak", "proof": ""}),
         (cut(120), {"tensile_strength": "ends_at_peak", "proof": "not_reached"}),
     ],
-    ids=["jump", "slip", "off-elastic", "off-plastic", "fallen", "cut", "cut-elastic"],
+    ids=[
+        "jump",
+        "slip",
+        "off-elastic",
+        "off-plastic",
+        "fallen",
+        "wrong-unit",
+        "cut",
+        "cut-elastic",
+    ],
 )
 def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) -> None:
     results = measure_replicates(change(steel()))

@@ -108,8 +108,7 @@ TIME = np.arange(0.0, 210.0, 0.02)
 @pytest.mark.parametrize("guess", [LAG, LAG + 0.5, LAG - 0.9])
 @pytest.mark.parametrize("hysteresis", [True, False])
 def test_exact_on_a_loop_that_repeats(guess: float, hysteresis: bool) -> None:
-    ends = {"start": START, "turn": TURN, "stop": STOP, "guess": guess}
-    lag = fit_lag(TIME, cycle(TIME), **ends, hysteresis=hysteresis)
+    lag = fit_lag(TIME, cycle(TIME), (START, TURN, STOP), guess=guess, hysteresis=hysteresis)
     assert isinstance(lag, Estimate)
     assert lag.value == pytest.approx(LAG, abs=1e-4)
     assert lag.n > 1900
@@ -118,8 +117,7 @@ def test_exact_on_a_loop_that_repeats(guess: float, hysteresis: bool) -> None:
 def test_nothing_to_compare() -> None:
     empty = np.empty(0)
     for time, guess in ((TIME, 300.0), (empty, LAG)):
-        ends = {"start": START, "turn": TURN, "stop": STOP, "guess": guess}
-        none = fit_lag(time, cycle(time), **ends, hysteresis=True)
+        none = fit_lag(time, cycle(time), (START, TURN, STOP), guess=guess, hysteresis=True)
         assert isinstance(none, Failure)
         assert none.code == "too_few_samples"
 

@@ -18,9 +18,9 @@ from labpipe.records.causes import (
     ZERO_OF_DISPLACEMENT,
     ZERO_OF_FORCE,
 )
-from labpipe.records.estimates import Failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Input
 from tests.builders.plain_records import measured, replicates_of, trace_of
@@ -150,23 +150,33 @@ def test_an_input_that_changes_more_upwards() -> None:
     assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
 
 
+def refuse(why: Failure) -> Decide:
+    """Choose no samples."""
+
+    def decide(trace: Trace) -> Reading:
+        del trace
+        raise UnavailableError(why)
+
+    return decide
+
+
 def test_a_number_that_is_not_in_the_curve() -> None:
     why = Failure("not_reached", "the branch ends")
     made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
-    assert measure_numbers(made, lambda _: why) is why
+    assert return_failure(measure_numbers)(made, refuse(why)) is why
 
-    def only_measured(trace: Trace) -> Reading | Failure:
-        return Reading(mean, 200) if trace is made.measured else why
+    def only_measured(trace: Trace) -> Reading:
+        return Reading(mean, 200) if trace is made.measured else refuse(why)(trace)
 
     # The smooth curve just misses a limit: what was decided on the measured one holds for it.
-    found = measure_numbers(made, only_measured)
+    found = return_failure(measure_numbers)(made, only_measured)
     assert isinstance(found, tuple)
     assert found[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
     means = trace_of(made.smooth.force[:-1])
     shorter = replace(made, smooth=means, blocks=made.measured)
-    assert isinstance(measure_numbers(shorter, only_measured), tuple)
-    found = measure_numbers(replace(shorter, blocks=means), only_measured)
+    assert len(measure_numbers(shorter, only_measured)) == 1
+    found = return_failure(measure_numbers)(replace(shorter, blocks=means), only_measured)
     assert isinstance(found, Failure)
     assert found.code == "no_replicate"
     assert why.message in found.message
@@ -185,7 +195,9 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     made = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
     force = made.force.copy()
     force[:without, 0] = 1000.0
-    found = measure_numbers(replace(made, force=force), lambda _: Reading(marked, 200))
+    found = return_failure(measure_numbers)(
+        replace(made, force=force), lambda _: Reading(marked, 200)
+    )
     assert isinstance(found, Failure) == fails
     if isinstance(found, tuple):
         assert bool(found[0].doubts) == doubtful
@@ -194,16 +206,16 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
 def test_windows_are_decided_anew_where_the_curve_moves() -> None:
     """Force where the displacement passes 1 mm: moved by 0.1 mm it lies 10 samples elsewhere."""
 
-    def at(trace: Trace) -> Reading | Failure:
+    def at(trace: Trace) -> Reading:
         sample = int(np.searchsorted(trace.displacement, 1.005e-3))
         if sample > 108:
-            return Failure("not_reached", "too far")
+            raise UnavailableError(Failure("not_reached", "too far"))
         return Reading(lambda each: (each.force[..., sample],), 1)
 
     trace = trace_of(np.arange(200.0))
     for moves, by in ((True, -10.0), (False, 0.0)):
         given = Input(GRIP, pushed, moves_curve=moves)
-        found = measure_numbers(replicates_of(trace, given), at)
+        found = return_failure(measure_numbers)(replicates_of(trace, given), at)
         assert isinstance(found, tuple)
         # Lower by 0.1 mm it is not reached: there the samples stay as they were.
         assert budget(found[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
@@ -228,7 +240,7 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
         ZERO_OF_DISPLACEMENT,
         lambda each, x: replace(each, displacement=each.displacement + 0.3 * x),
     )
-    found = measure_numbers(replicates_of(trace, off), below)
+    found = return_failure(measure_numbers)(replicates_of(trace, off), below)
     assert isinstance(found, tuple)
     assert found[0].value == 4.0
     assert found[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
@@ -282,7 +294,9 @@ def test_noise_as_slow_as_the_record(share: float) -> None:
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
     noise = replace(made.noises["force"], chances=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
-    found = measure_numbers(replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000))
+    found = return_failure(measure_numbers)(
+        replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000)
+    )
     assert isinstance(found, tuple)
     codes = [reason.code for _, reason in found[0].doubts]
     assert codes == (["slow_noise"] if share == 0.05 else [])
@@ -310,7 +324,7 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
 
     for level, codes in ((100.0, ["value_outside"]), (2000.0, [])):
         record = level + 0.1 * RNG(0).normal(size=1000)
-        found = measure_numbers(replicates_of(trace_of(record)), fallen)
+        found = return_failure(measure_numbers)(replicates_of(trace_of(record)), fallen)
         assert not isinstance(found, Failure)
         assert [reason.code for _, reason in found[0].doubts] == codes
         assert found[0].interval.lower == found[0].value

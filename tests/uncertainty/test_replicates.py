@@ -9,7 +9,6 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
-from labpipe.records.estimates import Failure
 from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
@@ -251,9 +250,7 @@ def test_a_number_is_made_of_the_first_of_each_part() -> None:
     assert isinstance(found, Reading)
     assert found.n == 3
     assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
-    why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
-    assert combine_numbers(shared, largest, lambda _: later)(TRACE) is later
-    assert combine_numbers(shared, lambda _: why, lambda _: later)(TRACE) is why
+
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
     many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)

@@ -12,7 +12,6 @@ import pytest
 
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
 from labpipe.mechanics.law.loss_card import fit_wire_sliders
-from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.law.sliders import convert_to_plays
 from labpipe.mechanics.rod.boundaries import Load
 from labpipe.mechanics.rod.line import Section
@@ -44,9 +43,9 @@ def test_a_node_there_and_back_follows_masing() -> None:
     # d1 is up: a moment about it bends by the first component
     found = np.array([state.curvatures[1, 0, 0] for state in path.states])
     moments = np.array([state.moments[1, 0, 2] for state in path.states])
-    plays, expected = make_unbent_plays(PLAYS, 1), []
+    plays, expected = PLAYS.make_unbent_history(1), []
     for moment in moments:
-        response = respond(PLAYS, np.array([moment]), plays)
+        response = PLAYS.respond(np.array([moment]), plays)
         plays = response.plays
         expected.append(float(response.curvature[0]))
     assert np.ptp(expected) > 20.0

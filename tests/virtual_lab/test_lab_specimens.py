@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import find_corners, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import find_corners
 from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
 from labpipe.virtual_lab.cantilever_scenarios import build_taped_scenario, solve_path
 from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, BundleModel, StrandedWire, lay_wires
@@ -23,7 +23,7 @@ def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
     law = wire.law()
     curvature = np.geomspace(1e-3, 70.0, 200)
     moment = compute_moment_curve(wire.section(), wire.contacts(), curvature).moment
-    curvatures = respond(law, moment, make_unbent_plays(law, len(moment))).curvature
+    curvatures = law.respond(moment, law.make_unbent_history(len(moment))).curvature
     assert curvatures == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
     assert law.stiffness == pytest.approx(compute_stick_stiffness(wire.section()), rel=1e-3)
 
@@ -34,8 +34,8 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
     path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
     top, down = path[len(there) - 1], path[len(there) :]
-    history = respond(law, np.array([top]), make_unbent_plays(law, 1)).plays
-    curvatures = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
+    history = law.respond(np.array([top]), law.make_unbent_history(1)).plays
+    curvatures = law.respond(down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(back[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top
 

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from benchmarks import plain_loop
-from labpipe.mechanics.law.plays import make_unbent_plays, respond
 from labpipe.mechanics.wire.bending_law import (
     compute_moment_curve,
     compute_slip_stiffness,
@@ -198,12 +197,12 @@ def test_plays_follow_first_loading_and_unload_as_strands_do(name: str) -> None:
     law = fit_play_law(section, contacts, largest_curvature=40.0)
     curvature = np.geomspace(1e-4, 39.9, 500)
     moment = compute_moment_curve(section, contacts, curvature).moment
-    bent = respond(law, moment, make_unbent_plays(law, 500)).curvature
+    bent = law.respond(moment, law.make_unbent_history(500)).curvature
     assert bent == pytest.approx(curvature, rel=3e-3)
     path = np.concatenate([np.linspace(0.1, 20.0, 80), np.linspace(20.0, -20.0, 81)])
     moment = bend_along(section, contacts, path)
-    peak = respond(law, moment[79:80], make_unbent_plays(law, 1))
-    back = respond(law, moment[120:121], peak.plays)
+    peak = law.respond(moment[79:80], law.make_unbent_history(1))
+    back = law.respond(moment[120:121], peak.plays)
     # Friction differs by 7 % between the sides: a small part of a small part of the moment.
     assert back.curvature[0] == pytest.approx(path[120], abs=0.01 * 20.0)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from labpipe.mechanics.law.plays import compute_first_curvature, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import compute_first_curvature
 from labpipe.mechanics.wire.bundle_friction import (
     Friction,
     compute_friction_moment,
@@ -91,9 +91,9 @@ def test_loops_follow_masing() -> None:
     friction = Friction(0.13, 0.4, 5.0, 0.2)
     law = fit_friction_law(model, tables, friction)
     top = compute_friction_moment(np.array([8.0]), model, tables, friction)
-    loaded = respond(law, top, make_unbent_plays(law, 1))
+    loaded = law.respond(top, law.make_unbent_history(1))
     for share in (0.3, 0.9, 1.4):
-        back = respond(law, (1.0 - share) * top, loaded.plays)
+        back = law.respond((1.0 - share) * top, loaded.plays)
         half = compute_first_curvature(law, 0.5 * share * top)
         assert back.curvature == pytest.approx(loaded.curvature - 2.0 * half, rel=1e-9)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.law.plays import LinearLaw, MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import (
     AtDeflection,
@@ -39,7 +39,7 @@ from tests.builders.stranded_wires import contacts_of, wire
 RIG = StringRig(string_length=0.76, weight=0.0027 * 9.80665, anchor_x=LENGTH, anchor_height=0.76)
 
 
-def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[CantileverShape]:
+def travel_through(law: PlayLaw, rig: StringRig, travels: Floats) -> list[CantileverShape]:
     state, shapes = make_straight(law), []
     for travel in travels:
         shapes.append(bend_to_travel(law, state, LENGTH, rig, float(travel)))
@@ -82,8 +82,10 @@ def test_cycles_leave_a_bend_repeat_and_lose_the_area_of_their_loop() -> None:
     assert work == pytest.approx(lost, rel=5e-3)
 
 
-@pytest.mark.parametrize(("law", "lean"), [(LinearLaw(3e-3), (2.79, 4.12)), (WIRE, (2.55, 3.47))])
-def test_lean_of_the_string(law: MomentLaw, lean: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("law", "lean"), [(make_linear_plays(3e-3), (2.79, 4.12)), (WIRE, (2.55, 3.47))]
+)
+def test_lean_of_the_string(law: PlayLaw, lean: tuple[float, float]) -> None:
     """What it adds to the force at 50 mm of travel, per cent, less the counterweight (PHYSICS 5).
 
     Against a vertical load at the same deflection, and at a deflection equal to the travel.
@@ -124,7 +126,7 @@ def test_a_long_step_does_not_end_in_a_curl() -> None:
     ],
 )
 def test_jacobian_against_central_differences(condition: Condition) -> None:
-    n, law, h = 12, LinearLaw(1.0), 1e-6
+    n, law, h = 12, make_linear_plays(1.0), 1e-6
     stations = make_stations(n)
     wire = Wire(LoadingTable.of_plays(law).bend, stations, 0.8, condition)
     state = np.append(1.2 * (1.0 - stations.position), 0.9)
@@ -141,12 +143,13 @@ def test_jacobian_against_central_differences(condition: Condition) -> None:
 
 
 def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
-    law, weight, long = LinearLaw(2e-3), 1e-4, 0.12
+    law, weight, long = make_linear_plays(2e-3), 1e-4, 0.12
     hanging = bend_under_force(law, make_straight(law, self_weight=weight), long, np.zeros(2))
     assert hanging.y[-1] == pytest.approx(-weight * long**4 / 8.0 / 2e-3, rel=1e-6)
     assert hanging.moment[0] == pytest.approx(-weight * long**2 / 2.0, rel=1e-6)
     rig = StringRig(0.76, 0.0265, LENGTH, 0.75)
-    slack = bend_to_travel(LinearLaw(4e-3), make_straight(LinearLaw(4e-3)), LENGTH, rig, 0.0)
+    linear = make_linear_plays(4e-3)
+    slack = bend_to_travel(linear, make_straight(linear), LENGTH, rig, 0.0)
     assert slack.tension == 0.0
     assert slack.force == pytest.approx([0.0, -0.0265])
     assert slack.y[-1] == pytest.approx(-0.0265 * LENGTH**3 / (3 * 4e-3), rel=1e-3)

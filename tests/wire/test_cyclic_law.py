@@ -1,4 +1,4 @@
-"""Wire A2 of 85 mm, pulled by 50 mm and back to zero force, twice: numbers of PHYSICS 13."""
+"""Wire A2 of 85 mm, pulled by 50 mm and back twice; winding wires: numbers of PHYSICS 13."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import MomentLaw, make_unbent_plays, respond
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
+from labpipe.mechanics.wire.cross_section import Layer, place_rings
 from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from labpipe.mechanics.wire.materials import ANNEALED_COPPER, RambergOsgood
 from tests.builders.stranded_wires import contacts_of, wire
 
 LENGTH, PULL = 0.085, 0.05
@@ -25,12 +27,12 @@ class Loop(NamedTuple):
     forces: tuple[float, float]
 
 
-def law_of_a2(share: float) -> MomentLaw:
+def law_of_a2(share: float) -> PlayLaw:
     section = wire("A2")
     return cyclic_law(section, contacts_of(section), isotropic_share=share, largest_curvature=120.0)
 
 
-def pulled_twice(law: MomentLaw) -> Loop:
+def pulled_twice(law: PlayLaw) -> Loop:
     state, start, residuals, energies, forces = make_straight(law), 0.0, [], [], []
     for _ in range(2):
         path, load = [start], [0.0]
@@ -85,6 +87,42 @@ def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> N
     law, bent = law_of_a2(share), np.array([5.0, 12.0, 23.5, 37.5])
     section = wire("A2")
     moment = compute_moment_curve(section, contacts_of(section), bent).moment
-    history = respond(law, moment, make_unbent_plays(law, len(bent))).plays
-    after = respond(law, np.zeros(len(bent)), history).curvature
+    history = law.respond(moment, law.make_unbent_history(len(bent))).plays
+    after = law.respond(np.zeros(len(bent)), history).curvature
     assert after / bent == pytest.approx(kept, abs=0.011)
+
+
+ANOTHER_COPPER = RambergOsgood(110e9, 455e6, 0.343, "a firmer copper, of another handbook")
+WINDING_WIRES = {
+    (0.274, 12.5): ((161, 116), (42, 42), (33, 37), (19, 25)),
+    (0.315, 19.0): ((163, 119), (46, 49), (37, 43), (22, 30)),
+    (0.508, 25.0): ((161, 117), (43, 44), (34, 39), (20, 26)),
+    (0.813, 50.0): ((163, 120), (47, 49), (37, 44), (22, 30)),
+    (1.219, 50.0): ((160, 114), (41, 40), (31, 35), (18, 23)),
+}
+"""Diameters of wire and mandrel, mm: springback, degrees of a turn, by fibres, for four shares."""
+
+
+@pytest.mark.parametrize("wire_and_mandrel", WINDING_WIRES)
+@pytest.mark.parametrize(
+    ("place", "share", "tolerance"), [(0, 0.0, 1.5), (1, 0.35, 6.0), (2, 0.45, 1.5), (3, 1.0, 1.0)]
+)
+def test_springback_of_bare_winding_wires(
+    wire_and_mandrel: tuple[float, float], place: int, share: float, tolerance: float
+) -> None:
+    """One growing slider yields at once where fibres yield one by one: most at 0.35."""
+    diameter, mandrel = wire_and_mandrel
+    bent = np.array([2e3 / (diameter + mandrel)])
+    expected = WINDING_WIRES[wire_and_mandrel][place]
+    for copper, springback in zip((ANNEALED_COPPER, ANOTHER_COPPER), expected, strict=True):
+        section = place_rings((Layer(1, 1e-3 * diameter, 0.0, copper),))
+        law = cyclic_law(
+            section,
+            contacts_of(section),
+            isotropic_share=share,
+            largest_curvature=1.5 * float(bent[0]),
+        )
+        moment = compute_moment_curve(section, contacts_of(section), bent).moment
+        history = law.respond(moment, law.make_unbent_history(1)).plays
+        after = law.respond(np.zeros(1), history).curvature
+        assert 360.0 * (1.0 - float((after / bent)[0])) == pytest.approx(springback, abs=tolerance)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import make_concave_law
 from labpipe.mechanics.law.sliders import compute_slider_moment
+from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level

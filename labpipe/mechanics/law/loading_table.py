@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import PPoly
 
-from labpipe.mechanics.law.plays import MomentLaw, find_corners
+from labpipe.mechanics.law.plays import PlayLaw, find_corners
 from labpipe.records.arrays import Floats
 
 CurvatureAndSlope: TypeAlias = tuple[Floats, Floats]
@@ -38,7 +38,7 @@ class LoadingTable:
     last_change: Floats
 
     @classmethod
-    def of_plays(cls, law: MomentLaw) -> LoadingTable:
+    def of_plays(cls, law: PlayLaw) -> LoadingTable:
         """Return the table of a law of plays, which is linear between its corners."""
         last_step_factor = 1.0
         moment, curvature, slopes = find_corners(law)

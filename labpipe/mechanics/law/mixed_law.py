@@ -7,7 +7,7 @@ law of plays from which it was made, for every isotropic share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,37 +18,17 @@ from labpipe.records.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MixedLaw:
+class MixedLaw(PlayLaw):
     """A law of a wire with partly isotropic hardening, which computes curvature from moment.
+
+    Its plays are those of first loading, which state the stiffness and the range.
 
     Parameters
     ----------
-    plays : law of first loading, which states the stiffness and the range
     sliders : law with the same first loading, which computes all responses
     """
 
-    plays: PlayLaw
-    sliders: SliderLaw
-
-    @property
-    def stiffness(self) -> float:
-        """Return the bending stiffness of the first, elastic response, N m^2."""
-        return self.plays.stiffness
-
-    @property
-    def half_widths(self) -> Floats:
-        """Return the half-widths of the plays of first loading, N m."""
-        return self.plays.half_widths
-
-    @property
-    def compliances(self) -> Floats:
-        """Return the compliances of the plays of first loading, 1/(N m^2)."""
-        return self.plays.compliances
-
-    @property
-    def largest_moment(self) -> float:
-        """Return the largest moment of the range of the law, N m."""
-        return self.plays.largest_moment
+    sliders: SliderLaw = field(kw_only=True, repr=False)
 
     def make_unbent_history(self, n_stations: int) -> Floats:
         """Return the history of a wire that was never bent, 1/m.
@@ -109,11 +89,14 @@ def make_mixed_law(
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
     sliders = SliderLaw(
-        float(slopes.min()),
+        max(float(slopes.min()), 0.0),  # nothing but rounding remains of a bare solid wire
         slope_drops[has_slider],
         corners[:-1][has_slider],
         0.0,
         float(corners[-1]),
         growing=(growing_slider,),
     )
-    return MixedLaw(plays, sliders)
+    return MixedLaw(
+        *(plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment),
+        sliders=sliders,
+    )

@@ -17,7 +17,7 @@ are checked by `require_within`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 
@@ -41,85 +41,8 @@ class Response:
     plays: Floats
 
 
-class MomentLaw(Protocol):
-    """A moment-curvature law with memory; one law serves all stations along a wire."""
-
-    @property
-    def stiffness(self) -> float:
-        """Return the bending stiffness EI0 of the first, elastic response, N m^2."""
-
-    @property
-    def half_widths(self) -> Floats:
-        """Return the half-widths r_j of the plays, N m, shape (plays,), increasing."""
-
-    @property
-    def compliances(self) -> Floats:
-        """Return the compliances c_j of the plays when they move, 1/(N m^2), shape (plays,)."""
-
-    @property
-    def largest_moment(self) -> float:
-        """Return the end of the law, N m, either sign; may be infinite."""
-
-    def make_unbent_history(self, n_stations: int) -> Floats:
-        """Return the history of a wire that was never bent, shape (n_stations, n)."""
-
-    def respond(self, moment: Floats, history: Floats) -> Response:
-        """Compute curvatures under new moments, from the history: see `respond`."""
-
-
-class _Plays:
-    """Responses of a spring in series with plays."""
-
-    __slots__ = ()
-
-    def make_unbent_history(self: MomentLaw, n_stations: int) -> Floats:
-        """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
-        return np.zeros((n_stations, len(self.half_widths)))
-
-    def respond(self: MomentLaw, moment: Floats, history: Floats) -> Response:
-        """Compute curvatures under new moments, from the history: see `respond`."""
-        column = moment[:, None]
-        moved = np.minimum(
-            np.maximum(history, column - self.half_widths), column + self.half_widths
-        )
-        flowing = moved != history
-        curvature = moment / self.stiffness + moved @ self.compliances
-        compliance = 1.0 / self.stiffness + flowing @ self.compliances
-        return Response(curvature, compliance, moved)
-
-
-@dataclass(frozen=True, slots=True)
-class LinearLaw(_Plays):
-    """Constant bending stiffness: kappa = M / EI, no memory.
-
-    Parameters
-    ----------
-    stiffness : EI, N m^2
-    """
-
-    stiffness: float
-
-    def __post_init__(self) -> None:
-        require_positive("stiffness", self.stiffness)
-
-    @property
-    def largest_moment(self) -> float:
-        """Return infinity."""
-        return np.inf
-
-    @property
-    def half_widths(self) -> Floats:
-        """Return an empty array: there are no plays."""
-        return np.zeros(0)
-
-    @property
-    def compliances(self) -> Floats:
-        """Return an empty array: there are no plays."""
-        return np.zeros(0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class PlayLaw(ArrayRecord, _Plays):
+class PlayLaw(ArrayRecord):
     """Many plays: any concave first-loading law, with Masing loops and residual curvature.
 
     Parameters
@@ -149,33 +72,42 @@ class PlayLaw(ArrayRecord, _Plays):
         are_valid = bool(np.all((compliances >= 0.0) & np.isfinite(compliances)))
         require("compliances", compliances.tolist(), "finite and >= 0", holds=are_valid)
 
+    def make_unbent_history(self, n_stations: int) -> Floats:
+        """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
+        return np.zeros((n_stations, len(self.half_widths)))
 
-def make_unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
-    """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
-    return law.make_unbent_history(n_stations)
+    def respond(self, moment: Floats, history: Floats) -> Response:
+        """Compute curvatures under new moments, from the history.
+
+        Parameters
+        ----------
+        moment : shape (stations,), N m; each is reached monotonically
+        history : shape (stations, plays), N m, before the step
+
+        Returns
+        -------
+        Curvature, compliance and the new history. NaN in gives NaN out.
+
+        Notes
+        -----
+        The compliance at a corner of the polygon is that of the play at rest.
+        """
+        column = moment[:, None]
+        moved = np.minimum(
+            np.maximum(history, column - self.half_widths), column + self.half_widths
+        )
+        flowing = moved != history
+        curvature = moment / self.stiffness + moved @ self.compliances
+        compliance = 1.0 / self.stiffness + flowing @ self.compliances
+        return Response(curvature, compliance, moved)
 
 
-def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
-    """Compute curvatures under new moments, from the history.
-
-    Parameters
-    ----------
-    law : the law of every station
-    moment : shape (stations,), N m; each is reached monotonically
-    plays : shape (stations, plays), N m, history before the step
-
-    Returns
-    -------
-    Curvature, compliance and the new history. NaN in gives NaN out.
-
-    Notes
-    -----
-    The compliance at a corner of the polygon is that of the play at rest.
-    """
-    return law.respond(moment, plays)
+def make_linear_plays(stiffness: float) -> PlayLaw:
+    """Return a constant bending stiffness, N m^2, as a law without plays: kappa = M / EI."""
+    return PlayLaw(stiffness, np.zeros(0), np.zeros(0))
 
 
-def find_corners(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
+def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
     """Return the corners of a law on first loading, from zero, each of shape (plays + 1,).
 
     Parameters
@@ -191,7 +123,7 @@ def find_corners(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
     return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
 
 
-def compute_first_curvature(law: MomentLaw, moment: Floats) -> Floats:
+def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:
     """Return the curvature of first loading at moments, 1/m.
 
     Parameters
@@ -204,13 +136,13 @@ def compute_first_curvature(law: MomentLaw, moment: Floats) -> Floats:
     return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
 
 
-def is_within(law: MomentLaw, moment: float) -> bool:
+def is_within(law: PlayLaw, moment: float) -> bool:
     """Return whether a law covers a moment, N m, either sign, within rounding."""
     rounding_share = 1e-6  # of the last moment, to which a moment is searched
     return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
 
-def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
+def require_within(law: PlayLaw, moment: Floats, what: str) -> None:
     """Refuse moments beyond the end of a law.
 
     Parameters
@@ -320,51 +252,6 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
-
-
-def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Return the plays of the concave hull of points of a first loading.
-
-    Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
-    corners; elsewhere it is that of `make_polygon_law`.
-
-    Parameters
-    ----------
-    curvature : shape (n,), 1/m, positive and increasing, n >= 2
-    moment : shape (n,), N m
-
-    Raises
-    ------
-    ValueError
-        If the moment does not grow, or the hull is more than 1 % of the moment above the law;
-        the message states the curvature.
-    """
-    max_bridged_share = 0.01  # of the moment: more would be another law
-    hull = _upper_corners(curvature, moment)
-    bridged = np.interp(curvature, np.append(0.0, curvature[hull]), np.append(0.0, moment[hull]))
-    excess = bridged / moment - 1.0
-    if np.any(excess > max_bridged_share):
-        at = int(np.argmax(excess))
-        limit = f"{100.0 * max_bridged_share:.0f} %"
-        message = (
-            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
-            f"{100.0 * excess[at]:.2g} % above it; expected at most {limit}"
-        )
-        raise ValueError(message)
-    return make_polygon_law(curvature[hull], moment[hull])
-
-
-def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
-    """Return the corners of the upper hull with the origin (Andrew's chain, 1979)."""
-    corners: list[int] = []
-    x, y = [0.0], [0.0]
-    for number, (k, m) in enumerate(zip(curvature.tolist(), moment.tolist(), strict=True)):
-        while len(x) > 1 and (m - y[-2]) * (x[-1] - x[-2]) >= (y[-1] - y[-2]) * (k - x[-2]):
-            del x[-1], y[-1], corners[-1]
-        x.append(k)
-        y.append(m)
-        corners.append(number)
-    return corners
 
 
 def make_stick_slip_law(

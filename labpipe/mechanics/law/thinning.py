@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import require, require_rising
+from labpipe.mechanics.law.plays import PlayLaw, make_polygon_law, require, require_rising
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
@@ -66,7 +66,7 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     Processing Letters 9 (1979) 216-219.
     """
     _require_law(curvature, moment, max_points)
-    corners = _hull(curvature.tolist(), moment.tolist())  # lists are faster for single numbers
+    corners = find_hull(curvature, moment)
     x, y = curvature[corners], moment[corners]
     chosen = np.arange(len(x)) if len(x) <= max_points else _fewest_error(x, y, max_points)
     return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
@@ -86,9 +86,15 @@ def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
         raise ValueError(message)
 
 
-def _hull(x: list[float], y: list[float]) -> Ints:
-    """Return the corners of the concave hull, including both ends."""
-    min_slope_drop = 1e-6  # share by which the slope falls at a corner
+def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6) -> Ints:
+    """Return the corners of the concave hull, including both ends.
+
+    Parameters
+    ----------
+    curvature, moment : as for `thin`
+    min_slope_drop : share by which the slope falls at a corner
+    """
+    x, y = curvature.tolist(), moment.tolist()  # lists are faster for single numbers
     corners: list[int] = [0]
     for new in range(1, len(x)):
         while len(corners) > 1:
@@ -100,6 +106,54 @@ def _hull(x: list[float], y: list[float]) -> Ints:
             corners.pop()
         corners.append(new)
     return np.array(corners, dtype=np.int64)
+
+
+def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
+    """Refuse a law that stiffens too much.
+
+    Parameters
+    ----------
+    curvature, moment : as for `thin`
+    hull : as of `find_hull`
+
+    Raises
+    ------
+    ValueError
+        If the hull is more than 1 % of the moment above the law; the message states the curvature.
+    """
+    max_bridged_share = 0.01  # of the moment: more would be another law
+    bridged = np.interp(curvature[1:], curvature[hull], moment[hull])
+    excess = bridged / moment[1:] - 1.0
+    if np.any(excess > max_bridged_share):
+        worst = int(np.argmax(excess))
+        message = (
+            f"the law stiffens at curvature={curvature[worst + 1]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[worst]:.2g} % above it; expected at most "
+            f"{100.0 * max_bridged_share:.0f} %"
+        )
+        raise ValueError(message)
+
+
+def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Return the plays of the concave hull of points of a first loading.
+
+    Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
+    corners; elsewhere it is that of `make_polygon_law`.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow, or as `require_concave`.
+    """
+    x, y = np.append(0.0, curvature), np.append(0.0, moment)
+    hull = find_hull(x, y, min_slope_drop=0.0)
+    require_concave(x, y, hull)
+    return make_polygon_law(x[hull][1:], y[hull][1:])
 
 
 def _fewest_error(x: Floats, y: Floats, max_points: int) -> Ints:

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.mechanics.decks import write_decks
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
 from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.mechanics.studies.first_loadings import (
@@ -230,7 +230,7 @@ def _calibrate_share(
     names = [PARAMETERS[number] for number in acting]
     best = dict(zip(names, np.log(solution.values[acting]), strict=True))
 
-    def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
+    def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
         logs = {name: best[name] + changes.get(name, 0.0) for name in names}
         own = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
         built = build_wire(own)

@@ -29,13 +29,11 @@ import numpy as np
 
 from labpipe.mechanics.law.loading_table import CurvatureAndSlope
 from labpipe.mechanics.law.plays import (
-    MomentLaw,
-    make_unbent_plays,
+    PlayLaw,
     require_finite,
     require_not_negative,
     require_positive,
     require_within,
-    respond,
 )
 from labpipe.mechanics.wire.newton import (
     Condition,
@@ -197,7 +195,7 @@ Step: TypeAlias = Callable[[WireState, float], WireState | None]
 
 
 def make_straight(
-    law: MomentLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
+    law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
     """Return the state of a straight wire that was never bent.
 
@@ -208,11 +206,11 @@ def make_straight(
     self_weight : N/m, of the wire; acts from the first step on
     """
     require_not_negative("self_weight", self_weight)
-    unbent = make_unbent_plays(law, n_stations)
+    unbent = law.make_unbent_history(n_stations)
     return WireState(np.zeros(n_stations), unbent, np.zeros(2), self_weight=self_weight)
 
 
-def hold_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
+def hold_level(law: PlayLaw, length: float, self_weight: float) -> CantileverShape:
     """Find the initial equilibrium of a level wire whose tip a normal force holds.
 
     Parameters
@@ -235,7 +233,7 @@ def hold_level(law: MomentLaw, length: float, self_weight: float) -> CantileverS
 
 
 def bend_under_force(
-    law: MomentLaw, state: WireState, length: float, force: Floats
+    law: PlayLaw, state: WireState, length: float, force: Floats
 ) -> CantileverShape:
     """Bend a wire by changing its end force linearly to another.
 
@@ -268,7 +266,7 @@ def bend_under_force(
 
 
 def bend_to_deflection(
-    law: MomentLaw, state: WireState, length: float, deflection: float
+    law: PlayLaw, state: WireState, length: float, deflection: float
 ) -> CantileverShape:
     """Bend a wire by an end force normal to the clamped axis until its tip is at `deflection`.
 
@@ -294,7 +292,7 @@ def bend_to_deflection(
 
 
 def deflect(
-    law: MomentLaw,
+    law: PlayLaw,
     state: WireState,
     length: float,
     deflection: float,
@@ -315,7 +313,7 @@ def deflect(
 
 
 def bend_to_travel(
-    law: MomentLaw, state: WireState, length: float, rig: StringRig, travel: float
+    law: PlayLaw, state: WireState, length: float, rig: StringRig, travel: float
 ) -> CantileverShape:
     """Bend a wire on the string by moving its clamp to `travel`.
 
@@ -366,22 +364,22 @@ def bend_to_travel(
     return _within_law(law, _walk_to(step, state, travel, place), length, place)
 
 
-def _within_law(law: MomentLaw, state: WireState, length: float, place: str) -> CantileverShape:
+def _within_law(law: PlayLaw, state: WireState, length: float, place: str) -> CantileverShape:
     require_within(law, state.moment, place)
     return compute_shape(law, state, length)
 
 
-def compute_shape(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
+def compute_shape(law: PlayLaw, state: WireState, length: float) -> CantileverShape:
     """Compute the shape of a state in equilibrium."""
     stations = make_stations(len(state.moment), length)
-    curvature = respond(law, state.moment, state.plays).curvature
+    curvature = law.respond(state.moment, state.plays).curvature
     angle = stations.from_clamp @ curvature
     x, y = (stations.from_clamp @ part for part in (np.cos(angle), np.sin(angle)))
     return CantileverShape(stations.position, x, y, angle, curvature, state)
 
 
 def settle(
-    law: MomentLaw,
+    law: PlayLaw,
     state: WireState,
     length: float,
     condition: Condition,
@@ -419,13 +417,13 @@ def settle(
     turn = stations.from_clamp @ (bent_wire.curvature - bend(moment[None])[0])[0]
     if np.max(np.abs(turn)) > max_turn:
         return None
-    plays = respond(law, solved[0][0], state.plays).plays
+    plays = law.respond(solved[0][0], state.plays).plays
     force, load = bent_wire.wanted.force[0], float(solved[1][0])
     return WireState(solved[0][0], plays, force, load, travel, state.self_weight)
 
 
-def _bend_plays(law: MomentLaw, plays: Floats, moment: Floats) -> CurvatureAndSlope:
-    response = respond(law, moment[0], plays)
+def _bend_plays(law: PlayLaw, plays: Floats, moment: Floats) -> CurvatureAndSlope:
+    response = law.respond(moment[0], plays)
     return response.curvature[None], response.compliance[None]
 
 

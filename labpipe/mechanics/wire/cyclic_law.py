@@ -28,7 +28,7 @@ def cyclic_law(
     largest_curvature: float,
     tension: float = 0.0,
     orientation: float = 0.0,
-) -> PlayLaw | MixedLaw:
+) -> PlayLaw:
     """Compute the law of a wire for paths that unload.
 
     Parameters

@@ -14,15 +14,13 @@ from scipy.interpolate import PchipInterpolator
 
 from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.plays import (
-    MomentLaw,
     PlayLaw,
     is_within,
-    make_concave_law,
     require_finite,
     require_not_negative,
     require_positive,
-    respond,
 )
+from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.bending_law import MomentCurve
 from labpipe.mechanics.wire.cantilever import (
     AtDeflection,
@@ -64,7 +62,7 @@ class EndLoadPath:
 
 
 def compute_end_load_path(
-    law: MomentLaw,
+    law: PlayLaw,
     length: float,
     deflections: Floats,
     *,
@@ -135,19 +133,19 @@ def compute_end_load_path(
     return EndLoadPath(load - (0.0 if shape is None else shape.force[1]), clamp, shape)
 
 
-def _state(law: MomentLaw, before: WireState, at: LoadingStates, row: int | None) -> WireState:
+def _state(law: PlayLaw, before: WireState, at: LoadingStates, row: int | None) -> WireState:
     """Return the state with history at one of the deflections, or at rest."""
     at_rest = at.rest, at.rest_tension, 0.0
     moment, load, travel = (
         at_rest if row is None else (at.moment[row], at.tension[row], at.deflection[row])
     )
-    plays, force = respond(law, moment, before.plays).plays, np.array([0.0, load])
+    plays, force = law.respond(moment, before.plays).plays, np.array([0.0, load])
     return replace(
         before, moment=moment, plays=plays, force=force, load=float(load), travel=float(travel)
     )
 
 
-def _shape_at_rest(law: MomentLaw, rest: WireState, length: float) -> CantileverShape:
+def _shape_at_rest(law: PlayLaw, rest: WireState, length: float) -> CantileverShape:
     """Return the shape that the wire's own weight gives it."""
     max_lean = 1.0  # rad: a steeper wire has other equilibria, too
     shape = compute_shape(law, rest, length)
@@ -159,7 +157,7 @@ def _shape_at_rest(law: MomentLaw, rest: WireState, length: float) -> Cantilever
 
 
 def _continue_path(
-    law: MomentLaw, states: list[WireState], length: float, deflections: Floats
+    law: PlayLaw, states: list[WireState], length: float, deflections: Floats
 ) -> Iterator[WireState]:
     """Yield the states at further deflections up to the end of the law, from those before."""
     tolerance = 1e-5  # from a good guess; the next change would be 1e-10

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
-from labpipe.mechanics.wire.calibration.fit import (
-    BOUNDS,
-    CalibrationFit,
-    Settings,
-    Wire,
-    fit_wire,
-    set_up_problem,
-)
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.problem_setup import (
+    BOUNDS,
+    Settings,
+    Wire,
+    set_up_problem,
+)
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
 from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.records.wire_calibration import (
@@ -148,19 +146,20 @@ def test_starts_and_priors() -> None:
         (unpressed, [0.05, *TRUTH[1:]], [True, True, True]),
         (STRAND, [np.nan, np.nan, 1.0], [False, False, True]),
     ):
-        posed = set_up_problem(parts, CURVES, {}, 0.01)
+        posed = set_up_problem(parts, CURVES, Settings(gain=0.01))
         assert not isinstance(posed, CalibrationFailure)
-        problem, logs, are_free = posed
-        assert are_free.tolist() == free
+        problem, logs = posed
+        assert problem.free.tolist() == free
         assert np.exp(logs)[free] == pytest.approx(np.array(starts)[free])
         assert not problem.precision.any()
         assert np.exp(problem.upper[2]) == pytest.approx(BOUNDS[COPPER_SCALE][1])
         assert problem.sample.tolist() == [0, 1, 2]
     friction, copper = ParameterChoice(0.08, is_fixed=True), ParameterChoice(1.2, factor=1.5)
-    posed = set_up_problem(PARTS, CURVES, {RADIAL_FRICTION: friction, COPPER_SCALE: copper}, 0.01)
+    choices = {RADIAL_FRICTION: friction, COPPER_SCALE: copper}
+    posed = set_up_problem(PARTS, CURVES, Settings(choices, 0.01))
     assert not isinstance(posed, CalibrationFailure)
-    problem, logs, are_free = posed
-    assert are_free.tolist() == [False, True, True]
+    problem, logs = posed
+    assert problem.free.tolist() == [False, True, True]
     assert np.exp(logs) == pytest.approx([0.08, 1e9, 1.2])
     assert problem.lower[0] == problem.upper[0] == logs[0]
     assert problem.centre[2] == logs[2]
@@ -169,9 +168,9 @@ def test_starts_and_priors() -> None:
 
 def test_what_is_refused(approved: Approve) -> None:
     failures = [
-        set_up_problem(STRAND, CURVES, {INSULATION_MODULUS: ParameterChoice()}, 0.0),
-        set_up_problem(PARTS, CURVES, {COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}, 0.01),
-        fit_wire(WIRE, measured(n=2), Settings()),
+        set_up_problem(STRAND, CURVES, Settings({INSULATION_MODULUS: ParameterChoice()})),
+        set_up_problem(PARTS, CURVES, Settings({COPPER_SCALE: ParameterChoice(1.0, lower=1.2)})),
+        calibrate(WIRE, measured(n=2)),
         calibrate(WIRE, (THREE[1], replace(THREE[0], wire="A3"))),
         calibrate(WIRE, ()),
     ]
@@ -182,7 +181,7 @@ def test_what_is_refused(approved: Approve) -> None:
         ({}, -0.1),
     ):
         with pytest.raises(ValueError) as refusal:  # noqa: PT011
-            set_up_problem(PARTS, CURVES, choices, gain)
+            set_up_problem(PARTS, CURVES, Settings(choices, gain))
         failures.append(CalibrationFailure("ValueError", str(refusal.value)))
     assert all(isinstance(failure, CalibrationFailure) for failure in failures)
     approved(f"{failure.code}: {failure.message}" for failure in failures)  # type: ignore[union-attr]
@@ -215,10 +214,9 @@ def test_the_fit_of_usual_tests(usual: Calibration) -> None:
 
 def test_without_noise_the_truth_is_found() -> None:
     exact = measured(noise=1e-5, scatter=0.0, gain=0.0, n=60)
-    quiet = fit_wire(WIRE, exact, Settings(scatter=0.0))
-    assert isinstance(quiet, CalibrationFit)
-    assert np.abs(quiet.fit.point.logs - np.log(TRUTH)).max() < 0.02
-    assert quiet.is_scatter_known
+    quiet = calibrated(exact, Settings(scatter=0.0))
+    assert np.abs(np.log(quiet.solutions[0].values / TRUTH)).max() < 0.02
+    assert quiet.levels.scatter_freedom == np.inf
 
 
 @pytest.mark.parametrize(("centre", "factor", "contradicts"), [(1.6, 1.05, True), (1, 1.02, False)])

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
     ENERGY,
@@ -35,7 +35,7 @@ SCATTER = 0.03
 COVARIANCE = np.diag([0.1, 0.05]) ** 2
 
 
-def law_at(changes: Mapping[str, float], share: float) -> MomentLaw:
+def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
     wire = WIRES["A2"]
     scaled = replace(
         wire,

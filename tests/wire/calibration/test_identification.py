@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.fit import (
+from labpipe.mechanics.wire.calibration.identification import (
     FRICTION_NAMES,
     compute_friction_jacobian,
     describe_parameter,
@@ -43,22 +43,34 @@ KNOWN = CalibratedParameter(
         (1.9, {}, Identifiability.WELL),
         (2.1, {}, Identifiability.WEAKLY),
         (101.0, {}, Identifiability.NOT),
-        (1.9, {"is_open": True}, Identifiability.NOT),
+        (1.9, {"is_open_below": True}, Identifiability.NOT),
+        (1.9, {"is_open_above": True}, Identifiability.NOT),
         (1.9, {"prior_error": 0.11}, Identifiability.BY_PRIOR),
         (1.9, {"prior_error": 0.12}, Identifiability.WELL),
-        (1.9, {"at_bound": True, "is_open": True}, Identifiability.AT_BOUND),
+        (1.9, {"at_bound": "lower", "is_open_below": True}, Identifiability.AT_BOUND),
         (1.9, {"prior_error": 0.11, "contradicts": True}, Identifiability.AGAINST_PRIOR),
-        (1.9, {"contradicts": True, "is_open": True}, Identifiability.AGAINST_PRIOR),
-        (1.9, {"contradicts": True, "at_bound": True}, Identifiability.AT_BOUND),
-        (1.9, {"is_split": True}, Identifiability.WELL),
-        (2.1, {"is_split": True}, Identifiability.TWO),
-        (1.9, {"is_split": True, "span_with_others": 4.0}, Identifiability.TWO),
-        (101.0, {"is_split": True}, Identifiability.NOT),
+        (1.9, {"contradicts": True, "is_open_above": True}, Identifiability.AGAINST_PRIOR),
+        (1.9, {"contradicts": True, "at_bound": "upper"}, Identifiability.AT_BOUND),
+        (1.9, {"others": ((1.95e9, 0.1),)}, Identifiability.WELL),
+        (2.1, {"others": ((2.3e9, 0.1),)}, Identifiability.TWO),
+        (1.9, {"others": ((4e9, 0.1),)}, Identifiability.TWO),
+        (1.9, {"ends": (1e9, 4e9)}, Identifiability.WEAKLY),
+        (101.0, {"others": ((200e9, 0.1),)}, Identifiability.NOT),
     ],
 )
-def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability) -> None:
-    usual = {"at_bound": False, "is_open": False, "log_error": 0.1, "prior_error": np.inf}
-    assert find_verdict(span, **{**usual, **more}) is expected  # type: ignore[arg-type]
+def test_verdicts(span: float, more: dict[str, Any], expected: Identifiability) -> None:
+    given = dict(more)
+    others, ends = given.pop("others", ()), given.pop("ends", None)
+    error, contradicts = given.pop("prior_error", None), given.pop("contradicts", False)
+    if error or contradicts:
+        factor = float(np.exp(1.959964 * (error or np.inf)))
+        given["conflict"] = replace(CONFLICT, factor=factor, contradicts=contradicts)
+    intervals = (Interval(1e9, span * 1e9),)
+    parameter = replace(KNOWN, intervals=intervals, log_error=0.1, **given)
+    assert find_verdict(parameter, others, ends) is expected
+
+
+CONFLICT = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
 
 
 @pytest.mark.parametrize("name", ["A2", "A3"])
@@ -128,11 +140,10 @@ def test_words(approved: Approve) -> None:
 
 
 def test_priors_are_weighed(approved: Approve) -> None:
-    far = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
     conflicts = [
-        weigh_prior("copper_scale", far),
-        weigh_prior("copper_scale", replace(far, freedom=2.0)),
-        weigh_prior("insulation_modulus", replace(far, centre=1e9, alone=1.2e9)),
+        weigh_prior("copper_scale", CONFLICT),
+        weigh_prior("copper_scale", replace(CONFLICT, freedom=2.0)),
+        weigh_prior("insulation_modulus", replace(CONFLICT, centre=1e9, alone=1.2e9)),
     ]
     assert [conflict.contradicts for conflict in conflicts] == [True, False, True]
     approved(conflict.message for conflict in conflicts)

@@ -10,10 +10,10 @@ import pytest
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
-from labpipe.mechanics.wire.calibration.fit import CalibrationFit, Settings, fit_wire
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.local_minima import (
-    _differences,
+    Minima,
+    compute_differences,
     compute_tube_quantile,
     find_minima,
 )
@@ -22,8 +22,9 @@ from labpipe.mechanics.wire.calibration.objective import (
     Levels,
     Point,
     Problem,
-    make_normal_matrix,
+    make_normal_equations,
 )
+from labpipe.mechanics.wire.calibration.problem_setup import Settings, set_up_problem
 from labpipe.mechanics.wire.calibration.profile_likelihood import (
     Trace,
     find_reach,
@@ -47,8 +48,6 @@ WIRE = wire_of("A2")
 
 CURVES = measured(n=40, seed=3)
 
-ALL = np.ones(3, dtype=np.bool_)
-
 LEVELS = Levels(1.0, 0.0, 0.03)
 
 PROBLEM = Problem(
@@ -60,7 +59,10 @@ PROBLEM = Problem(
     np.log(TRUTH) - 5.0,
     np.log(TRUTH) + 5.0,
     0.005,
+    np.ones(3, dtype=np.bool_),
 )
+
+HELD = replace(PROBLEM, free=np.zeros(3, dtype=np.bool_))
 
 
 def start(*factors: float) -> Point:
@@ -68,24 +70,24 @@ def start(*factors: float) -> Point:
 
 
 def test_the_least_has_no_slope() -> None:
-    fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8), ALL)
+    fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
     assert fit.settled
     for step in np.vstack([1e-2 * np.eye(3), -1e-2 * np.eye(3)]):
         point = replace(fit.point, logs=fit.point.logs + step)
-        beside = search(PROBLEM, LEVELS, point, np.zeros(3, np.bool_))
+        beside = search(HELD, LEVELS, point)
         assert beside.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
-    again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), ALL, lowest=fit.objective - 1e-3)
+    again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
     assert again.objective == pytest.approx(fit.objective, abs=1e-4)
     # bounds and priors hold, and the others go on; without scatter and gain there are no factors
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
-    fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0), ALL)
+    fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0))
     assert (fit.point.logs[1], fit.settled) == (lower[1], True)
-    assert make_normal_matrix(bounded, LEVELS, fit, ALL)[1][:3].tolist() == [True, False, True]
+    assert make_normal_equations(fit)[2][:3].tolist() == [True, False, True]
     centre, precision = np.log(TRUTH * [1.0, 1.0, 1.5]), np.array([0.0, 0.0, 1e8])
     believed = replace(PROBLEM, centre=centre, precision=precision, gain=0.0)
-    fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0), ALL)
+    fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0))
     assert np.exp(fit.point.logs[2]) == pytest.approx(1.5, rel=1e-3)
     assert fit.point.gain == 0.0
     assert not fit.point.offsets.any()
@@ -93,10 +95,9 @@ def test_the_least_has_no_slope() -> None:
 
 def test_how_far_fits_are_apart_in_standard_deviations() -> None:
     """Of the forces, of priors, of the load cell's gain and of the samples' factors."""
-    problem = replace(PROBLEM, precision=np.array([4.0, 0.0, 9.0]))
+    problem = replace(HELD, precision=np.array([4.0, 0.0, 9.0]))
     here, there = (
-        search(problem, LEVELS, start(*factors), np.zeros(3, np.bool_))
-        for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
+        search(problem, LEVELS, start(*factors)) for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
     )
 
     def weighed(fit: Fit) -> Floats:
@@ -107,12 +108,12 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
         return np.concatenate([*forces, rest])
 
     apart = np.sum((weighed(there) - weighed(here)) ** 2)
-    products = _differences(problem, LEVELS, [here, there], here)
+    products = compute_differences([here, there], here)
     np.testing.assert_allclose(products, [[0.0, 0.0], [0.0, apart]], rtol=1e-9, atol=1e-9)
 
 
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
-    fit = search(PROBLEM, LEVELS, start(1.0, 1.0, 1.0), np.zeros(3, dtype=np.bool_))
+    fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
     for curve, model, offset in zip(CURVES, fit.models, fit.point.offsets, strict=True):
         direct = np.log(float(curve.force @ model.force) / float(model.force @ model.force))
         assert fit.point.gain + offset == pytest.approx(direct, rel=0.05)
@@ -166,15 +167,14 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
     """The search from a dip beside the least ends a rounding below it."""
 
     def lower_by_rounding(*given: object) -> list[Fit]:
-        fit = given[3]
+        fit = given[1]
         assert isinstance(fit, Fit)
         return [replace(fit, objective=fit.objective - 1e-6)]
 
     monkeypatch.setattr(
         "labpipe.mechanics.wire.calibration.local_minima.find_local_minima", lower_by_rounding
     )
-    fits = find_minima(PROBLEM, np.log(TRUTH), ALL, scatter=None).fits
-    assert len(fits) == 1
+    assert len(find_minima(PROBLEM, np.log(TRUTH)).all) == 1
 
 
 FIXED = ParameterChoice(is_fixed=True)
@@ -205,8 +205,8 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     """The mean factor, all parameters known: it rests on the samples' factors alone."""
     fixed = Settings(dict.fromkeys(PARAMETERS, FIXED), gain=0.9)
     fit = fit_of(fixed, samples=samples, n=60, seed=1)
-    low, high = compute_quantiles(fit.mixture, np.eye(4)[[3]])
-    error = np.sqrt(fit.spread.covariance[3, 3])
+    low, high = compute_quantiles(fit.lowest.mixture, np.eye(4)[[3]])
+    error = np.sqrt(fit.lowest.spread.covariance[3, 3])
     # The gain is not quite free, which shows in the far tail of two samples.
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
@@ -234,7 +234,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     choices = {"radial_friction": FIXED, "copper_scale": FIXED}
     linear = fit_of(Settings(choices))
     (traced,) = follow_profiles(linear, 1)
-    low, high = compute_quantiles(linear.mixture, np.eye(4)[[1]])
+    low, high = compute_quantiles(linear.lowest.mixture, np.eye(4)[[1]])
     best, half = float(linear.fit.point.logs[1]), 0.5 * float(high[0] - low[0])
     assert traced.lower == pytest.approx(best + low[0], abs=0.03 * half)
     assert traced.upper == pytest.approx(best + high[0], abs=0.03 * half)
@@ -253,7 +253,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
 
 
 def test_a_given_scatter_is_one_distribution() -> None:
-    given = fit_of(Settings(scatter=0.03), samples=3, n=60, seed=1)
+    given = fit_of(Settings(scatter=0.03), samples=3, n=60, seed=1).lowest
     assert given.mixture.chance.tolist() == [1.0]
     assert given.mixture.scatter == pytest.approx([0.03], rel=1e-3)
     low, high = compute_quantiles(given.mixture, np.eye(4)[:3])
@@ -275,11 +275,12 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
     assert higher.lower < traced.lower < traced.upper < higher.upper
 
 
-def fit_of(settings: Settings, **more: float) -> CalibrationFit:
+def fit_of(settings: Settings, **more: float) -> Minima:
     given = {"seed": 4, "n": 90, **more}
-    fit = fit_wire(wire_of("A2"), measured(**given), settings)  # type: ignore[arg-type]
-    assert not isinstance(fit, CalibrationFailure)
-    return fit
+    curves = measured(**given)  # type: ignore[arg-type]
+    setup = set_up_problem(wire_of("A2").parts, curves, settings)
+    assert not isinstance(setup, CalibrationFailure)
+    return find_minima(*setup)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.law.plays import MomentLaw
+from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     WireState,
@@ -39,7 +39,7 @@ SHARES = (0.0, 0.35, 0.7, 1.0)
 """Shares for which a test is computed; a cubic joins them."""
 MAX_DISAGREEMENT = 2.5
 """Standard errors between the shares by residual deflection and by peaks: beyond, it is creep."""
-LawAt = Callable[[Mapping[str, float], float], MomentLaw]
+LawAt = Callable[[Mapping[str, float], float], PlayLaw]
 """Law for changes of the logarithms of parameters, by name, and an isotropic share."""
 
 
@@ -71,7 +71,7 @@ class CycledTest:
 
 
 def compute_cycles(
-    law: MomentLaw,
+    law: PlayLaw,
     length: float,
     peak: float,
     *,
@@ -136,7 +136,7 @@ def _work(path: Sequence[tuple[float, float]]) -> float:
 
 
 def _unload_to_zero(
-    law: MomentLaw, state: WireState, length: float
+    law: PlayLaw, state: WireState, length: float
 ) -> tuple[list[tuple[float, float]], WireState]:
     """Unload to zero force; return deflections and forces on the way, and the state."""
     tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
@@ -155,7 +155,7 @@ def _unload_to_zero(
 
 
 def _return(
-    law: MomentLaw, state: WireState, length: float, rig: StringRig, at_rest: float
+    law: PlayLaw, state: WireState, length: float, rig: StringRig, at_rest: float
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     steps = 12

@@ -29,24 +29,10 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from labpipe.mechanics.wire.calibration.objective import (
-    Fit,
-    Levels,
-    Point,
-    Problem,
-    compute_model_forces,
-    compute_products,
-    compute_whitened_products,
-)
+from labpipe.mechanics.wire.calibration import objective, variances
+from labpipe.mechanics.wire.calibration.objective import Fit, Levels, Point, Problem
 from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import (
-    Uncertainty,
-    estimate_correlation,
-    estimate_levels,
-    estimate_uncertainty,
-    make_mixture,
-)
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -59,6 +45,8 @@ _STRIDE = 0.3
 """Spacing of points on the line, in logarithms of the copper's strength."""
 _SAME_PLACE = 0.1 * _STRIDE
 """Distance below which points are one."""
+_MAX_RISE = 200.0
+"""Of the objective over the lowest minimum: no quantile of so few samples is as large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,51 +63,46 @@ class LocalMinimum:
 
     fit: Fit
     rise: float
-    spread: Uncertainty
+    spread: variances.Uncertainty
     mixture: ScatterMixture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """The line through all minima, from bound to bound of the copper's strength.
+class Minima:
+    """All local minima of a calibration, and the line on which they lie.
 
     Parameters
     ----------
-    place : shape (n, 4), logarithms of the parameters and of the gain
-    rise : shape (n,), of the objective over its minimum
+    all : the lowest first
+    place : shape (n, 4), logarithms of the parameters and of the gain on the line through all
+        minima, from bound to bound of the copper's strength
+    rise : shape (n,), of the objective over its minimum, on the line
+    widening : of quantiles, for that curved line
     """
 
+    all: tuple[LocalMinimum, ...]
     place: Floats
     rise: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Minima:
-    """Local minima and levels.
-
-    Parameters
-    ----------
-    fits : at the minima, the lowest first
-    levels : those of the lowest
-    line : on which they lie
-    widening : of intervals, for that curved line (`local_minima`)
-    """
-
-    fits: list[Fit]
-    levels: Levels
-    line: Line
     widening: float
 
+    @property
+    def lowest(self) -> LocalMinimum:
+        """Return the best solution."""
+        return self.all[0]
 
-def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float | None) -> Minima:
-    """Find all local minima, and the levels at the lowest.
+    @property
+    def fit(self) -> Fit:
+        """Return the fit at the best solution."""
+        return self.all[0].fit
+
+
+def find_minima(problem: Problem, logs: Floats) -> Minima:
+    """Find all local minima, with the levels of the lowest.
 
     Parameters
     ----------
     problem : what is fitted
     logs : shape (3,), where the search starts
-    free : shape (3,)
-    scatter : of the samples, in logarithms, where it is given
 
     Raises
     ------
@@ -127,35 +110,27 @@ def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float |
         If the model cannot follow the curves at any start.
     """
     first_scatter = 0.05
-    max_rise = 200.0  # of the objective: no quantile of so few samples is as large
-    levels = Levels(1.0, 0.0, first_scatter if scatter is None else scatter)
-    first = _first_fit(problem, levels, _starts(problem, logs, free), free)
-    fit, levels = refine(problem, first, levels, free, scatter=scatter)
-    line = follow_line(problem, levels, fit, free)
-    local_minima = find_local_minima(problem, levels, line, fit, free)
+    levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
+    fit = refine(_first_fit(problem, levels, _starts(problem, logs)))
+    line = follow_line(fit)
+    local_minima = find_local_minima(line, fit)
     lowest = min(local_minima, key=lambda minimum: minimum.objective)
-    other_minima = [minimum for minimum in local_minima if minimum is not lowest]
-    other_minima = [
-        other for other in other_minima if other.objective - lowest.objective <= max_rise
+    others = [
+        minimum
+        for minimum in local_minima
+        if minimum is not lowest and minimum.objective - lowest.objective <= _MAX_RISE
     ]
-    lowest_objective = lowest.objective
-    if lowest is not fit:
-        fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
-    low = fit.objective
-    minima = (_search_again(problem, levels, other, free, lowest=low) for other in other_minima)
+    fit = lowest if lowest is fit else refine(lowest)
+    minima = (_search_again(fit, other.point, lowest=fit.objective) for other in others)
     fits = _distinct_minima([fit, *(minimum for minimum in minima if minimum is not None)])
-    fits = [fit for fit in fits if fit.objective - fits[0].objective <= max_rise]
-    others_on_line = [
-        element for element in line if abs(_strength(element) - _strength(fits[0])) > _SAME_PLACE
-    ]
-    line = sorted([*others_on_line, fits[0]], key=_strength)
-    objective_rises = [
-        0.0 if element is fits[0] else max(element.objective - lowest_objective, 0.0)
-        for element in line
-    ]
-    place = np.array([[*element.point.logs, element.point.gain] for element in line])
-    widening = compute_widening(problem, levels, line, fits[0])
-    return Minima(fits, levels, Line(place, np.array(objective_rises)), widening)
+    best = fits[0]
+    fits = [fit for fit in fits if fit.objective - best.objective <= _MAX_RISE]
+    beside = [fit for fit in line if abs(_strength(fit) - _strength(best)) > _SAME_PLACE]
+    line = sorted([*beside, best], key=_strength)
+    rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
+    place = np.array([[*fit.point.logs, fit.point.gain] for fit in line])
+    estimated = tuple(_estimate_local_minimum(fit, best) for fit in fits)
+    return Minima(estimated, place, np.array(rises), compute_widening(line, best))
 
 
 def _distinct_minima(fits: list[Fit]) -> list[Fit]:
@@ -167,47 +142,35 @@ def _distinct_minima(fits: list[Fit]) -> list[Fit]:
     return distinct
 
 
-def _search_again(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: float
-) -> Fit | None:
-    """Search from a fit; None where the model cannot follow."""
+def _search_again(fit: Fit, start: Point, *, lowest: float) -> Fit | None:
+    """Search in the problem of a fit from another point; None where the model cannot follow."""
     try:
-        return search(problem, levels, _without_offsets(fit.point, levels), free, lowest=lowest)
+        start = _without_offsets(start, fit.levels)
+        return search(fit.problem, fit.levels, start, lowest=lowest)
     except ValueError:
         return None
 
 
-def refine(
-    problem: Problem, fit: Fit, levels: Levels, free: Flags, *, scatter: float | None
-) -> tuple[Fit, Levels]:
-    """Estimate the levels and search again until they converge.
-
-    Parameters
-    ----------
-    problem, free, scatter : as for `find_minima`
-    fit, levels : a fit, and the levels it was made with
-    """
+def refine(fit: Fit) -> Fit:
+    """Estimate the levels of a fit and search again until they converge."""
     max_rounds = 6
     for _ in range(max_rounds):
-        factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
-        correlation = estimate_correlation(problem.curves, fit.models, factors)
-        grams = compute_products(problem, correlation, fit.point, fit.models)
-        white = Fit(fit.point, fit.objective, grams, fit.models, fit.steps, fit.settled)
-        new = estimate_levels(problem, white, free, correlation, scatter)
-        rests = _are_close(levels, new)
-        levels = new
-        fit = search(problem, levels, _without_offsets(fit.point, levels), free)
+        correlation = variances.estimate_correlation(fit)
+        grams = objective.compute_products(fit.problem, correlation, fit.point, fit.models)
+        levels = variances.estimate_levels(replace(fit, grams=grams), correlation)
+        rests = _are_close(fit.levels, levels)
+        fit = search(fit.problem, levels, _without_offsets(fit.point, levels))
         if rests:
             break
-    return fit, levels
+    return fit
 
 
-def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats], free: Flags) -> Fit:
+def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]) -> Fit:
     """Return the fit from the first start that the model can follow."""
     reason = ""
     for logs in starts:
         try:
-            return search(problem, levels, Point(logs, 0.0, np.zeros(problem.n_samples)), free)
+            return search(problem, levels, Point(logs, 0.0, np.zeros(problem.n_samples)))
         except ValueError as error:
             reason = reason or str(error)
     message = f"the model cannot follow the curves at any of the starts; at the first: {reason}"
@@ -228,20 +191,23 @@ def _are_close(one: Levels, other: Levels) -> bool:
     return close and abs(one.scatter - other.scatter) <= level_tolerance * max(other.scatter, 1e-9)
 
 
-def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
+def _trades_off(problem: Problem) -> bool:
+    """Return whether insulation and copper are both free, so that one can replace the other."""
+    return bool(problem.free[_TUBE] and problem.free[_COPPER])
+
+
+def _starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     """Yield the given start, then others in case the model cannot follow from there."""
     # of the load, where the model cannot follow from the given start
     insulation_shares = (0.3, 0.8)
     yield logs
-    if not (free[_TUBE] and free[_COPPER]):
+    if not _trades_off(problem):
         return
-    nominal_values = problem.parts.given
+    given = problem.parts.given
     nominal = np.where(
-        free & (nominal_values > 0.0),
-        np.log(np.where(nominal_values > 0.0, nominal_values, 1.0)),
-        logs,
+        problem.free & (given > 0.0), np.log(np.where(given > 0.0, given, 1.0)), logs
     )
-    models = compute_model_forces(problem.parts, np.exp(nominal), problem.curves)
+    models = objective.compute_model_forces(problem.parts, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
     of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
     measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
@@ -252,14 +218,11 @@ def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
         yield np.clip(start, problem.lower, problem.upper)
 
 
-def find_local_minima(
-    problem: Problem, levels: Levels, line: list[Fit], fit: Fit, free: Flags
-) -> list[Fit]:
+def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
     """Find every local minimum of the objective.
 
     Parameters
     ----------
-    problem, levels, free : what is fitted
     line : fits with the copper's strength held
     fit : one minimum, on the line
 
@@ -268,14 +231,10 @@ def find_local_minima(
     In order of the copper's strength; of two without a hill between them, the lower.
     """
     min_hill = 1.0  # rise of the objective above the higher of two separate minima
-    minima = [fit]
-    for dip in _low_points(line):
-        if dip is not fit:
-            least = _search_again(problem, levels, dip, free, lowest=fit.objective)
-            minima += [] if least is None else [least]
-    minima.sort(key=_strength)
+    dips = [dip for dip in _low_points(line) if dip is not fit]
+    searched = [_search_again(fit, dip.point, lowest=fit.objective) for dip in dips]
     distinct: list[Fit] = []
-    for minimum in minima:
+    for minimum in sorted([fit, *(found for found in searched if found)], key=_strength):
         if distinct and _hill_height(line, distinct[-1], minimum) < min_hill:
             distinct[-1] = min(distinct[-1], minimum, key=lambda one: one.objective)
         else:
@@ -287,12 +246,11 @@ def _strength(fit: Fit) -> float:
     return float(fit.point.logs[_COPPER])
 
 
-def follow_line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+def follow_line(fit: Fit) -> list[Fit]:
     """Follow the line on which insulation and copper trade off.
 
     Parameters
     ----------
-    problem, levels, free : what is fitted
     fit : a minimum of the objective
 
     Returns
@@ -300,35 +258,29 @@ def follow_line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list
     Fits with the copper's strength fixed at even steps, from bound to bound, with the minimum among
     them; the minimum alone unless insulation and copper are both free.
     """
-    if not (free[_TUBE] and free[_COPPER]):
+    problem, strength = fit.problem, _strength(fit)
+    if not _trades_off(problem):
         return [fit]
-    other_parameters = free.copy()
-    other_parameters[_COPPER] = False
-    low, high = float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
-    strength = _strength(fit)
-    down = _follow(problem, levels, fit, other_parameters, _steps(strength, low))
-    up = _follow(problem, levels, fit, other_parameters, _steps(strength, high))
-    return [*down[::-1], fit, *up]
+    sides = []
+    for bound in (float(problem.lower[_COPPER]), float(problem.upper[_COPPER])):
+        count = int(np.ceil(abs(bound - strength) / _STRIDE))
+        sides.append(_follow(fit, np.linspace(strength, bound, count + 1)[1:]))
+    return [*sides[0][::-1], fit, *sides[1]]
 
 
-def _steps(strength: float, bound: float) -> Floats:
-    count = int(np.ceil(abs(bound - strength) / _STRIDE))
-    return np.linspace(strength, bound, count + 1)[1:]
-
-
-def _follow(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Floats) -> list[Fit]:
-    """Fit at one stop after the other, each started by extrapolation."""
+def _follow(fit: Fit, stops: Floats) -> list[Fit]:
+    """Fit with the copper's strength at one stop after the other, started by extrapolation."""
     tolerance = 0.01
-    fits = [fit]
+    fits, held = [fit], fit.problem.hold(_COPPER)
     for stop in stops:
         last = fits[-1].point
         before = fits[-2].point if len(fits) > 1 else last
         logs = np.clip(2.0 * last.logs - before.logs, last.logs - 1.0, last.logs + 1.0)
-        logs = np.clip(logs, problem.lower, problem.upper)
+        logs = np.clip(logs, held.lower, held.upper)
         logs[_COPPER] = stop
         try:
             start, low = replace(last, logs=logs), fit.objective
-            fits.append(search(problem, levels, start, others, enough=tolerance, lowest=low))
+            fits.append(search(held, fit.levels, start, enough=tolerance, lowest=low))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[1:]
@@ -348,38 +300,24 @@ def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     return max(heights, default=-np.inf) - max(one.objective, other.objective)
 
 
-def estimate_local_minimum(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: Fit, scatter: float | None
-) -> LocalMinimum:
-    """Estimate the uncertainty at a minimum of the objective.
-
-    Parameters
-    ----------
-    problem, levels, free, scatter : what was fitted, as for `find_minima`
-    fit : at the minimum
-    lowest : of all minima
-    """
-    is_known = scatter is not None
-    spread = estimate_uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
-    is_given = is_known or problem.n_samples == 1
-    mixture = make_mixture(problem, fit, free, levels, is_scatter_known=is_given)
-    return LocalMinimum(fit, max(fit.objective - lowest.objective, 0.0), spread, mixture)
+def _estimate_local_minimum(fit: Fit, lowest: Fit) -> LocalMinimum:
+    rise = max(fit.objective - lowest.objective, 0.0)
+    return LocalMinimum(fit, rise, variances.estimate_uncertainty(fit), variances.make_mixture(fit))
 
 
 _ALARM_RATE = 0.05
 
 
-def compute_widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
+def compute_widening(line: list[Fit], base: Fit) -> float:
     """Return the quantile of a curved family over that of a straight one, at least 1.
 
     Parameters
     ----------
-    problem, levels : what was fitted
     line : fits along the family, in order, the base among them
     base : the fit from which angles are measured
     """
     start = next(number for number, fit in enumerate(line) if fit is base)
-    products = _differences(problem, levels, line, base)
+    products = compute_differences(line, base)
     angle = compute_swept_angle(products, range(start - 1, -1, -1)) + compute_swept_angle(
         products, range(start + 1, len(line))
     )
@@ -424,8 +362,9 @@ def compute_swept_angle(products: Floats, stretch: range) -> float:
     return total
 
 
-def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> Floats:
+def compute_differences(line: list[Fit], base: Fit) -> Floats:
     """Return the Gram matrix of differences of all fits from one, in units of the noise."""
+    problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
     for number, curve in enumerate(problem.curves):
         sample = problem.sample[number]
@@ -436,14 +375,17 @@ def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -
         ]
         slope = base.models[number].slope
         columns = np.stack(forces, axis=1)
-        total += compute_whitened_products(curve, columns, slope, levels.correlation) / levels.noise
-    rests = np.stack([_weighed(problem, levels, fit, base) for fit in line], axis=1)
+        total += (
+            objective.compute_whitened_products(curve, columns, slope, levels.correlation)
+            / levels.noise
+        )
+    rests = np.stack([_weighed(fit, base) for fit in line], axis=1)
     return np.asarray(total + rests.T @ rests)
 
 
-def _weighed(problem: Problem, levels: Levels, fit: Fit, base: Fit) -> Floats:
+def _weighed(fit: Fit, base: Fit) -> Floats:
     """Return the differences of priors, gain and offsets, over their standard deviations."""
-    here, there = base.point, fit.point
+    here, there, problem, levels = base.point, fit.point, base.problem, base.levels
     rests = [np.sqrt(problem.precision) * (there.logs - here.logs)]
     if problem.gain > 0.0:
         rests.append(np.array([(there.gain - here.gain) / problem.gain]))

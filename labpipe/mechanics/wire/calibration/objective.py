@@ -148,6 +148,8 @@ class Problem:
     centre, precision : shape (3,), of priors on the logarithms; precision 0 without one
     lower, upper : shape (3,), bounds of the logarithms
     gain : standard uncertainty of the load cell's gain, in logarithms
+    free : shape (3,), which parameters are fitted
+    scatter : of the samples, in logarithms, where it is given; None to estimate it
     """
 
     parts: WireParts
@@ -158,6 +160,12 @@ class Problem:
     lower: Floats
     upper: Floats
     gain: float
+    free: Flags
+    scatter: float | None = None
+
+    def hold(self, number: int) -> Problem:
+        """Return the problem in which one parameter is held."""
+        return replace(self, free=self.free & (np.arange(P) != number))
 
     @property
     def n_samples(self) -> int:
@@ -199,24 +207,27 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Result of a search.
+    """The model at a point of a problem, such as the minimum that a search finds.
 
     Parameters
     ----------
-    point : the minimum
-    objective : at the minimum
+    problem, levels : what is fitted
+    point : the unknowns
+    objective : at the point
     grams : shape (samples, 5, 5), whitened products, not over the noise's variance
     models : forces of the curves
-    steps : taken
+    steps : taken by the search
     settled : whether the search converged
     """
 
+    problem: Problem
+    levels: Levels
     point: Point
     objective: float
     grams: Floats
     models: list[ModelForce]
-    steps: int
-    settled: bool
+    steps: int = 0
+    settled: bool = False
 
 
 def evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
@@ -229,7 +240,7 @@ def evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
     gain = (point.gain / problem.gain) ** 2 if problem.gain > 0.0 else 0.0
     scatter = float(point.offsets @ point.offsets)
     scatter = scatter / levels.scatter**2 if levels.scatter > 0.0 else 0.0
-    return Fit(point, data + prior + gain + scatter, grams, models, 0, settled=False)
+    return Fit(problem, levels, point, data + prior + gain + scatter, grams, models)
 
 
 def compute_products(
@@ -243,10 +254,13 @@ def compute_products(
     return grams
 
 
-def make_normal_equations(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags
-) -> tuple[Floats, Floats, Flags]:
-    """Return matrix and right side of the normal equations, and which unknowns may move."""
+def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
+    """Return matrix and right side of the normal equations, and which unknowns may move.
+
+    Unknowns are the parameters, the gain and the offsets of the samples. The matrix is half the
+    Hessian, the right side minus half the gradient.
+    """
+    problem, levels, point = fit.problem, fit.levels, fit.point
     total = fit.grams.sum(axis=0) / levels.noise
     sample_grams = fit.grams / levels.noise
     size = P + 1 + problem.n_samples
@@ -256,7 +270,6 @@ def make_normal_equations(
     matrix[: P + 1, P + 1 :] = sample_grams[:, P, : P + 1].T
     matrix[range(P + 1, size), range(P + 1, size)] = sample_grams[:, P, P]
     pull[: P + 1], pull[P + 1 :] = total[-1, : P + 1], sample_grams[:, P, -1]
-    point = fit.point
     precision = np.zeros(size)
     precision[:P] = problem.precision
     precision[P] = _precision(problem.gain)
@@ -266,24 +279,10 @@ def make_normal_equations(
     precision = np.where(is_free, precision, 0.0)
     matrix[range(size), range(size)] += precision
     pull -= precision * deviation
-    is_free[:P] = free
+    is_free[:P] = problem.free
     is_free[:P] &= ~((point.logs <= problem.lower) & (pull[:P] < 0.0))
     is_free[:P] &= ~((point.logs >= problem.upper) & (pull[:P] > 0.0))
     return matrix, pull, is_free
-
-
-def make_normal_matrix(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags
-) -> tuple[Floats, Flags]:
-    """Return half the Hessian by parameters, gain and samples, and which of them may move."""
-    matrix, _, moves = make_normal_equations(problem, levels, fit, free)
-    return matrix, moves
-
-
-def compute_pull(problem: Problem, levels: Levels, fit: Fit) -> Floats:
-    """Return minus half the gradient by the logarithms of the parameters, shape (3,)."""
-    _, pull, _ = make_normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
-    return pull[:P]
 
 
 def _precision(deviation: float) -> float:

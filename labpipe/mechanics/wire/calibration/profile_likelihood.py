@@ -12,24 +12,16 @@ above the lowest counts, and the interval is the union.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration.fit import CalibrationFit
-from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum
-from labpipe.mechanics.wire.calibration.objective import (
-    Fit,
-    Levels,
-    P,
-    Point,
-    Problem,
-    make_normal_matrix,
-    scale_matrix,
-)
-from labpipe.mechanics.wire.calibration.search import search
+from labpipe.mechanics.wire.calibration import objective
+from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima
+from labpipe.mechanics.wire.calibration.objective import Fit, P
+from labpipe.mechanics.wire.calibration.search import move, search
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,28 +48,27 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    start: float
+    """One side of a profile: its end, and all places and roots of the deviance on the way."""
+
     end: float
     is_open: bool
-    seen: tuple[tuple[float, float], ...]
+    points: tuple[tuple[float, float], ...] = ()
 
 
-def follow_profiles(
-    result: CalibrationFit, number: int, *, unlikely: float = 1.0
-) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
     ----------
-    result : the fit of a calibration
+    minima : of a calibration
     number : of the parameter
     unlikely : height up to which the objective is followed, over that of the 95 % set
     """
-    limits = (
-        (minimum, unlikely * compute_limit(result, minimum)) for minimum in result.local_minima
+    return tuple(
+        follow_profile(minima, number, minimum, unlikely=unlikely)
+        for minimum in minima.all
+        if minimum.rise < unlikely * compute_limit(minima, minimum)
     )
-    allowed = (minimum for minimum, limit in limits if minimum.rise < limit)
-    return tuple(follow_profile(result, number, minimum, unlikely=unlikely) for minimum in allowed)
 
 
 def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
@@ -91,13 +82,13 @@ def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]
     return tuple(joined)
 
 
-def compute_limit(result: CalibrationFit, minimum: LocalMinimum) -> float:
+def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     """Return the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
     ----------
-    result : the fit of a calibration
-    minimum : one of its minima
+    minima : of a calibration
+    minimum : one of them
 
     Notes
     -----
@@ -105,24 +96,24 @@ def compute_limit(result: CalibrationFit, minimum: LocalMinimum) -> float:
     from the lowest minimum. The shape of the curves selects the minimum, so that this is the
     quantile of many points even where the level depends on few samples.
     """
-    best_point, other_point = result.fit.point, minimum.fit.point
+    best_point, other_point = minima.fit.point, minimum.fit.point
     difference = np.append(other_point.logs - best_point.logs, other_point.gain - best_point.gain)
-    return float(_limits(result, difference[None, :])[0])
+    return float(_limits(minima, difference[None, :])[0])
 
 
-def find_reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
+def find_reach(minima: Minima, number: int, unlikely: float) -> tuple[float, float]:
     """Return the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
-    result : the fit of a calibration
+    minima : of a calibration
     number : of the parameter
     unlikely : height up to which the line is followed, over that of the 95 % set
     """
-    best_point = result.fit.point
-    ways = result.line.place - np.append(best_point.logs, best_point.gain)
-    height = np.sqrt(result.line.rise / np.maximum(_limits(result, ways), 1e-30) / unlikely)
-    values, inside = result.line.place[:, number], height <= 1.0
+    best_point = minima.fit.point
+    ways = minima.place - np.append(best_point.logs, best_point.gain)
+    height = np.sqrt(minima.rise / np.maximum(_limits(minima, ways), 1e-30) / unlikely)
+    values, inside = minima.place[:, number], height <= 1.0
     ends = [values[inside]]
     for low, high in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
         leaves = inside[low] & ~inside[high]
@@ -133,76 +124,54 @@ def find_reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[fl
     return float(reached.min()), float(reached.max())
 
 
-def _limits(result: CalibrationFit, ways: Floats) -> Floats:
+def _limits(minima: Minima, ways: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
-    lowest = result.local_minima[0]
-    error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
-    below, above = compute_quantiles(lowest.mixture, ways)
+    error = np.sqrt(np.einsum("ni,ij,nj->n", ways, minima.lowest.spread.covariance, ways))
+    below, above = compute_quantiles(minima.lowest.mixture, ways)
     roots = [
         _min_quantile(float(end), float(one))
         for end, one in zip(np.maximum(-below, above), error, strict=True)
     ]
-    return np.asarray((result.widening * np.array(roots)) ** 2)
+    return np.asarray((minima.widening * np.array(roots)) ** 2)
 
 
 def follow_profile(
-    result: CalibrationFit, number: int, minimum: LocalMinimum, *, unlikely: float = 1.0
+    minima: Minima, number: int, minimum: LocalMinimum, *, unlikely: float = 1.0
 ) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted.
 
     Parameters
     ----------
-    result : the fit of a calibration
+    minima : of a calibration
     number : of the parameter
     minimum : start; its rise counts towards the height
     unlikely : as for `follow_profiles`
     """
-    problem, levels, fit, free = (result.problem, result.levels, minimum.fit, result.free)
+    fit, place = minimum.fit, float(minimum.fit.point.logs[number])
     error = float(np.sqrt(minimum.spread.covariance[number, number]))
     below, above = compute_quantiles(minimum.mixture, np.eye(P + 1)[[number]])
-    taken = minimum.rise / compute_limit(result, minimum) if minimum.rise > 0.0 else 0.0
-    wide = result.widening * float(np.sqrt(unlikely - taken))
+    taken = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
+    wide = minima.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _min_quantile(end, error) for end in (-below[0], above[0])]
-    other_parameters = free.copy()
-    other_parameters[number] = False
-    direction = _direction(problem, levels, fit, free, number)
-    sides = []
-    bounds = (-1.0, problem.lower[number]), (1.0, problem.upper[number])
-    for root, (sign, bound) in zip(roots, bounds, strict=True):
-        walk = _Profile(
-            problem,
-            levels,
-            fit,
-            other_parameters,
-            number,
-            direction,
-            float(bound),
-            sign,
-            root * root,
-        )
-        sides.append(_find_end(walk, root, error))
-    middle = (float(fit.point.logs[number]), 0.0)
-    has_one_minimum = len(result.local_minima) == 1
-    profile_points = sorted(
-        {middle, *(p for side in sides for p in (side.seen if has_one_minimum else _uphill(side)))}
+    direction = _direction(fit, number)
+    low, high = (
+        _find_end(_Walk(fit, number, direction, sign, root), error)
+        for sign, root in zip((-1.0, 1.0), roots, strict=True)
     )
-    logs, heights = np.array(profile_points).T
+    points = {(place, 0.0)}
+    for side in (low, high):
+        points |= set(side.points if len(minima.all) == 1 else _uphill(place, side))
+    logs, heights = np.array(sorted(points)).T
     return Trace(
-        logs,
-        heights**2 + minimum.rise,
-        sides[0].end,
-        sides[1].end,
-        sides[0].is_open,
-        sides[1].is_open,
-        roots[0] ** 2 + minimum.rise,
-        roots[1] ** 2 + minimum.rise,
+        *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
+        *(root**2 + minimum.rise for root in roots),
     )
 
 
-def _uphill(side: _Side) -> list[tuple[float, float]]:
+def _uphill(start: float, side: _Side) -> list[tuple[float, float]]:
     """Return the points up to the first hill; another minimum behind it is followed separately."""
     points: list[tuple[float, float]] = []
-    for place, height in sorted(side.seen, key=lambda point: abs(point[0] - side.start)):
+    for place, height in sorted(side.points, key=lambda point: abs(point[0] - start)):
         if points and height < points[-1][1]:
             break
         points.append((place, height))
@@ -219,85 +188,77 @@ def _min_quantile(quantile: float, error: float) -> float:
     return max(float(quantile) / error, min_quantile) if error > 0.0 else min_quantile
 
 
-def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: int) -> Floats:
+def _direction(fit: Fit, number: int) -> Floats:
     """Return how all unknowns move with one parameter while the objective is a parabola."""
-    matrix, moves = make_normal_matrix(problem, levels, fit, free)
-    moves = moves.copy()
+    matrix, _, moves = objective.make_normal_equations(fit)
     moves[number] = False
     direction = np.zeros(len(matrix))
     direction[number] = 1.0
     if moves.any():
-        unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
+        unit, scale = objective.scale_matrix(matrix[np.ix_(moves, moves)])
         direction[moves] = -np.linalg.solve(unit, matrix[moves, number] / scale) / scale
     return direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Profile:
-    problem: Problem
-    levels: Levels
+class _Walk:
+    """A walk from a minimum to one side, up to a root of the deviance."""
+
     fit: Fit
-    others: Flags
     number: int
     direction: Floats
-    bound: float
     sign: float
-    limit: float
+    root: float
 
     def evaluate(self, start: Fit, distance: float) -> tuple[float, Fit]:
         """Return the root of the deviance at a distance from the minimum, from a near fit."""
         max_threshold_factor = 3.0  # above it the straight way may have led into a dead end
         objective_tolerance = 1e-3
+        held = self.fit.problem.hold(self.number)
         target = float(self.fit.point.logs[self.number]) + self.sign * distance
         shift = (target - float(start.point.logs[self.number])) * self.direction
         fits: list[Fit] = []
-        for move in (shift, 0.0 * shift):
-            there = self._moved(start, move, target)
-            fits.append(
-                search(self.problem, self.levels, there, self.others, enough=objective_tolerance)
-            )
+        for step in (shift, 0.0 * shift):
+            point = move(start, step)
+            point.logs[self.number] = target
+            fits.append(search(held, self.fit.levels, point, enough=objective_tolerance))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
-            if rise <= max_threshold_factor * self.limit:
+            if rise <= max_threshold_factor * self.root**2:
                 break
         return float(np.sqrt(max(rise, 0.0))), best
 
-    def _moved(self, start: Fit, move: Floats, target: float) -> Point:
-        point, size = start.point, len(start.point.logs)
-        logs = np.clip(point.logs + move[:size], self.problem.lower, self.problem.upper)
-        logs[self.number] = target
-        offsets = point.offsets + move[size + 1 :]
-        return replace(point, logs=logs, gain=point.gain + float(move[size]), offsets=offsets)
 
-
-def _find_end(walk: _Profile, root: float, error: float) -> _Side:
-    """Find where the root of the deviance passes a value, outwards first, then between."""
+def _find_end(walk: _Walk, error: float) -> _Side:
+    """Find where the root of the deviance passes that of the walk, outwards first, then between."""
     root_tolerance = 0.01  # of the root of the threshold
     max_evaluations = 24
+    problem, root = walk.fit.problem, walk.root
     start = float(walk.fit.point.logs[walk.number])
-    room = walk.sign * (walk.bound - start)
+    bound = float((problem.lower if walk.sign < 0.0 else problem.upper)[walk.number])
+    room = walk.sign * (bound - start)
     if room <= 0.0:
-        return _Side(walk.bound, walk.bound, is_open=True, seen=())
+        return _Side(bound, is_open=True)
     low, start_fit, stays = (0.0, 0.0), walk.fit, 0
     high: tuple[float, float] | None = None
-    profile_points: list[tuple[float, float]] = []
+    points: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
     for _ in range(max_evaluations):
         height, fit = walk.evaluate(start_fit, distance)
-        profile_points.append((start + walk.sign * distance, height))
+        points.append((start + walk.sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
             high, stays = (distance, height), min(stays, 0) - 1
         elif distance >= room:
-            return _Side(start, walk.bound, is_open=True, seen=tuple(profile_points))
+            return _Side(bound, is_open=True, points=tuple(points))
         else:
             start_fit, low, stays = fit, (distance, height), max(stays, 0) + 1
         distance = _next_distance(low, high, stays, root, room)
     else:  # conservative
         distance = high[0] if high else room
-    end, is_open = start + walk.sign * distance, high is None and distance >= room
-    return _Side(start, end, is_open=is_open, seen=tuple(profile_points))
+    is_open = high is None and distance >= room
+    return _Side(start + walk.sign * distance, is_open, tuple(points))
 
 
 def _next_distance(

@@ -22,19 +22,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import elementwise, minimize_scalar
 from scipy.special import stdtr, stdtrit
 
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, compute_shared_errors
-from labpipe.mechanics.wire.calibration.objective import (
-    Fit,
-    Levels,
-    ModelForce,
-    P,
-    Problem,
-    scale_matrix,
-)
-from labpipe.records.arrays import Flags, Floats
+from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
+from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, scale_matrix
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
@@ -69,21 +62,15 @@ class Uncertainty:
         return 2.0 * variance**2 / spread if spread > 0.0 else np.inf
 
 
-def estimate_correlation(
-    curves: tuple[MeasuredCurve, ...], models: list[ModelForce], factors: Floats
-) -> float:
+def estimate_correlation(fit: Fit) -> float:
     """Estimate the correlation of neighbouring residuals over all curves, at least 0.
 
     Errors shared by all points of a curve are estimated and removed first.
-
-    Parameters
-    ----------
-    curves, models : measured and modelled
-    factors : shape (curves,), of each sample on the model
     """
     max_correlation = 0.98
     above = below = 0.0
-    for curve, model, factor in zip(curves, models, factors, strict=True):
+    factors = np.exp(fit.point.gain + fit.point.offsets[fit.problem.sample])
+    for curve, model, factor in zip(fit.problem.curves, fit.models, factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
@@ -133,20 +120,17 @@ class LinearModel:
         return noise, float(freedom * np.log(noise) + logs)
 
 
-def estimate_levels(
-    problem: Problem, fit: Fit, free: Flags, correlation: float, scatter: float | None
-) -> Levels:
-    """Estimate noise and scatter at the minimum of the objective.
+def estimate_levels(fit: Fit, correlation: float) -> Levels:
+    """Estimate noise and scatter at the minimum of the objective; no scatter for one sample.
 
     Parameters
     ----------
-    problem, fit, free : what was fitted
+    fit : at the minimum
     correlation : of neighbours, with which the fit's products are whitened
-    scatter : if given; else it is estimated, and 0 for one sample
     """
     log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
-    linear = make_linear_model(problem, fit, free)
-    if scatter is None and problem.n_samples == 1:
+    linear, scatter = make_linear_model(fit), fit.problem.scatter
+    if scatter is None and fit.problem.n_samples == 1:
         scatter = 0.0
     if scatter is not None:
         noise = linear.estimate(0.0)[0]
@@ -154,61 +138,52 @@ def estimate_levels(
             noise = linear.estimate(scatter**2 / noise)[0]
         return Levels(noise, correlation, scatter)
     information = float(np.median(linear.grams[:, P, P]))
+
+    def height(log_level: float) -> float:
+        return linear.estimate(float(np.exp(log_level)) / information)[1]
+
     grid = np.linspace(*log_ratios)
-    heights = [linear.estimate(float(np.exp(log_level)) / information)[1] for log_level in grid]
-    best = int(np.argmin(heights))
+    best = int(np.argmin([height(log_level) for log_level in grid]))
     bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    optimum = minimize_scalar(
-        lambda log_level: linear.estimate(float(np.exp(log_level)) / information)[1],
-        bounds=bracket,
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
+    optimum = minimize_scalar(height, bounds=bracket, method="bounded", options={"xatol": 1e-3})
     ratio = float(np.exp(optimum.x)) / information
     noise = linear.estimate(ratio)[0]
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
-def make_linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
+def make_linear_model(fit: Fit) -> LinearModel:
     """Return the linear model of a fit, with each sample's offset added back to its residual."""
     grams = fit.grams.copy()
     shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
     grams[:, -1, :] += shift
     grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
-    columns = [*np.flatnonzero(free).tolist(), P]
-    return LinearModel(grams, columns, problem.n_points)
+    columns = [*np.flatnonzero(fit.problem.free).tolist(), P]
+    return LinearModel(grams, columns, fit.problem.n_points)
 
 
-def estimate_uncertainty(
-    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
-) -> Uncertainty:
-    """Return the covariance of the fit, with what Satterthwaite's degrees of freedom need.
-
-    Parameters
-    ----------
-    problem, fit, free, levels : what was fitted, and the levels it was fitted with
-    is_scatter_known : given rather than estimated
-    """
-    linear = make_linear_model(problem, fit, free)
+def estimate_uncertainty(fit: Fit) -> Uncertainty:
+    """Return the covariance of a fit, with what Satterthwaite's degrees of freedom need."""
+    linear = make_linear_model(fit)
 
     def covariance(noise: float, samples: float) -> Floats:
         total = linear.shrunk(samples / noise).sum(axis=0) / noise
-        return _posterior(problem, fit, free, total)[1]
+        return _posterior(fit, total)[1]
 
-    noise, samples = levels.noise, levels.scatter**2
+    noise, samples = fit.levels.noise, fit.levels.scatter**2
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
     by_noise = covariance(noise * up, samples) - covariance(noise * down, samples)
     by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
     by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
-    is_known = is_scatter_known or levels.scatter == 0.0
+    is_known = fit.problem.scatter is not None or samples == 0.0
     spread = _level_covariance(linear, noise, samples, is_scatter_known=is_known)
     return Uncertainty(covariance(noise, samples), by_level, spread)
 
 
-def _posterior(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
+def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
-    moves = np.append(free, problem.gain > 0.0)
+    problem = fit.problem
+    moves = np.append(problem.free, problem.gain > 0.0)
     tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
     away = np.append(fit.point.logs - problem.centre, fit.point.gain)
     matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
@@ -229,19 +204,16 @@ def _level_covariance(
     freedom = linear.n - len(linear.columns)
     if is_scatter_known:
         return np.diag([2.0 / freedom, 0.0])
-    here = _projected(linear, noise, samples)
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
-    slope = (
-        np.trace(_projected(linear, noise * up, samples * up))
-        - np.trace(_projected(linear, noise * down, samples * down))
-    ) / (2.0 * _LOG_VARIANCE_STEP)
+
+    def trace(noise_factor: float, scatter_factor: float) -> float:
+        return float(np.trace(_projected(linear, noise * noise_factor, samples * scatter_factor)))
+
     # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
-    alone = (
-        np.trace(_projected(linear, noise, samples * up))
-        - np.trace(_projected(linear, noise, samples * down))
-    ) / (2.0 * _LOG_VARIANCE_STEP)
-    scatter_term = float(np.sum(here**2)) * samples**2
-    cross = -float(slope - alone) * samples
+    slope = (trace(up, up) - trace(down, down)) / (2.0 * _LOG_VARIANCE_STEP)
+    alone = (trace(1.0, up) - trace(1.0, down)) / (2.0 * _LOG_VARIANCE_STEP)
+    scatter_term = float(np.sum(_projected(linear, noise, samples) ** 2)) * samples**2
+    cross = -(slope - alone) * samples
     white = freedom - scatter_term - 2.0 * cross
     information = 0.5 * np.array([[white, cross], [cross, scatter_term]])
     return np.asarray(np.linalg.inv(information))
@@ -274,9 +246,8 @@ def compute_quantiles(
 
     Notes
     -----
-    By bisection: the distribution is a sum of Student's t, each with its own location and width.
+    The distribution is a sum of Student's t, each with its own location and width.
     """
-    halvings = 40
     tail = 0.025  # probability outside the interval, on each side
     centre = directions @ mixture.shift.T
     variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
@@ -287,25 +258,19 @@ def compute_quantiles(
     least, most = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
 
     def quantile_at(share: float) -> Floats:
-        low, high = least, most
-        for _ in range(halvings):
-            middle = 0.5 * (low + high)
-            below = stdtr(mixture.freedom, (middle[:, None] - centre) / error) @ mixture.chance
-            low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
-        return np.asarray(0.5 * (low + high))
+        def excess(value: Floats, row: Floats) -> Floats:
+            own = row.astype(np.int64)
+            t = (value[:, None] - centre[own]) / error[own]
+            return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - share)
+
+        rows = np.arange(len(least), dtype=np.float64)
+        return np.asarray(elementwise.find_root(excess, (least, most), args=(rows,)).x)
 
     return quantile_at(tail), quantile_at(1.0 - tail)
 
 
-def make_mixture(
-    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
-) -> ScatterMixture:
-    """Weight every scatter by its restricted likelihood.
-
-    Parameters
-    ----------
-    problem, fit, free, levels : what was fitted
-    is_scatter_known : given rather than estimated, or not available from one sample
+def make_mixture(fit: Fit) -> ScatterMixture:
+    """Weight every scatter by its restricted likelihood, unless it is given or there is one sample.
 
     Notes
     -----
@@ -313,18 +278,16 @@ def make_mixture(
     sample's factor by noise; below, scatter has no effect.
     """
     min_probability = 1e-6  # of a scatter
-    linear = make_linear_model(problem, fit, free)
+    linear, levels = make_linear_model(fit), fit.levels
     freedom = float(linear.n - len(linear.columns))
-    ratios = (
-        _variance_ratios(linear, levels)
-        if not is_scatter_known
-        else np.array([levels.scatter**2 / levels.noise])
-    )
+    ratios = np.array([levels.scatter**2 / levels.noise])
+    if fit.problem.scatter is None and fit.problem.n_samples > 1:
+        ratios = _variance_ratios(linear, levels)
     estimates = [linear.estimate(float(ratio)) for ratio in ratios]
     heights = np.array([height for _, height in estimates])
     chance = np.exp(-0.5 * (heights - heights.min()))
     solved = [
-        _posterior(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
+        _posterior(fit, linear.shrunk(float(ratio)).sum(axis=0) / noise)
         for (noise, _), ratio in zip(estimates, ratios, strict=True)
     ]
     likely = chance / chance.sum()

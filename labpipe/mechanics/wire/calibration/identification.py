@@ -1,31 +1,19 @@
-"""The fit of a calibration: problem, solutions, identifiability and its description."""
+"""What a calibration identifies: verdicts on its parameters, and their words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.wire.calibration.law_components import WireParts, split_wire
-from labpipe.mechanics.wire.calibration.local_minima import (
-    Line,
-    LocalMinimum,
-    estimate_local_minimum,
-    find_minima,
-)
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, select_usable, whiten
-from labpipe.mechanics.wire.calibration.objective import (
-    Fit,
-    Levels,
-    Problem,
-    compute_model_forces,
-)
-from labpipe.mechanics.wire.calibration.variances import Uncertainty, compute_quantile
+from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, whiten
+from labpipe.mechanics.wire.calibration.objective import compute_model_forces
+from labpipe.mechanics.wire.calibration.variances import compute_quantile
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -33,229 +21,11 @@ from labpipe.records.wire_calibration import (
     PARAMETERS,
     RADIAL_FRICTION,
     CalibratedParameter,
-    CalibrationFailure,
     Identifiability,
-    ParameterChoice,
     PriorConflict,
-    ScatterMixture,
     Separability,
     Solution,
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Wire:
-    """A wire as in its sheet.
-
-    Parameters
-    ----------
-    section : strands in place, with copper and insulation: nominal values
-    contacts : friction coefficients, whose ratios are kept, and nominal radial force
-    orientation : rad, of the section against the neutral axis
-    self_weight : N/m
-    linear_range : 1/m, curvature up to which the insulation is linear
-    """
-
-    section: CrossSection
-    contacts: Contacts
-    orientation: float = 0.0
-    self_weight: float = 0.0
-    linear_range: float = np.inf
-
-    @property
-    def parts(self) -> WireParts:
-        """Tabulate the parts of the wire."""
-        return split_wire(self.section, self.contacts, orientation=self.orientation)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Settings:
-    """Settings of a calibration.
-
-    Parameters
-    ----------
-    choices : by name of the parameter; others are free if they act on the wire
-    gain : standard uncertainty of the load cell's gain, as a ratio, common to all curves
-    scatter : standard deviation of the samples' factors on the force, as a ratio, where it is
-        known; else None: it is estimated from the samples
-    """
-
-    choices: Mapping[str, ParameterChoice] = field(default_factory=dict)
-    gain: float = 0.0
-    scatter: float | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFit:
-    """The fit of a calibration.
-
-    Parameters
-    ----------
-    wire, settings : input
-    problem, free : what was fitted
-    levels : of noise and samples
-    local_minima : local minima of the objective, the lowest first
-    line : on which they lie
-    widening : of quantiles, for the nonlinear family of curves (`local_minima`)
-    """
-
-    wire: Wire
-    settings: Settings
-    problem: Problem
-    free: Flags
-    levels: Levels
-    local_minima: tuple[LocalMinimum, ...]
-    line: Line
-    widening: float = 1.0
-
-    @property
-    def fit(self) -> Fit:
-        """Return the fit at the minimum of the objective."""
-        return self.local_minima[0].fit
-
-    @property
-    def spread(self) -> Uncertainty:
-        """Return the covariance at the minimum, with its degrees of freedom."""
-        return self.local_minima[0].spread
-
-    @property
-    def mixture(self) -> ScatterMixture:
-        """Return the covariance at the minimum for each possible scatter."""
-        return self.local_minima[0].mixture
-
-    @property
-    def is_scatter_known(self) -> bool:
-        """Return whether the scatter of the samples is given."""
-        return self.settings.scatter is not None
-
-
-def fit_wire(
-    wire: Wire, curves: Sequence[MeasuredCurve], settings: Settings
-) -> CalibrationFit | CalibrationFailure:
-    """Fit a wire to its tests.
-
-    Parameters
-    ----------
-    wire, settings : input
-    curves : first loadings
-
-    Raises
-    ------
-    ValueError
-        If a choice has an unknown name, or a number is out of its range.
-    """
-    usable_curves = select_usable(tuple(curves))
-    if isinstance(usable_curves, CalibrationFailure):
-        return usable_curves
-    setup = set_up_problem(wire.parts, usable_curves, settings.choices, settings.gain)
-    if isinstance(setup, CalibrationFailure):
-        return setup
-    problem, logs, free = setup
-    try:
-        minima = find_minima(problem, logs, free, scatter=settings.scatter)
-    except ValueError as error:
-        return CalibrationFailure.of("mechanics.wire.model_cannot_follow", error=error)
-    fits, levels = minima.fits, minima.levels
-    local_minima = tuple(
-        estimate_local_minimum(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
-        for fit in fits
-    )
-    return CalibrationFit(
-        wire, settings, problem, free, levels, local_minima, minima.line, widening=minima.widening
-    )
-
-
-BOUNDS: Mapping[str, tuple[float, float]] = {
-    RADIAL_FRICTION: (1e-5, 1e2),
-    INSULATION_MODULUS: (1e5, 1e11),
-    COPPER_SCALE: (0.05, 20.0),
-}
-"""Default bounds of the search: N, Pa, 1."""
-_DEFAULT_STARTS: Mapping[str, float] = {
-    RADIAL_FRICTION: 0.05,
-    INSULATION_MODULUS: 1e9,
-    COPPER_SCALE: 1.0,
-}
-"""Starts where the wire has no value, or zero."""
-
-
-def set_up_problem(
-    parts: WireParts,
-    curves: tuple[MeasuredCurve, ...],
-    choices: Mapping[str, ParameterChoice],
-    gain: float,
-) -> tuple[Problem, Floats, Flags] | CalibrationFailure:
-    """Set up the problem of a calibration.
-
-    Parameters
-    ----------
-    parts : the wire
-    curves : usable ones
-    choices : by name; a parameter that is not named is free if it acts on the wire
-    gain : standard uncertainty of the load cell's gain, relative
-
-    Returns
-    -------
-    The problem, the logarithms to start from and which parameters are free; or a failure
-    ``parameter_without_effect``, ``value_out_of_bounds`` or ``too_few_points``.
-
-    Raises
-    ------
-    ValueError
-        If a choice has an unknown name or a number out of its range.
-    """
-    _check_choices(choices, gain)
-    logs, centre, precision, lower, upper = np.zeros((5, len(PARAMETERS)))
-    free = np.zeros(len(PARAMETERS), dtype=np.bool_)
-    for number, name in enumerate(PARAMETERS):
-        acts, choice = parts.has[number], choices.get(name, ParameterChoice())
-        if not acts and name in choices and not choice.is_fixed:
-            return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
-        if not acts:
-            continue
-        nominal = float(parts.given[number])
-        value = choice.value or (nominal if nominal > 0.0 else _DEFAULT_STARTS[name])
-        low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
-        if choice.is_fixed:
-            low = high = value
-        elif not low <= value <= high or low == high:
-            start, bounds = format_value(name, value), format_value(name, low, high)
-            return CalibrationFailure.of(
-                "mechanics.wire.value_out_of_bounds", name=name, value=start, bounds=bounds
-            )
-        free[number] = not choice.is_fixed
-        logs[number], lower[number], upper[number] = np.log([value, low, high])
-        if choice.factor is not None and not choice.is_fixed:
-            centre[number] = logs[number]
-            precision[number] = (compute_quantile(np.inf) / np.log(choice.factor)) ** 2
-    names = list(dict.fromkeys(curve.sample for curve in curves))
-    samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
-    problem = Problem(parts, curves, samples, centre, precision, lower, upper, gain)
-    needed = int(free.sum()) + problem.n_samples + 1
-    if problem.n_points < needed:
-        return CalibrationFailure.of(
-            "mechanics.wire.too_few_points",
-            points=problem.n_points,
-            parameters=int(free.sum()),
-            samples=problem.n_samples,
-            needed=needed,
-        )
-    return problem, logs, free
-
-
-def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
-    unknown = sorted(set(choices) - set(PARAMETERS))
-    if unknown:
-        message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
-        raise ValueError(message)
-    require("gain", gain, ">= 0 and < 1", holds=0.0 <= gain < 1.0)
-    for name, choice in choices.items():
-        for bound_name in ("value", "lower", "upper"):
-            number = getattr(choice, bound_name)
-            require_positive(f"{name}: {bound_name}", 1.0 if number is None else number)
-        factor = 2.0 if choice.factor is None else choice.factor
-        require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
-
 
 NAMES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi = F_rad (mu_s + mu_p)",
@@ -274,43 +44,34 @@ WELL = 2.0
 
 
 def find_verdict(
-    span: float,
-    *,
-    at_bound: bool,
-    is_open: bool,
-    log_error: float,
-    prior_error: float,
-    contradicts: bool = False,
-    is_split: bool = False,
-    span_with_others: float = 1.0,
+    parameter: CalibratedParameter,
+    others: Sequence[tuple[float, float]] = (),
+    ends: tuple[float, float] | None = None,
 ) -> Identifiability:
-    """Return the verdict on an interval.
+    """Return the verdict on a fitted parameter.
 
     Parameters
     ----------
-    span : upper end over lower end
-    at_bound : whether the search ended at a bound
-    is_open : on any side
-    log_error : standard error of the logarithm
-    prior_error : that of its prior; infinite without one
-    contradicts : whether prior and tests contradict each other
-    is_split : whether it has several parts, or another solution lies outside of it
-    span_with_others : span that includes solutions just outside of the 95 % set, and the line on
-        which insulation and copper trade off
+    parameter, others, ends : as for `describe_parameter`
     """
-    # Span of an interval, upper over lower, above which a parameter is not identified.
-    max_span = 100.0
+    max_span = 100.0  # upper over lower end of an interval, above which it is not identified
     prior_share = 0.9  # error over that of the prior
-    if at_bound:
+    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    wide = [low, high, *(ends or ()), *(value for value, _ in others)]
+    conflict = parameter.conflict
+    if parameter.at_bound:
         return Identifiability.AT_BOUND
-    if contradicts:
+    if conflict is not None and conflict.contradicts:
         return Identifiability.AGAINST_PRIOR
-    if log_error > prior_share * prior_error:
-        return Identifiability.BY_PRIOR
-    if is_open or span > max_span:
+    if conflict is not None:
+        prior_error = np.log(conflict.factor) / compute_quantile(np.inf)
+        if parameter.log_error > prior_share * prior_error:
+            return Identifiability.BY_PRIOR
+    if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
         return Identifiability.NOT
-    if max(span, span_with_others) < WELL:
+    if max(wide) < WELL * min(wide):
         return Identifiability.WELL
+    is_split = len(parameter.intervals) > 1 or has_other_value(parameter, others)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
