@@ -322,22 +322,23 @@ def make_cantilever_page(table: WireTable) -> Page:
     headroom, length, rest = 1.08, table.spec.length, table.rest
     note = format_sentence("report.cantilever", length=LENGTH.factor * length)
     if rest is not None:
-        sentence = "report.cantilever_at_rest"
-        note = f"{format_sentence(sentence, force=1e3 * rest.force, sag=1e6 * rest.sag)} {note}"
+        force, sag = 1e3 * rest.force, 1e6 * rest.sag
+        at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
+        note = f"{at_rest} {note}"
     if len(table.tip_deflection) < 2:  # the state at rest alone
         panel = plots.make_empty_plot(format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
-    x, force = table.tip_deflection, table.tip_force
+    x = table.tip_deflection
     end, slope = float(x[-1]), 3.0 * x[-1] / length**3
     lines = [
-        line("cantilever", x, force),
+        line("cantilever", x, table.tip_force),
         line("cantilever_all_stick", [0.0, end], [0.0, slope * table.stick_stiffness]),
         line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
         *_fade(table.doubtful_deflection, end),
     ]
     panel = Plot(
         Axis("Tip deflection", LENGTH, 0.0, end),
-        Axis("End load", FORCE, 0.0, headroom * float(np.max(force))),
+        Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force))),
         lines,
     )
     return _make_wire_page(table, "cantilever", [panel], 70.0, note)
