@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 
 from labpipe.errors import Fault, LabpipeError, ReadError
 from labpipe.messages import format_sentence
-from labpipe.process.checking import results_needing_span
+from labpipe.process.checking import find_missing_sizes
 from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
@@ -28,7 +28,8 @@ from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_COPIED_FACTS = ("date", "operator", "type", "sample", "length", "width", "thickness")
+_SIZES = ("length", "width", "thickness", "gauge_length", "section.area")
+_COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZES)
 """Facts that become values of a test sheet."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
 FOLDER_NAME = "the name of the folder"
@@ -97,8 +98,9 @@ def _parse_fact(key: str, text: str) -> str:
     """Return the value of a metadata entry; empty if it was not filled in or does not fit."""
     if key == "date":
         return parse_day(text)
-    if key in ("length", "width", "thickness"):
-        return text if (_parse_metres(text) or 0.0) > 0.0 else ""
+    if key in _SIZES:
+        unit = "m^2" if key == "section.area" else "m"
+        return text if (_parse_size(text, unit) or 0.0) > 0.0 else ""
     return "" if text.casefold() in _fact_keys()["entries"]["empty"] else text
 
 
@@ -399,7 +401,7 @@ def infer_test(
     inferred_files = _assign_files(contents, matches)
     files = inferred_files | stated_files
     required = ["protocol", "type", "spool", "sample"]
-    required += ["span"] if match and results_needing_span(match.protocol) else []
+    required += find_missing_sizes(match.protocol, values) if match else []
     open_keys = [key for key in required if not values.get(key)]
     open_keys += sorted(ambiguous) or ([] if files else ["files"])
     own_files = {role: x for role, x in inferred_files.items() if role not in stated_files}
@@ -430,7 +432,7 @@ def _match(
         contents.exports,
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in contents.exports)),
-        length=_parse_metres(values.get("length", "")),
+        length=_parse_size(values.get("length", "")),
         siblings=[*counts, count_protocols(neighbours, folder)],
         stated_files={role: split_file_names(stated[role]) for role in ROLES if role in stated},
     )
@@ -524,9 +526,9 @@ def split_file_names(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(";")) if text else ()
 
 
-def _parse_metres(text: str) -> float | None:
+def _parse_size(text: str, unit: str = "m") -> float | None:
     with suppress(ValueError):
-        return parse_quantity(text, "m") if text else None
+        return parse_quantity(text, unit) if text else None
     return None
 
 

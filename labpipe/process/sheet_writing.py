@@ -24,7 +24,7 @@ from labpipe.readers.workbooks import Cell, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
 _REQUIRED = ("test", "protocol", "type", "spool", "sample")
-DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
+DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
 BUNDLE_KEY_BY_COLUMN = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
@@ -38,8 +38,8 @@ _KEY_PATHS = (
     | {role: ("files", role) for role in ROLES}
 )
 """Place of each column in a test sheet, in the order of the sheet."""
-TEXT_BLOCKS = ("labels", "observed")
-"""Blocks of the specimen whose texts have columns such as ``labels.cured``."""
+DOTTED_BLOCKS = ("section", "labels", "observed")
+"""Blocks of the specimen with columns such as ``section.area`` and ``labels.cured``."""
 COLUMNS = (*_KEY_PATHS, "because")
 """Columns of a campaign table, in addition to labels and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
@@ -116,7 +116,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         If the file cannot be written.
     """
     path = test.folder / SHEET_NAME
-    open_values = {column: None for column in test.open if column in _KEY_PATHS}
+    open_values = {column: None for column in test.open if column in _KEY_PATHS or "." in column}
     data = _arrange({**test.values, **test.files, **open_values})
     plan, specimen = dict[str, Any](test.blocks.get("specimen", {})), data["specimen"]
     if labels := {**plan.get("labels", {}), **specimen.get("labels", {})}:
@@ -204,7 +204,7 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     """
     paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
     dotted = [column.partition(".") for column in values if "." in column]
-    paths |= {f"{x}.{key}": ("specimen", x, key) for x, _, key in dotted if x in TEXT_BLOCKS}
+    paths |= {f"{x}.{key}": ("specimen", x, key) for x, _, key in dotted if x in DOTTED_BLOCKS}
     data: dict[str, Any] = {}
     for column, (*blocks, key) in paths.items():
         block = data
@@ -271,9 +271,8 @@ def _describe_faults(
     test_folder : in which to look for protocols; that of `file` if None
     open_keys : keys to be filled in, whose faults are not reported
     """
-    faults = [
-        fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
-    ]
+    is_open = {key.rpartition(".")[2] for key in open_keys}
+    faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
     protocol = values.get("protocol")
     protocol_file = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
     for fault in [*faults, protocol_file] if isinstance(protocol_file, Fault) else faults:
@@ -294,7 +293,7 @@ def _column_of_fault(fault: Fault) -> str:
             return column
     if fault.missing:
         return fault.missing
-    if path[0] == "specimen" and len(path) > 2 and path[1] in TEXT_BLOCKS:
+    if path[0] == "specimen" and len(path) > 2 and path[1] in DOTTED_BLOCKS:
         return f"{path[1]}.{path[2]}"
     return path[1] if path[0] == "overrides" and len(path) > 1 else path[-1]
 
