@@ -168,8 +168,10 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     n_faults_before = len(report.faults)
     for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
         meaning, example = SIZES[size]
-        facts = {"meaning": meaning, "results": ", ".join(results), "example": example}
-        error = ProtocolError.about("process.size_missing", path, f"specimen.{size}", **facts)
+        where, listed = f"specimen.{size}", ", ".join(results)
+        error = ProtocolError.about(
+            "process.size_missing", path, where, meaning=meaning, results=listed, example=example
+        )
         report.faults.append(str(error))
         n_faults_before += 1
     missing = find_missing_exports(sheet, path)
