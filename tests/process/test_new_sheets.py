@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
-from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
 from labpipe.process.sheet_inference import (
     FOLDER_NAME,
     Fact,
     InferredTest,
+    ProtocolMatch,
     collect_export_facts,
     combine_facts,
     infer_test,
     infer_tests,
+    load_all_protocols,
+    match_protocols,
     parse_day,
     parse_folder_name,
 )
@@ -384,7 +386,7 @@ def test_the_protocol_that_fits(
     matching = partial(match_protocols, names=called, length=length, siblings=siblings)
     (match,) = matching(dict(exports), protocols)
     assert match.protocol.name == fitted
-    assert match.faults == ()
+    assert match.fits
     assert sorted(sum(match.files.values(), ())) == sorted(path.name for path, _ in exports)
 
 
