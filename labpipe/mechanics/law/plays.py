@@ -23,7 +23,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from scipy.interpolate import PPoly
 
-from labpipe.records.arrays import ArrayRecord, Flags, Floats
+from labpipe.records.arrays import ArrayRecord, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
