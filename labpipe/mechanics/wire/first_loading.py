@@ -210,25 +210,29 @@ def load_to(
     at_rest = _solve(level, start[None], np.array([begin]), 0.0)
     rest = at_rest.moment[0]
 
-    def bend(moment: Floats, rows: Ints) -> CurvatureAndSlope:
-        if n_stations is None:
-            return table.bend_on(rest, moment[rows])
+    def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
+        return table.bend_on(rest, moment[rows])
+
+    def bend_back(moment: Floats, rows: Ints) -> CurvatureAndSlope:
         peaks = np.maximum.accumulate(np.vstack([rest, moment]), axis=0)[1:]
         return table.bend_back(rest, peaks[rows], moment[rows])
 
-    loaded = replace(level, law=bend, condition=TipCondition(rig, deflections))
+    farthest = float(np.max(deflections, initial=0.0))
+    condition, is_first_loading = TipCondition(rig, deflections), n_stations is None
+    loaded = replace(level, law=bend_on, condition=condition)
+    wire = loaded if is_first_loading else replace(loaded, law=bend_back)
     bent = None
     if near is None and count > _N_COARSE_STATIONS:
         coarse = table, length, rig, self_weight, deflections
         near = load_to(*coarse, n_stations=_N_COARSE_STATIONS)
     if near is not None:
-        bent = _solve_near(loaded, near)
+        bent = _solve_near(wire, near)
     if bent is None:
         clamp = _guess_clamp(table, length, deflections)[0]
         moment = rest + clamp[:, None] * (1.0 - stations.position / length)
-        farthest = float(np.max(deflections, initial=0.0))
         bent = _solve(loaded, moment, at_rest.load + clamp / length, farthest)
-    return _make_curve(table, deflections, at_rest, bent, is_first_loading=n_stations is None)
+        bent = bent if is_first_loading else _solve(wire, bent.moment, bent.load, farthest)
+    return _make_curve(table, deflections, at_rest, bent, is_first_loading=is_first_loading)
 
 
 _N_COARSE_STATIONS = 24
