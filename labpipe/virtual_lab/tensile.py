@@ -225,8 +225,10 @@ class FrameInstruments:
         last = self.last_step * step
         count = int(np.floor((end - last - self.first_sample) / step)) + 1
         if count < 2:
-            facts = {"rate": self.rate, "count": count + 1, "end": end}
-            raise ValueError(format_sentence("virtual_lab.few_samples", **facts))
+            message = format_sentence(
+                "virtual_lab.few_samples", rate=self.rate, count=count + 1, end=end
+            )
+            raise ValueError(message)
         grid = self.first_sample + step * np.arange(count)
         return np.append(grid, grid[-1] + last)
 

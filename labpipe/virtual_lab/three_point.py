@@ -541,8 +541,10 @@ def _solve_branch(
                 continue
             step, last = 0.5 * (state.displacement + step), state.displacement
             if abs(step - last) < _MIN_DISPLACEMENT_STEP:
-                facts = {"displacement": displacement, "last": last}
-                raise ValueError(format_sentence("virtual_lab.no_equilibrium", **facts))
+                message = format_sentence(
+                    "virtual_lab.no_equilibrium", displacement=displacement, last=last
+                )
+                raise ValueError(message)
         yield state
 
 
