@@ -218,7 +218,7 @@ def _extrapolate_to_zero(
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
-    begin, end = _find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), _find_last_flagged(f > limits)
+    begin, end = find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), find_last_flagged(f > limits)
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
@@ -235,11 +235,15 @@ def _extrapolate_to_zero(
     return np.where(ended, level + slope * (zeros - middle), np.nan).reshape(shape)
 
 
-def _find_last_flagged(flags: Flags) -> Ints:
-    """Return the last flagged sample of each row, or -1."""
-    count: int = flags.shape[1]
-    last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
-    return last
+def find_last_flagged(flags: Flags) -> Ints:
+    """Return the last flagged sample of each row, or -1.
+
+    Parameters
+    ----------
+    flags : shape (rows, n), n not 0
+    """
+    last: Ints = flags.shape[1] - 1 - np.argmax(flags[:, ::-1], axis=1)
+    return np.where(flags.any(axis=1), last, -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
