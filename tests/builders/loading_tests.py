@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,

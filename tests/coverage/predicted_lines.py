@@ -20,8 +20,8 @@ from labpipe.mechanics.rod.input_distributions import (
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,

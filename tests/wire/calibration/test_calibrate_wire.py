@@ -10,7 +10,7 @@ import pytest
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.problem_setup import (
+from labpipe.mechanics.wire.calibration.objective import (
     BOUNDS,
     Settings,
     Wire,
@@ -120,7 +120,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.search._MAX_SEARCH_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.objective._MAX_SEARCH_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 

@@ -16,7 +16,10 @@ from labpipe.mechanics.wire.calibration.law_components import (
     split_wire,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
-from labpipe.mechanics.wire.calibration.objective import compute_gram, compute_model_forces
+from labpipe.mechanics.wire.calibration.objective import (
+    compute_model_forces,
+    compute_whitened_products,
+)
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, place_rings, place_sectors
 from labpipe.mechanics.wire.first_loading import interpolate_force
@@ -106,7 +109,8 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
     weight = np.linalg.inv(0.002**2 * correlation**lags + shared.T @ shared)
     left = curve.force - 1.1 * model.force
-    products = compute_gram(curve, model, 1.1, correlation)
+    columns = np.column_stack([1.1 * model.change.T, 1.1 * model.force, left])
+    products = compute_whitened_products(curve, columns, model.slope, correlation)
     assert products[4, 4] == pytest.approx(float(left @ weight @ left), rel=1e-6)
     by_change = 1.1 * model.change[0] @ weight
     assert products[0, 4] == pytest.approx(float(by_change @ left), rel=1e-6)

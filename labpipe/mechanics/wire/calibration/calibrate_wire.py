@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration import identification, objective, profile_likelihood
+from labpipe.mechanics.wire.calibration import identification, local_minima, objective
+from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -21,9 +22,15 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     select_usable,
     whiten,
 )
-from labpipe.mechanics.wire.calibration.objective import P
-from labpipe.mechanics.wire.calibration.problem_setup import Settings, Wire, set_up_problem
-from labpipe.mechanics.wire.calibration.search import search
+from labpipe.mechanics.wire.calibration.objective import (
+    Levels,
+    P,
+    Settings,
+    Wire,
+    compute_model_forces,
+    search,
+    set_up_problem,
+)
 from labpipe.mechanics.wire.calibration.variances import estimate_uncertainty
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -108,7 +115,7 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
         _parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
         for number, name in enumerate(PARAMETERS)
     )
-    factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
+    factors = fit.factors
     compared = tuple(
         compare_with_model(curve, model.force, float(factor))
         for curve, model, factor in zip(problem.curves, fit.models, factors, strict=True)
@@ -140,12 +147,12 @@ def _solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     pairs = zip(problem.curves, fit.models, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
     return Solution(
-        values=np.where(problem.parts.has, np.exp(fit.point.logs), np.nan),
+        values=np.where(problem.parts.has, np.exp(fit.logs), np.nan),
         rise=minimum.rise,
         rmse=float(np.sqrt(np.mean(residuals**2))),
         covariance=minimum.spread.covariance,
         mixture=minimum.mixture,
-        limit=profile_likelihood.compute_limit(minima, minimum),
+        limit=local_minima.compute_limit(minima, minimum),
     )
 
 
@@ -154,15 +161,15 @@ def _parameter(
 ) -> CalibratedParameter:
     """Return one parameter, with profile, verdict and comparison with its prior."""
     name, problem, spread = PARAMETERS[number], minima.fit.problem, minima.lowest.spread
-    value = float(np.exp(minima.fit.point.logs[number]))
+    value = float(np.exp(minima.fit.logs[number]))
     if not problem.parts.has[number]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
     if not problem.free[number]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
-    traced = profile_likelihood.follow_profiles(minima, number)
-    ends_of_parts = profile_likelihood.unite_intervals(traced)
+    traced = local_minima.follow_profiles(minima, number)
+    ends_of_parts = local_minima.unite_intervals(traced)
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -202,10 +209,10 @@ def _interval_at_99(
     """
     min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    reach = profile_likelihood.find_reach(minima, number, _UNLIKELY_RISE)
+    reach = local_minima.find_reach(minima, number, _UNLIKELY_RISE)
     ends = [low, high, *np.exp(reach).tolist()]
     if min_span < high / low < identification.WELL:
-        for trace in profile_likelihood.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
+        for trace in local_minima.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
@@ -213,7 +220,7 @@ def _interval_at_99(
 def _reached_bound(minima: Minima, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    value, problem = minima.fit.point.logs[number], minima.fit.problem
+    value, problem = minima.fit.logs[number], minima.fit.problem
     pull = float(objective.make_normal_equations(minima.fit)[1][number])
     if value <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
@@ -225,7 +232,10 @@ def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> Pri
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == number, 0.0, problem.precision)
     without = replace(problem, precision=precision)
-    fits = [search(without, best.levels, minimum.fit.point) for minimum in minima.all]
+    fits = [
+        search(without, best.levels, minimum.fit.unknowns, near=minimum.fit.models)
+        for minimum in minima.all
+    ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = estimate_uncertainty(fit)
     variance = float(spread.covariance[number, number])
@@ -234,7 +244,7 @@ def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> Pri
     numbers = PriorConflict(
         centre=float(np.exp(problem.centre[number])),
         factor=float(choice.factor or np.nan),
-        alone=float(np.exp(fit.point.logs[number])),
+        alone=float(np.exp(fit.logs[number])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         contradicts=False,
@@ -270,30 +280,71 @@ def _noise_levels(minima: Minima) -> NoiseLevels:
 
 def _separability(minima: Minima) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
-    fit, levels = minima.fit, minima.fit.levels
+    fit = minima.fit
     acting = np.flatnonzero(fit.problem.parts.has).tolist()
-    columns = [
-        whiten(model.change[acting].T / np.asarray(curve.noise)[:, None], levels.correlation)
-        for curve, model in zip(fit.problem.curves, fit.models, strict=True)
-    ]
-    jacobian = np.concatenate(columns) / np.sqrt(levels.noise)
+    forces = [model.change[acting].T for model in fit.models]
+    jacobian = _whiten(forces, fit.problem.curves, fit.levels)
     names = tuple(PARAMETERS[number] for number in acting)
     return identification.find_separability(names, jacobian, "the parameters that act")
 
 
 def _friction_separability(minima: Minima, wire: Wire) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
-    fit, levels = minima.fit, minima.fit.levels
+    fit = minima.fit
     if not fit.problem.parts.has[0]:
         return None
-    jacobian = identification.compute_friction_jacobian(
-        *(wire.section, wire.contacts, np.exp(fit.point.logs), fit.problem.curves),
-        orientation=wire.orientation,
-        correlation=levels.correlation,
-    )
-    jacobian /= np.sqrt(levels.noise)
+    jacobian = find_friction_jacobian(wire, np.exp(fit.logs), fit.problem.curves, fit.levels)
     names = identification.FRICTION_NAMES
     return identification.find_separability(names, jacobian, "mu_s, mu_p and F_rad")
+
+
+def find_friction_jacobian(
+    wire: Wire, values: Floats, curves: tuple[MeasuredCurve, ...], levels: Levels
+) -> Floats:
+    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
+
+    Parameters
+    ----------
+    wire : the coefficients are those of its contacts, the radial force is that of phi
+    values : shape (3,), of the parameters
+    curves : measured, for their deflections and noise
+    levels : of the noise
+
+    Returns
+    -------
+    Shape (points, 3), by central differences.
+    """
+    difference_step = 1e-3
+    strand, insulation = wire.contacts.inner[-1], wire.contacts.outer[-1]
+    total = strand + insulation
+    columns = []
+    for number, part in enumerate((strand, insulation, total)):
+        # Equal changes of phi: forces have corners where strands begin to slip, and columns
+        # of numbers that act through phi alone stay proportional only if they cross the same ones.
+        step = difference_step * total / max(part, 2.0 * difference_step * total)
+        forces = []
+        for sign in (1.0, -1.0):
+            factors = np.ones(3)
+            factors[number] += sign * step
+            inner = tuple(factors[0] * value for value in wire.contacts.inner)
+            between = (factors[0] * value for value in wire.contacts.outer[:-1])
+            outer = (*between, factors[1] * insulation)
+            contacts = replace(wire.contacts, inner=inner, outer=outer, radial_force=1.0)
+            parts = split_wire(wire.section, contacts, orientation=wire.orientation)
+            phi = values[0] / total * factors[2] * (inner[-1] + outer[-1])
+            models = compute_model_forces(parts, np.array([phi, *values[1:]]), curves)
+            forces.append(_whiten([model.force for model in models], curves, levels))
+        columns.append((forces[0] - forces[1]) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def _whiten(forces: Sequence[Floats], curves: Sequence[MeasuredCurve], levels: Levels) -> Floats:
+    """Whiten forces of all curves, shape (points, ...)."""
+    pieces = [
+        whiten((force.T / np.asarray(curve.noise)).T, levels.correlation)
+        for force, curve in zip(forces, curves, strict=True)
+    ]
+    return np.asarray(np.concatenate(pieces) / np.sqrt(levels.noise))
 
 
 def _notes(

@@ -6,14 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
-from labpipe.mechanics.wire.calibration.law_components import WireParts, split_wire
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, whiten
-from labpipe.mechanics.wire.calibration.objective import compute_model_forces
-from labpipe.mechanics.wire.calibration.variances import compute_quantile
-from labpipe.mechanics.wire.cross_section import CrossSection
-from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -64,7 +60,7 @@ def find_verdict(
     if conflict is not None and conflict.contradicts:
         return Identifiability.AGAINST_PRIOR
     if conflict is not None:
-        prior_error = np.log(conflict.factor) / compute_quantile(np.inf)
+        prior_error = np.log(conflict.factor) / NORMAL_95
         if parameter.log_error > prior_share * prior_error:
             return Identifiability.BY_PRIOR
     if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
@@ -242,65 +238,10 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Se
     return Separability(names, values, rows, is_known, text)
 
 
-def compute_friction_jacobian(
-    section: CrossSection,
-    contacts: Contacts,
-    values: Floats,
-    curves: tuple[MeasuredCurve, ...],
-    *,
-    orientation: float,
-    correlation: float,
-) -> Floats:
-    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
-
-    Parameters
-    ----------
-    section, contacts, orientation : the wire; the coefficients are those of `contacts`, the radial
-        force is that of phi
-    values : shape (3,), of the parameters
-    curves : measured, for their deflections and noise
-    correlation : of neighbouring points
-
-    Returns
-    -------
-    Shape (points, 3), by central differences.
-    """
-    difference_step = 1e-3
-    total = contacts.inner[-1] + contacts.outer[-1]
-    force = values[0] / total
-    columns = []
-    for number, part in enumerate((contacts.inner[-1], contacts.outer[-1], total)):
-        # Equal changes of phi: forces have corners where strands begin to slip, and columns
-        # of numbers that act through phi alone stay proportional only if they cross the same ones.
-        step = difference_step * total / max(part, 2.0 * difference_step * total)
-        forces = []
-        for sign in (1.0, -1.0):
-            factors = np.ones(3)
-            factors[number] += sign * step
-            changed = _scale_friction(contacts, factors[0], factors[1])
-            parts = split_wire(section, changed, orientation=orientation)
-            phi = force * factors[2] * (changed.inner[-1] + changed.outer[-1])
-            forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
-        columns.append((forces[0] - forces[1]) / (2.0 * step))
-    return np.column_stack(columns)
-
-
-def _scale_friction(contacts: Contacts, strand: float, insulation: float) -> Contacts:
-    """Scale the friction between strands and with the insulation."""
-    inner = tuple(strand * value for value in contacts.inner)
-    outer = (*(strand * value for value in contacts.outer[:-1]), insulation * contacts.outer[-1])
-    return replace(contacts, inner=inner, outer=outer, radial_force=1.0)
-
-
-def _whitened(
-    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
-) -> Floats:
-    models = compute_model_forces(parts, values, curves)
-    pieces = [
-        whiten(model.force / np.asarray(curve.noise), correlation)
-        for model, curve in zip(models, curves, strict=True)
-    ]
-    return np.concatenate(pieces)
+def compute_quantile(freedom: float) -> float:
+    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
+    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
+    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
 def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -62,6 +62,12 @@ class MeasuredCurve:
         shape = (len(self.deflection),)
         object.__setattr__(self, "force", freeze(self.force, shape=shape))
         object.__setattr__(self, "noise", freeze(np.broadcast_to(self.noise, shape), shape=shape))
+
+    @property
+    def setup(self) -> tuple[float, ...]:
+        """Return what the model's curve depends on."""
+        place = self.length, self.self_weight
+        return place if self.rig is None else (*place, *astuple(self.rig))
 
     @property
     def peak(self) -> float:

@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force

@@ -33,12 +33,6 @@ from labpipe.records.wire_calibration import ScatterMixture
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
 
 
-def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
-    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
-    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """Covariance of the logarithms and the gain, and how it depends on the levels.
@@ -69,8 +63,7 @@ def estimate_correlation(fit: Fit) -> float:
     """
     max_correlation = 0.98
     above = below = 0.0
-    factors = np.exp(fit.point.gain + fit.point.offsets[fit.problem.sample])
-    for curve, model, factor in zip(fit.problem.curves, fit.models, factors, strict=True):
+    for curve, model, factor in zip(fit.problem.curves, fit.models, fit.factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
@@ -153,11 +146,11 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
 
 def make_linear_model(fit: Fit) -> LinearModel:
     """Return the linear model of a fit, with each sample's offset added back to its residual."""
-    grams = fit.grams.copy()
-    shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
+    grams, offsets = fit.grams.copy(), fit.unknowns[P + 1 :]
+    shift = offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
     grams[:, -1, :] += shift
-    grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
+    grams[:, -1, -1] += offsets**2 * fit.grams[:, P, P]
     columns = [*np.flatnonzero(fit.problem.free).tolist(), P]
     return LinearModel(grams, columns, fit.problem.n_points)
 
@@ -184,8 +177,8 @@ def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
     moves = np.append(problem.free, problem.gain > 0.0)
-    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
-    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    tight = np.where(moves, problem.find_precision(0.0)[: P + 1], 0.0)
+    away = problem.find_offsets(fit.unknowns)[: P + 1]
     matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
     matrix[range(P + 1), range(P + 1)] += tight
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
