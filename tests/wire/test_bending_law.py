@@ -16,11 +16,19 @@ from scipy.integrate import solve_ivp
 
 from benchmarks import plain_loop
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
+    arrange_rings,
+    compute_axial_forces,
+    compute_axial_strain,
+    compute_friction_angle,
     compute_moment_curve,
+    compute_sines,
     compute_slip_stiffness,
     compute_stick_stiffness,
     find_orientation_range,
+    find_slip_onsets,
     fit_play_law,
+    make_contacts,
 )
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
@@ -30,16 +38,6 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, Layer, place_rings
-from labpipe.mechanics.wire.friction import (
-    Contacts,
-    arrange_rings,
-    compute_axial_forces,
-    compute_axial_strain,
-    compute_friction_angle,
-    compute_sines,
-    find_slip_onsets,
-    make_contacts,
-)
 from labpipe.mechanics.wire.materials import (
     Material,
     RambergOsgood,

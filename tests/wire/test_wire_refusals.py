@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import make_linear_plays
-from labpipe.mechanics.wire.bending_law import compute_moment_curve, fit_play_law
+from labpipe.mechanics.wire.bending_law import (
+    Contacts,
+    compute_axial_strain,
+    compute_moment_curve,
+    compute_sines,
+    fit_play_law,
+)
+from labpipe.mechanics.wire.bending_law import arrange_rings as rings_of
 from labpipe.mechanics.wire.bundle_friction import Friction, compute_friction_moment, fit_friction
 from labpipe.mechanics.wire.bundle_layout import arrange_wires, place_sites
 from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
@@ -41,8 +48,6 @@ from labpipe.mechanics.wire.cross_section import (
     place_sectors,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.friction import Contacts, compute_axial_strain, compute_sines
-from labpipe.mechanics.wire.friction import arrange_rings as rings_of
 from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
     RambergOsgood,

@@ -33,10 +33,10 @@ from labpipe.mechanics.studies.validation import (
     require_wires,
 )
 from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
+from labpipe.mechanics.wire.bending_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
 from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
 from labpipe.messages import format_sentence

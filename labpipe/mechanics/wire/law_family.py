@@ -16,13 +16,12 @@ import numpy as np
 from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
 from labpipe.mechanics.law.thinning import thin
-from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, continue_strands
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     StretchTorsion,
     compute_stretch_torsion,
 )
-from labpipe.mechanics.wire.cyclic_law import continue_strands
 from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length, wire_table
 from labpipe.records.arrays import Floats, Vector
 from labpipe.records.wire import WireSpec, WireTable

@@ -10,10 +10,14 @@ import numpy as np
 
 from labpipe.mechanics.law.plays import require_finite, require_positive
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
     MomentCurve,
+    compute_axial_strain,
     compute_moment_curve,
     compute_stick_stiffness,
     find_orientation_range,
+    find_slip_onsets,
+    make_contacts,
 )
 from labpipe.mechanics.wire.cross_section import (
     MAX_OVERLAP_SHARE,
@@ -25,12 +29,6 @@ from labpipe.mechanics.wire.cross_section import (
     place_sectors,
 )
 from labpipe.mechanics.wire.first_loading import compute_cantilever
-from labpipe.mechanics.wire.friction import (
-    Contacts,
-    compute_axial_strain,
-    find_slip_onsets,
-    make_contacts,
-)
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.mechanics.wire.packing import LayoutKind, find_helix_overlap, make_cross_section
 from labpipe.messages import format_sentence

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.bending_law import Contacts, make_contacts
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
@@ -17,7 +18,6 @@ from labpipe.mechanics.wire.calibration.objective import (
     set_up_problem,
 )
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import PlayLaw
+from labpipe.mechanics.wire.bending_law import cyclic_law
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
     ENERGY,
@@ -22,7 +23,6 @@ from labpipe.mechanics.wire.calibration.hardening import (
     compute_cycles,
 )
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
 from labpipe.virtual_lab.specimens import WIRES

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, make_contacts
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
     compute_loading_curve,
@@ -23,7 +23,6 @@ from labpipe.mechanics.wire.calibration.objective import (
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, place_rings, place_sectors
 from labpipe.mechanics.wire.first_loading import interpolate_force
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import StressTable
 from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import (

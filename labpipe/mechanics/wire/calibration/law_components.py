@@ -22,14 +22,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.mechanics.law.plays import LoadingTable
-from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, find_slip_onsets
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
     load_cantilever,
 )
-from labpipe.mechanics.wire.friction import Contacts, find_slip_onsets
 from labpipe.mechanics.wire.materials import (
     RambergOsgood,
     compute_elastic_share,

@@ -21,6 +21,7 @@ from itertools import groupby
 import numpy as np
 
 from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.wire.bending_law import Contacts
 from labpipe.mechanics.wire.calibration.identification import format_value
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
@@ -34,7 +35,6 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
 )
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
-from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire_calibration import (
