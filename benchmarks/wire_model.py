@@ -21,11 +21,11 @@ from labpipe.mechanics.wire.cross_section import (
     Insulation,
     Layer,
     lay_up,
+    pack_strands,
     place_hexagon,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.packing import pack_strands
 
 RUNS = 9
 WALL = 0.3e-3

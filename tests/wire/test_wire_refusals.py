@@ -38,11 +38,11 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import (
-    CrossSection,
     Layer,
     compute_strand_diameter,
     compute_tube_moment,
     lay_up,
+    pack_strands,
     place_hexagon,
     place_rings,
     place_sectors,
@@ -54,7 +54,6 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     compute_strand_moment,
 )
-from labpipe.mechanics.wire.packing import pack_strands
 from labpipe.mechanics.wire.wire_table import build_wire, make_layout, wire_table
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
 from labpipe.records.wire import WireSpec
@@ -146,7 +145,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: place_hexagon((Layer(1, 1e-3), Layer(6, 2e-3, 0.2))),
         lambda: place_hexagon(layers_of("A2"), tube(1.4e-3)),
         lambda: place_rings((Layer(1, 1e-3), Layer(7, 1e-3, 0.2))),
-        lambda: CrossSection("own", (Layer(1, 1e-3),), np.zeros(1), np.zeros(1), np.ones(1, int)),
         lambda: pack_strands((Layer(1, 0.35e-3), Layer(6, 0.3e-3, 0.2)), tube(1.6e-3)),
         lambda: place_sectors(PRESSED, tube(1.1e-3)),
         lambda: place_sectors(PRESSED, radii=[0.1]),

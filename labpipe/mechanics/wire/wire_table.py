@@ -24,13 +24,15 @@ from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
+    LayoutKind,
     compute_stretch_torsion,
+    find_helix_overlap,
+    make_cross_section,
     place_hexagon,
     place_sectors,
 )
 from labpipe.mechanics.wire.first_loading import compute_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.mechanics.wire.packing import LayoutKind, find_helix_overlap, make_cross_section
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
