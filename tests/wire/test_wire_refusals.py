@@ -17,15 +17,21 @@ from labpipe.mechanics.wire.bending_law import (
     fit_play_law,
 )
 from labpipe.mechanics.wire.bending_law import arrange_rings as rings_of
-from labpipe.mechanics.wire.bundle_friction import Friction, compute_friction_moment, fit_friction
-from labpipe.mechanics.wire.bundle_layout import arrange_wires, place_sites
-from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
-from labpipe.mechanics.wire.bundle_packing import (
+from labpipe.mechanics.wire.bundle_layout import (
+    arrange_wires,
     choose_bore,
     compute_bore,
     compute_packing_fraction,
     find_densest_heap,
+    place_sites,
     require_dense,
+)
+from labpipe.mechanics.wire.bundle_model import (
+    Friction,
+    compute_bounds_share,
+    compute_bundle_model,
+    compute_friction_moment,
+    fit_friction,
 )
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
