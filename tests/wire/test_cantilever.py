@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
+from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_linear_plays
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import (
     AtDeflection,

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError, sort_by_likeness
-from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     build_calibrated_distributions,

@@ -27,8 +27,8 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from labpipe.mechanics.law.loading_table import CurvatureAndSlope
 from labpipe.mechanics.law.plays import (
+    CurvatureAndSlope,
     PlayLaw,
     require_finite,
     require_not_negative,

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.law.loading_table import LoadingTable
 from labpipe.mechanics.law.plays import (
+    LoadingTable,
     PlayLaw,
     is_within,
     require_finite,

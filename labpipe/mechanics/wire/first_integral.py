@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.plays import LoadingTable
 from labpipe.mechanics.wire.cantilever import AtDeflection
 from labpipe.records.arrays import Floats
 

@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.plays import LoadingTable
 from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
 from labpipe.mechanics.wire.first_integral import solve_weightless
 from labpipe.mechanics.wire.newton import Wire, bend_wire, compute_sensitivity, make_stations, solve

@@ -19,8 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from labpipe.mechanics.law.loading_table import CurvatureAndSlope
-from labpipe.mechanics.law.plays import require
+from labpipe.mechanics.law.plays import CurvatureAndSlope, require
 from labpipe.records.arrays import Floats, Ints
 
 

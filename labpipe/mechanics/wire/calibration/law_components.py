@@ -21,7 +21,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.mechanics.law.loading_table import LoadingTable
+from labpipe.mechanics.law.plays import LoadingTable
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, compute_tube_moment
