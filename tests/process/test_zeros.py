@@ -114,8 +114,8 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 4)
-    force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    force = name_channels(seen.recording("force"), plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": seen.recording("markers")}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
