@@ -15,7 +15,7 @@ import pytest
 
 from labpipe.cli import build_parser, main
 from labpipe.errors import CODES
-from labpipe.protocol.cross_checks import RESULTS
+from labpipe.protocol.schema import RESULTS
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,

@@ -24,7 +24,7 @@ from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protoc
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
-from labpipe.protocol.values import has_control_characters
+from labpipe.protocol.grammar import has_control_characters
 from labpipe.store.replace import replacing, storing
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")

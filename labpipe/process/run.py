@@ -41,7 +41,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.schema import FigureName, Protocol
-from labpipe.protocol.values import is_test_name
+from labpipe.protocol.grammar import is_test_name
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording

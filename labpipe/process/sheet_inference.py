@@ -22,7 +22,7 @@ from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES
-from labpipe.protocol.values import has_control_characters, is_test_name
+from labpipe.protocol.grammar import has_control_characters, is_test_name
 from labpipe.readers import recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording

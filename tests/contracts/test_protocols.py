@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
-from labpipe.protocol.cross_checks import list_result_names
+from labpipe.protocol.schema import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,

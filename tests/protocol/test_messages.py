@@ -20,7 +20,7 @@ from labpipe.protocol.load import (
     validate_document,
 )
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.values import FileStem, SingleLine, Text
+from labpipe.protocol.grammar import FileStem, SingleLine, Text
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.declarations import (
     Compliance,

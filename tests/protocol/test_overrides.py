@@ -18,7 +18,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.overrides import find_absent_needs, remove_absent_sources
+from labpipe.protocol.load import find_absent_needs, remove_absent_sources
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
 from labpipe.protocol.source import PLAUSIBLE_RANGES
 from labpipe.results.stiffness import ComplianceResult, LineStiffness

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.cross_checks import list_result_names
+from labpipe.protocol.schema import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     find_protocol,

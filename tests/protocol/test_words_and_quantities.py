@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from labpipe.protocol.grammar import build_pydantic_type
 from labpipe.protocol.plans import parse_name_pattern
-from labpipe.protocol.values import (
+from labpipe.protocol.grammar import (
     FileStem,
     QuantityText,
     build_path_validator,
