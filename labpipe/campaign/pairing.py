@@ -11,20 +11,21 @@ from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import find_majority, load_all_protocols
 from labpipe.process.sheet_inference import (
     InferredTest,
     count_protocols,
+    find_majority,
     infer_test,
+    load_all_protocols,
     read_neighbours,
     safe_name,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
+from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
-from labpipe.protocol.grammar import has_control_characters
 from labpipe.store.replace import replacing, storing
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
