@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +18,6 @@ from labpipe.readers.text_cells import (
     DECIMAL_SIGNS,
     INFINITE_WORDS,
     NUMERAL,
-    as_text,
     build_cell_error,
     is_missing,
     is_number,
@@ -79,40 +77,6 @@ class Body:
     def rows(self) -> Iterator[list[str]]:
         """Yield the cells of each row."""
         return map(self.cells, self.data.split(b"\n"))
-
-
-def read_sheet_columns(
-    rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
-) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers of a sheet, converted to text for `read_columns`.
-
-    Parameters
-    ----------
-    rows : cells of the whole sheet, from `labpipe.readers.workbooks.open_sheets`
-    first : index of the first row of numbers
-    names : names of the wanted columns, by their index
-    where : file and sheet, for messages
-
-    Returns
-    -------
-    As `read_columns`.
-    """
-    wanted_cells = ([row[i] if i < len(row) else "" for i in names] for row in rows[first:])
-    text, columns = format_sheet_rows(wanted_cells), range(len(names))
-    body = Body(text.encode(), [*names.values()], columns, first + 1, "\t", ".", sheet=where[1])
-    values, notes = read_columns(body, where[0])
-    return dict(zip(names, values.values(), strict=True)), notes
-
-
-def format_sheet_rows(rows: Iterable[Sequence[object]]) -> str:
-    """Format rows of a sheet as lines with tabs between the cells and all digits of numbers."""
-    text = io.StringIO()
-    lines = csv.writer(text, delimiter="\t", lineterminator="\n")
-    for row in rows:  # csv writes all digits of a float
-        lines.writerow(
-            [cell if type(cell) is float else " ".join(as_text(cell).split()) for cell in row]
-        )
-    return text.getvalue()
 
 
 def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:

@@ -44,7 +44,7 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import (
+from labpipe.report.harness_figures import (
     BUNDLE_FIGURE,
     LOOP_FIGURE,
     make_bundle_page,

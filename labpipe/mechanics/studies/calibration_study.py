@@ -56,8 +56,7 @@ from labpipe.records.wire_calibration import (
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import CalibrationReport
-from labpipe.report.calibration_workbook import save_calibration_workbook
+from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook
 from labpipe.units import GRAVITY
 
 MODEL_FILE = "calibration.json"

@@ -39,6 +39,9 @@ class Header:
     above : the rows above the names
     separator : between cells
     specimens : the row above the names if it contains specimens, else empty
+    first_line : number of the first line
+    sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
+    width : number of cells of a row of a sheet; remarks may stand beside the table
     """
 
     names: _Cells
@@ -47,17 +50,23 @@ class Header:
     above: Rows
     separator: str = ""
     specimens: _Cells = ()
+    first_line: int = 1
+    sheet: str = ""
+    width: int = 0
 
 
-def find_header(lines: Sequence[str], card: Card, path: object, first_line: int = 1) -> Header:
-    """Find names and units in the lines of a text export.
+def find_header(
+    lines: Sequence[str], card: Card, path: object, first_line: int = 1, *, sheet: str = ""
+) -> Header:
+    """Find names and units in the head of a text or a sheet; blank rows among them are ignored.
 
     Parameters
     ----------
-    lines : its head, without line ends
+    lines : of the head, without line ends; cells of a sheet are separated by tabs
     card : rules for the header
     path : named in errors
-    first_line : line number of the first of the lines
+    first_line : number of the first of the lines
+    sheet : its name; empty for a text
 
     Returns
     -------
@@ -72,31 +81,68 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     head = lines[:400]
     if card.names == "listed":
         return _read_listed_titles(head, card, path)
-    for separator in card.separators:
-        rows = _split_rows(head, separator, card)
-        if _first_sample_row(rows, card) is not None:
-            return parse_header_rows(rows, card, path, f"line {first_line}", separator=separator)
-    place = f"lines {first_line} to {first_line + len(head) - 1}"
-    raise ReadError.about("readers.no_table", path, place)
+    for separator in ("\t",) if sheet else card.separators:
+        rows, first = _split_rows(head, separator, card)
+        if first is not None:
+            break
+    else:
+        last_line = first_line + len(head) - 1
+        place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
+        raise ReadError.about("readers.no_table", path, place)
+    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
+    above = [tuple(cell.strip() for cell in row) for row in map(rows.__getitem__, filled)]
+    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in above]
+
+    def place_above(row: int) -> str:
+        number = first_line + (filled[max(len(filled) - row, 0)] if filled else 0)
+        return f"sheet '{sheet}', row {number}" if sheet else f"line {number}"
+
+    if separator == " " and card.name_starts is not None and len(above) > 1:
+        text, wanted = " ".join(rows[filled[-2]]), len(rows[-1])
+        cuts = [match.start() for match in card.name_starts.finditer(text)]
+        above[-2] = tuple(
+            text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
+        )
+        if (count := len(above[-2])) != wanted:
+            place, text = place_above(2), quoted([text])
+            raise ReadError.about(
+                "readers.names_with_blanks", path, place, wanted=wanted, count=count, text=text
+            )
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
+    above = above[:-n_rows]
+    has_specimens = card.names == "above units" and card.layout in (
+        "side by side",
+        "specimen above",
+    )
+    specimens = above.pop() if above and has_specimens else ()
+    return Header(
+        names,
+        units,
+        first,
+        above,
+        separator,
+        specimens,
+        first_line,
+        sheet=f"sheet '{sheet}'" if sheet else "",
+        width=len(rows[-1]) if sheet else 0,
+    )
 
 
-def _split_rows(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
-    """Return the cells of the lines up to the first one with samples."""
+def _split_rows(
+    lines: Sequence[str], separator: str, card: Card
+) -> tuple[list[list[str]], int | None]:
+    """Split the lines up to the first sample; return its index as well, None if there is none."""
     rows: list[list[str]] = []
     for line in lines:
         is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
-        rows.append([line] if is_plain else split_line(line, separator))
-        if card.names != "alone" and len(rows[-1]) > 1 and is_sample(rows[-1]):
-            break
-    return rows
-
-
-def _first_sample_row(rows: Rows, card: Card) -> int | None:
-    """Return the index of the first row of samples; None if there is none."""
-    if card.names != "alone":
-        return next((i for i, row in enumerate(rows) if len(row) > 1 and is_sample(row)), None)
-    heads = (tuple(cell.strip() for cell in row[: len(card.header_words)]) for row in rows)
-    return next((i + 1 for i, head in enumerate(heads) if head == card.header_words), None)
+        row = [line] if is_plain else split_line(line, separator)
+        rows.append(row)
+        if card.names == "alone":
+            if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
+                return rows, len(rows)
+        elif len(row) > 1 and is_sample(row):
+            return rows, len(rows) - 1
+    return rows, None
 
 
 def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
@@ -116,73 +162,6 @@ def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Heade
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
-
-
-def parse_header_rows(
-    rows: Rows, card: Card, path: object, place: str, *, separator: str = ""
-) -> Header:
-    """Find names and units in rows of cells; blank rows among them are ignored.
-
-    Parameters
-    ----------
-    rows : of the head of the export
-    card : rules for the header
-    path : named in errors
-    place : of the first row, such as ``line 1``
-    separator : separator of the cells
-
-    Raises
-    ------
-    ReadError
-        As `find_header`.
-    """
-    first = _first_sample_row(rows, card)
-    if first is None:
-        raise ReadError.about("readers.no_table", path, place)
-    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-    above = [_strip_cells(rows[i]) for i in filled]
-
-    def place_above(row: int) -> str:
-        at = filled[max(len(filled) - row, 0)] if filled else 0
-        word, number = place.rsplit(" ", 1)
-        return f"{word} {int(number) + at}"
-
-    if separator == " " and card.name_starts is not None and len(above) > 1:
-        text = " ".join(rows[filled[-2]])
-        above[-2] = _split_names(text, card.name_starts)
-        if len(above[-2]) != len(rows[first]):
-            raise ReadError.about(
-                "readers.names_with_blanks",
-                path,
-                place_above(2),
-                wanted=len(rows[first]),
-                count=len(above[-2]),
-                text=quoted([text]),
-            )
-    names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
-    above = above[:-n_rows]
-    specimens: _Cells = ()
-    has_specimens = card.names == "above units" and card.layout in {
-        "side by side",
-        "specimen above",
-    }
-    if above and has_specimens:
-        specimens = above.pop()
-    return Header(names, units, first, above, separator, specimens)
-
-
-def _split_names(text: str, starts: re.Pattern[str]) -> _Cells:
-    """Split a line into names that contain blanks, by the pattern of their beginnings."""
-    cuts = [0, *(match.start() for match in starts.finditer(text) if match.start()), len(text)]
-    return tuple(text[a:b].strip() for a, b in pairwise(cuts)) if text else ()
-
-
-def _strip_cells(row: Sequence[str]) -> _Cells:
-    """Return cells without surrounding blanks, and without blank cells at the end."""
-    cells = [cell.strip() for cell in row]
-    while cells and not cells[-1]:
-        cells.pop()
-    return tuple(cells)
 
 
 def _find_titles(
