@@ -255,9 +255,11 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
     protocol : with its results in order
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
-        from labpipe.results.moment_curvature import measure_replicates  # only these tests load it
+        from labpipe.results.moment_curvature import (
+            measure_moment_curvature,  # only these tests load it
+        )
 
-        bending, bending_findings = measure_replicates(test)
+        bending, bending_findings = measure_moment_curvature(test)
         test = replace(test, bending=bending, findings=test.findings + bending_findings)
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:

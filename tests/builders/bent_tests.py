@@ -18,7 +18,7 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull
+from labpipe.results.measured_law import BendingErrors, BendingTest, TipPull
 
 LENGTH, STRING, WEIGHT = 0.085, 0.760, 0.0265
 HEIGHT, PULL_OFFSET = 0.0008, 0.004

@@ -10,11 +10,12 @@ from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.results.beam import compute_prop_force
-from labpipe.results.bent_frames import BendingTest, TipPull
 from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,
+    BendingTest,
     LawFit,
+    TipPull,
     choose_knots,
     evaluate_law,
     measure_bending,

@@ -264,7 +264,8 @@ def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> N
     ):
         numbers = (1e3 * number for number in (rest.ahead, rest.sag, rest.reach))
         lines.append(" ".join(f"{number:.4g}" for number in numbers) + f" mm: {rest.state}")
-        lines.append(f"  known: {rest.is_known}; {rest.why_not_straight or 'straight'}")
+        known = not np.isnan([rest.ahead, rest.sag]).all()
+        lines.append(f"  known: {known}; {rest.why_not_straight or 'straight'}")
         lines += [
             f"  {note.code} of {note.where}: {note.message}" for note in list_rest_notes("T1", rest)
         ]
