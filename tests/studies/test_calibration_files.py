@@ -24,13 +24,13 @@ from labpipe.mechanics.studies.calibration_study import (
     find_wire_sheet,
     require_wires,
 )
-from labpipe.mechanics.studies.comparisons import (
+from labpipe.mechanics.studies.first_loadings import FirstLoading
+from labpipe.mechanics.studies.model_comparisons import (
     compare_external_curves,
     compare_tests,
     note_misfits,
     read_external_curves,
 )
-from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as reached

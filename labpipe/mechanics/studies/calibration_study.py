@@ -14,19 +14,19 @@ from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
-from labpipe.mechanics.studies.comparisons import (
+from labpipe.mechanics.studies.first_loadings import (
+    FirstLoading,
+    note_sheet_weight,
+    read_first_loadings,
+    set_self_weight,
+)
+from labpipe.mechanics.studies.model_comparisons import (
     compare_external_curves,
     compare_shapes,
     compare_tests,
     note_insulations,
     note_misfits,
     read_external_curves,
-)
-from labpipe.mechanics.studies.first_loadings import (
-    FirstLoading,
-    note_sheet_weight,
-    read_first_loadings,
-    set_self_weight,
 )
 from labpipe.mechanics.studies.study_files import write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
