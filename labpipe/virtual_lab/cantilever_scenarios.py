@@ -32,9 +32,9 @@ from labpipe.mechanics.wire.cantilever import (
     WireState,
     bend_to_travel,
     bend_under_force,
+    make_interpolation_matrix,
     make_straight,
 )
-from labpipe.mechanics.wire.newton import make_interpolation_matrix
 from labpipe.records.arrays import Floats
 from labpipe.units import GRAVITY
 from labpipe.virtual_lab.instruments import (
