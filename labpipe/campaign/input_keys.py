@@ -209,8 +209,8 @@ class InputReader:
         return HashedInputs(
             key,
             tuple(files),
-            sheet_sha256=_hash_text(text),
-            protocol_sha256=_hash_text(resolved),
+            sheet_sha256=hash_text(text),
+            protocol_sha256=hash_text(resolved),
             stamps=stamps,
             dependencies=self._hash_dependencies(folder, sheet.protocol),
             facts=_collect_sheet_facts(sheet),
@@ -223,7 +223,7 @@ class InputReader:
         dependencies = self._hash_dependencies(folder, protocol)
         hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
         parts = ["unfit", hashes, *dependencies[1:]]
-        return HashedInputs(_hash_text(json.dumps(parts)), stamps=stamps, dependencies=dependencies)
+        return HashedInputs(hash_text(json.dumps(parts)), stamps=stamps, dependencies=dependencies)
 
     def _hash_dependencies(self, folder: Path, protocol: str) -> tuple[str, ...]:
         """Return the name of a protocol, then the hashes of its file, the cards and the code."""
@@ -248,7 +248,7 @@ class InputReader:
             from labpipe.readers.load_frame.cards import lab_card_files
 
             cards = [[file.name, take_stamp(file).sha256] for file in lab_card_files()]
-            self._cards_hash = _hash_text(json.dumps(cards)) if cards else ""
+            self._cards_hash = hash_text(json.dumps(cards)) if cards else ""
         return self._cards_hash
 
     def _resolve_protocol(
@@ -329,5 +329,6 @@ def describe_changes(
     return ", ".join(reasons) or "newer labpipe"
 
 
-def _hash_text(text: str) -> str:
+def hash_text(text: str) -> str:
+    """Return the SHA-256 of a text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()

@@ -18,11 +18,13 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
+    Overview,
     RunSummary,
     clear_failures,
     decide,
+    find_unknown_files,
+    open_campaign,
     rebuild,
     run_campaign,
 )
@@ -128,8 +130,8 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     """Import the decisions that a report page saved."""
     if options.test:
         raise UsageError.about("cli.test_and_file", "--from", test=options.test)
-    imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
-    for fault in faults:
+    imported = import_decision_file(campaign.processed, campaign.name, options.saved)
+    for fault in imported.faults:
         print(f"labpipe campaign: {escape_controls(fault)}", file=sys.stderr)
     for decision in imported.added:
         print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
@@ -141,7 +143,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     print(
         f"{write_count(len(imported.added), 'decision')} imported, {imported.n_known} already known"
     )
-    return 2 if faults or imported.not_imported else 0
+    return 2 if imported.faults or imported.not_imported else 0
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:

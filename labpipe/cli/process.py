@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.campaign.executors import default_jobs, process_tests
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     processed, refused = process_all(
         tests,
         out=options.out,
-        figures=lambda _: not options.no_figures,
+        figures=not options.no_figures,
         png=options.png,
         jobs=options.jobs,
         limit=60.0 * options.limit,
@@ -53,7 +53,7 @@ def process_all(
     tests: list[Path],
     *,
     out: Path | None,
-    figures: Callable[[Path], bool],
+    figures: bool,
     jobs: int | None,
     limit: float | None = None,
     png: bool = False,
