@@ -11,11 +11,12 @@ from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import find_majority, load_all_protocols
 from labpipe.process.sheet_inference import (
     InferredTest,
     count_protocols,
+    find_majority,
     infer_test,
+    load_all_protocols,
     read_neighbours,
     safe_name,
 )

@@ -38,10 +38,10 @@ from labpipe.process.output_paths import (
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.group import Campaign, Group, LotRule, Sample
-from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
+from labpipe.report.html_pages import render_test
+from labpipe.report.lab_report import PLAIN, Letterhead, write_report
 from labpipe.report.page_facts import compute_report_id, list_samples
 from labpipe.report.page_tables import name_page_file
-from labpipe.report.single_test import render_test
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
@@ -171,9 +171,14 @@ def report_tests(
             )
             for sample in (samples if options.has_test_pages else ())
         }
-        is_journal = any(one.report.style == "journal" for one in tests.protocols.values())
-        extras = Extras(options.letterhead, options.formats, pages, is_journal)
-        written = write_report(campaign, stage, extras)
+        written = write_report(
+            campaign,
+            stage,
+            letterhead=options.letterhead,
+            formats=options.formats,
+            test_pages=pages,
+            is_journal=any(one.report.style == "journal" for one in tests.protocols.values()),
+        )
         text = options.text(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
     return WrittenReport(

@@ -28,7 +28,8 @@ from labpipe.campaign.decisions import (
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
-from labpipe.report.lab_report import PAGE_FILE, allow_own_server
+from labpipe.report.html_pages import allow_own_server
+from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
 from labpipe.units import parse_count

@@ -33,8 +33,8 @@ from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.protocol_match import load_all_protocols
 from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
+from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
 
 _MODULES = (

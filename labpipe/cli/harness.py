@@ -85,7 +85,7 @@ def format_harness(solution: FollowedHarness) -> str:
     -------
     Its status, results, allowed bend radius, doubts and the folder of the files.
     """
-    line, steps = solution.prepared.line, solution.harness.steps
+    line, steps = solution.path.line, solution.harness.steps
     status = (
         solution.status if solution.status is Status.FAILED else count_statuses(solution.results)
     )

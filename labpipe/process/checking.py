@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,8 +32,17 @@ from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.shapes import MidSpan, Twist
+from labpipe.results.tension import TensionResult
 
 _YAML_SUFFIXES = (".yaml", ".yml")
+SIZES = {
+    "span": ("the distance between the supports", "span: 152.4 mm"),
+    "gauge_length": ("the gauge length", "gauge_length: 50 mm"),
+    "section.area": ("the area of the cross-section", "section: {area: 20 mm^2}"),
+}
+"""Meaning and example of each size that results need."""
+SECTIONS = (["section.width", "section.thickness"], ["section.outer_diameter"])
+"""Sizes that give the area of a section."""
 _T = TypeVar("_T")
 
 
@@ -157,9 +166,12 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
         return None
     protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
     n_faults_before = len(report.faults)
-    if protocol is not None and (results := results_needing_span(protocol)):
-        listed = ", ".join(results)
-        error = ProtocolError.about("process.span_missing", path, "specimen.span", results=listed)
+    for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
+        meaning, example = SIZES[size]
+        where, listed = f"specimen.{size}", ", ".join(results)
+        error = ProtocolError.about(
+            "process.size_missing", path, where, meaning=meaning, results=listed, example=example
+        )
         report.faults.append(str(error))
         n_faults_before += 1
     missing = find_missing_exports(sheet, path)
@@ -206,21 +218,35 @@ def _check_steps(
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
-def results_needing_span(protocol: Protocol) -> list[str]:
-    """List the results that need the span, if the protocol does not state it.
+def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict[str, list[str]]:
+    """Find the sizes of the specimen that results need and nothing states.
 
     Parameters
     ----------
     protocol : resolved or not
+    stated : sizes that a test sheet states, such as ``section.area``
+
+    Returns
+    -------
+    By size, the results that need it: ``span``, ``gauge_length`` or ``section.area``.
     """
-    if protocol.specimen.span is not None:
-        return []
-    return [
-        entry.result
-        for entry in protocol.results
-        if isinstance(entry, MidSpan | Twist)
-        or (isinstance(entry, BendingStiffness) and entry.support == "three-point")
-    ]
+    specimen, section = protocol.specimen, protocol.specimen.section
+    sizes = {key for key, size in specimen if size is not None} | {*stated}
+    sizes |= {f"section.{key}" for key, size in section or () if size is not None}
+    needs: dict[str, list[str]] = {}
+    for entry in protocol.results:
+        is_bent = isinstance(entry, BendingStiffness) and entry.support == "three-point"
+        if isinstance(entry, MidSpan | Twist) or is_bent:
+            needs.setdefault("span", []).append(entry.result)
+        if isinstance(entry, TensionResult):
+            needs.setdefault("gauge_length", []).append(entry.result)
+            needs.setdefault("section.area", []).append(entry.result)
+    alternatives = {"gauge_length": [["length"]], "section.area": SECTIONS}
+    return {
+        size: results
+        for size, results in needs.items()
+        if not any(sizes >= {*others} for others in [[size], *alternatives.get(size, ())])
+    }
 
 
 def _find_missing_markers(

@@ -1,4 +1,4 @@
-"""Infer a test sheet from the exports, from names, and from the other tests of the campaign."""
+"""Infer a test sheet: what exports, names and other tests say, and what is left to a person."""
 
 from __future__ import annotations
 
@@ -7,37 +7,41 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cache
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
-from labpipe.errors import Fault, LabpipeError, ReadError
+from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
-from labpipe.process.checking import results_needing_span
-from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
-from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
+from labpipe.process.checking import find_missing_sizes
+from labpipe.process.reading import is_empty, join_exports, name_channels
+from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.protocol.source import MARKER_READERS, ROLES
+from labpipe.protocol.source import MARKER_READERS, ROLES, Source
 from labpipe.protocol.values import has_control_characters, is_test_name
-from labpipe.readers import recognise_export
-from labpipe.readers.unknown_files import describe_unknown
+from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_COPIED_FACTS = ("date", "operator", "type", "sample", "length", "width", "thickness")
+FOLDER_NAME = "the name of the folder"
+_UNIT_OF_SIZE = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
+_UNIT_OF_SIZE |= {"section.area": "m^2"}
+_COPIED_FACTS = ("date", "operator", "type", "sample", *_UNIT_OF_SIZE)
 """Facts that become values of a test sheet."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
-FOLDER_NAME = "the name of the folder"
 _YEAR_FIRST = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
 _YEAR_LAST = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", re.DOTALL)
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """12-hour clock in capitals, the US format of Windows, which puts the month first."""
 _FOLDER_NAME = re.compile(r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)")
+Exports: TypeAlias = Mapping[Path, Recording]
+Neighbours: TypeAlias = dict[Path, tuple[str, str]]
+"""Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
 
 
 class Fact(NamedTuple):
@@ -56,7 +60,7 @@ class Fact(NamedTuple):
 
 
 @cache
-def _fact_keys() -> dict[str, dict[str, list[str]]]:
+def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
     text = (package_files("labpipe.process") / "sheet_facts.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -73,23 +77,23 @@ def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
     -------
     The facts. The modification time of the file is not one of them, because copying changes it.
     """
-    entries = dict[str, str]()
-    for entry, text in _metadata_entries(recording.metadata):
-        entries.setdefault(entry, text)
-    facts = list[Fact]()
-    for key, names in _fact_keys()["keys"].items():
-        values = filter(None, (_parse_fact(key, entries.get(entry, "")) for entry in names))
-        facts += [Fact(key, value, name) for value in list(values)[:1]]
-    if all(fact.key != "date" for fact in facts) and (day := parse_day(name)):
-        facts.append(Fact("date", day, f"the name of {name}"))
-    return tuple(facts)
+    entries = dict(reversed([*_list_entries(recording.metadata)]))  # the first of equal keys counts
+    facts = {
+        key: next(filter(None, (_parse_fact(key, entries.get(x, "")) for x in names)), "")
+        for key, names in _read_fact_keys()["keys"].items()
+    }
+    source = name if facts["date"] else f"the name of {name}"
+    facts["date"] = facts["date"] or parse_day(name)
+    return tuple(
+        Fact(key, value, source if key == "date" else name) for key, value in facts.items() if value
+    )
 
 
-def _metadata_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     """Yield metadata entries by the last part of their key."""
     for key, value in metadata.items():
-        if isinstance(value, Mapping) and key not in _fact_keys()["entries"]["lists"]:
-            yield from _metadata_entries(value)
+        if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
+            yield from _list_entries(value)
         yield key.rpartition(" : ")[2].strip(), str(value).strip()
 
 
@@ -97,9 +101,15 @@ def _parse_fact(key: str, text: str) -> str:
     """Return the value of a metadata entry; empty if it was not filled in or does not fit."""
     if key == "date":
         return parse_day(text)
-    if key in ("length", "width", "thickness"):
-        return text if (_parse_metres(text) or 0.0) > 0.0 else ""
-    return "" if text.casefold() in _fact_keys()["entries"]["empty"] else text
+    if key in _UNIT_OF_SIZE:
+        return text if (_parse_size(text, _UNIT_OF_SIZE[key]) or 0.0) > 0.0 else ""
+    return "" if text.casefold() in _read_fact_keys()["entries"]["empty"] else text
+
+
+def _parse_size(text: str, unit: str = "m") -> float | None:
+    with suppress(ValueError):
+        return parse_quantity(text, unit) if text else None
+    return None
 
 
 def parse_folder_name(name: str) -> tuple[Fact, ...]:
@@ -122,12 +132,11 @@ def parse_folder_name(name: str) -> tuple[Fact, ...]:
     >>> parse_folder_name("Test Run 4 10-23-2023 6 43 09 PM")
     ()
     """
-    if parse_day(name) or _YEAR_LAST.search(name):
-        return ()
     match = _FOLDER_NAME.fullmatch(name)
-    parts = match.groupdict("") if match else {}
-    if parts.get("length"):
-        parts["length"] = f"{int(parts['length'])} mm"
+    if match is None or parse_day(name) or _YEAR_LAST.search(name):
+        return ()
+    parts = match.groupdict("")
+    parts["length"] = parts["length"] and f"{int(parts['length'])} mm"
     return tuple(Fact(key, value, FOLDER_NAME) for key, value in parts.items() if value)
 
 
@@ -150,18 +159,18 @@ def parse_day(text: str) -> str:
     ''
     """
     if match := _YEAR_FIRST.search(text) or _COMPACT_DATE.search(text):
-        return _iso_date(*match.groups())
+        return _format_day(*match.groups())
     if not (match := _YEAR_LAST.search(text)):
         return ""
     first, separator, second, year, remainder = match.groups()
-    day_first, month_first = _iso_date(year, second, first), _iso_date(year, first, second)
+    day_first, month_first = _format_day(year, second, first), _format_day(year, first, second)
     if separator == "." or not month_first:
         return day_first
     is_unambiguous = _US_CLOCK.match(remainder) or day_first in ("", month_first)
     return month_first if is_unambiguous else ""
 
 
-def _iso_date(year: str, month: str, day: str) -> str:
+def _format_day(year: str, month: str, day: str) -> str:
     with suppress(ValueError):
         return date(int(year), int(month), int(day)).isoformat()
     return ""
@@ -179,60 +188,182 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
     agreed : by key, the facts on which all sources agree; `Fact.source` names all of them
     contradictions : by key, a sentence on the different values
     """
-    sources: dict[str, dict[str, list[str]]] = {}
+    sources: dict[str, dict[str, dict[str, None]]] = {}
     for key, value, source in facts:
-        sources.setdefault(key, {}).setdefault(value, []).append(source)
+        sources.setdefault(key, {}).setdefault(value, {})[source] = None
     agreed, contradictions = dict[str, Fact](), dict[str, str]()
     for key, by_value in sources.items():
-        stated = {value: " and ".join(dict.fromkeys(names)) for value, names in by_value.items()}
-        if len(stated) == 1:
-            agreed[key] = Fact(key, *next(iter(stated.items())))
+        listed = [Fact(key, value, " and ".join(names)) for value, names in by_value.items()]
+        if len(listed) == 1:
+            agreed[key] = listed[0]
         else:
-            listed = ", ".join(f"{value} in {names}" for value, names in stated.items())
-            text = format_sentence("process.facts_differ", key=key, statements=listed)
+            statements = ", ".join(f"{fact.value} in {fact.source}" for fact in listed)
+            text = format_sentence("process.facts_differ", key=key, statements=statements)
             contradictions[key] = text
     return agreed, contradictions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FolderContents:
-    """The files of a folder.
+class ProtocolMatch:
+    """A protocol whose roles the exports of a folder fill.
 
     Parameters
     ----------
-    exports : those that can be read
-    others : what each other file appears to be, by name
-    unread : why an export cannot be read (damaged, truncated, locked), by name
+    protocol : without overrides of a test
+    files : names of the exports by role
+    fits : whether all of them can be read, and the take has the clamp
+    n_used : number of the files that it reads, plus 1 if the take has its clamp
+    ambiguous_roles : roles with several possible exports, which are all in `files`
+    reason : sentence on why it was chosen among several; empty if it was the only one
     """
 
-    exports: dict[Path, Recording] = field(default_factory=dict)
-    others: dict[str, str] = field(default_factory=dict)
-    unread: dict[str, str] = field(default_factory=dict)
+    protocol: Protocol
+    files: Mapping[str, tuple[str, ...]]
+    fits: bool
+    n_used: int
+    ambiguous_roles: frozenset[str]
+    reason: str = ""
 
 
-def read_folder(folder: Path) -> FolderContents:
-    """Read the exports in the folder of a test; formats are recognised by content.
+def load_all_protocols() -> list[Protocol]:
+    """Load all valid protocols; `labpipe check` reports the others."""
+    protocols = []
+    for path in list_protocols().values():
+        with suppress(LabpipeError):
+            protocols.append(load_protocol(path))
+    return protocols
+
+
+def match_protocols(
+    exports: Exports,
+    protocols: Sequence[Protocol],
+    *,
+    names: Sequence[str] = (),
+    length: float | None = None,
+    siblings: Sequence[Mapping[str, int]] = (),
+    stated_files: Mapping[str, tuple[str, ...]] | None = None,
+) -> list[ProtocolMatch]:
+    """Find the protocols that fit the exports best.
 
     Parameters
     ----------
-    folder : of the test; a missing folder is empty
+    exports : of one test
+    protocols : candidates
+    names : of the folder, of its exports and of the specimen type
+    length : m, free length of the specimen; None if it is not known
+    siblings : numbers of other tests by protocol, first those of the same type, then those of the
+        whole campaign; tests without a protocol under an empty name
+    stated_files : files by role that the user named
+
+    Returns
+    -------
+    One protocol if it fits better than all others; several that fit equally, by name; none if
+    every protocol needs an export that is missing.
+
+    Notes
+    -----
+    The protocols that use most exports without a fault are compared by these rules, in this order:
+    one of `names` contains the name of the protocol; the metadata of an export name the standard
+    after which the protocol is named; the protocol states this `length` within 5 %; more than half
+    of the `siblings` have it. The first rule that only one protocol meets decides.
     """
-    contents = FolderContents()
-    for path in list_possible_exports(folder):
-        if has_control_characters(path.name):
-            contents.others[path.name] = format_sentence("process.control_characters")
-            continue
-        try:
-            path.open("rb").close()  # raises OSError before the format is recognised
+    candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
+    matches = [match for match in candidates if match is not None]
+    top = max(((match.fits, match.n_used) for match in matches), default=None)
+    best = [match for match in matches if (match.fits, match.n_used) == top]
+    best.sort(key=lambda match: match.protocol.name)
+    by_name = {match.protocol.name: match for match in best}
+    texts = [str(text) for export in exports.values() for text in export.metadata.values()]
+    of_length = [
+        name
+        for name, match in by_name.items()
+        if (stated := match.protocol.specimen.length) is not None
+        and length is not None
+        and abs(length - stated) <= 0.05 * stated
+    ]
+    standards = [name for name in _find_namesakes(texts, by_name) if re.search(r"\d{3,}", name)]
+    rules = [
+        (format_sentence("process.reason_namesake"), _find_namesakes(names, by_name)),
+        (format_sentence("process.reason_standard"), standards),
+        (format_sentence("process.reason_length"), of_length),
+    ]
+    for counts in siblings:
+        name, total = find_majority(counts), sum(counts.values())
+        count = counts.get(name, 0)
+        reason = format_sentence("process.reason_siblings", count=count, total=total)
+        rules.append((reason, [name] if name in by_name else []))
+    decisions = [replace(by_name[x[0]], reason=why) for why, x in rules if len(x) == 1]
+    return decisions[:1] if len(best) > 1 and decisions else best
+
+
+def _find_namesakes(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
+    """Find the protocols whose name a text contains as whole words."""
+    words = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
+    return [name for name in protocols if any(f"-{name.casefold()}-" in text for text in words)]
+
+
+def find_majority(counts: Mapping[str, int]) -> str:
+    """Find the protocol of more than half of the tests; empty if there is none.
+
+    Parameters
+    ----------
+    counts : number of tests by protocol; under an empty name those without one
+
+    Examples
+    --------
+    >>> find_majority({"tensile": 3, "pet-tape": 1, "": 1})
+    'tensile'
+    >>> find_majority({"tensile": 6, "": 15})
+    ''
+    """
+    return next((name for name in counts if 2 * counts[name] > sum(counts.values())), "")
+
+
+def _match_protocol(
+    exports: Exports, protocol: Protocol, stated_files: Mapping[str, tuple[str, ...]]
+) -> ProtocolMatch | None:
+    """Assign the exports to the roles of a protocol; None if a required role stays empty."""
+    if set(stated_files) - set(protocol.sources):
+        return None
+    unused, files = dict(exports), dict[str, tuple[str, ...]]()
+    recordings, faulty, ambiguous = list[Recording](), set[str](), set[str]()
+    for role, source in protocol.sources.items():
+        candidates = [
+            path
+            for path, recording in unused.items()
+            if recording.reader in source.reader
+            and path.name in stated_files.get(role, (path.name,))
+            and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
+        ]
+        parts = {path: _read_channels(path, unused[path], source) for path in candidates}
+        valid_parts = {path: part for path, part in parts.items() if part is not None}
+        paths = list(valid_parts or parts)
+        if not paths and not source.optional:
+            return None
+        for path in paths:
+            del unused[path]
+        if paths:
+            files[role] = tuple(path.name for path in paths)
             try:
-                reader = recognise_export(path)
+                recordings.append(join_exports([*valid_parts.values()], files[role], Path()))
             except ReadError:
-                contents.others[path.name] = describe_unknown(path).kind
-            else:
-                contents.exports[path] = reader.read(path)
-        except (LabpipeError, OSError) as error:
-            contents.unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
-    return contents
+                faulty.add(role)
+                ambiguous |= {role} if len(paths) > 1 else set()
+    clamp = None if protocol.markers is None else protocol.markers.clamp
+    takes = [recording.markers for recording in recordings if recording.markers is not None]
+    has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
+    fits = not faulty and (clamp is None or not takes or has_clamp)
+    n_used = sum(map(len, files.values())) + has_clamp
+    return ProtocolMatch(protocol, files, fits, n_used, frozenset(ambiguous))
+
+
+def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | None:
+    """Read the channels of a protocol from an export; None if it lacks some."""
+    with suppress(ReadError):
+        if source.part is not None:
+            recording = read_export(path, source.reader, part=source.part)
+        return recording if is_empty(recording) else name_channels(recording, source, path)
+    return None
 
 
 def list_possible_exports(folder: Path) -> list[Path]:
@@ -266,10 +397,6 @@ def list_test_folders(folder: Path) -> list[Path]:
     return [path for path in below if not path.name.startswith(".") and list_possible_exports(path)]
 
 
-Neighbours: TypeAlias = dict[Path, tuple[str, str]]
-"""Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
-
-
 def read_neighbours(campaign: Path) -> Neighbours:
     """Read the specimen types and protocols of the tests of a campaign.
 
@@ -279,7 +406,7 @@ def read_neighbours(campaign: Path) -> Neighbours:
     """
     neighbours: Neighbours = {}
     for folder in list_test_folders(campaign):
-        neighbours[folder] = (_values_in_name(folder).get("type", ""), "")
+        neighbours[folder] = (_parse_values(folder).get("type", ""), "")
         with suppress(LabpipeError, OSError):
             sheet = load_test_sheet(folder / SHEET_NAME)
             neighbours[folder] = (sheet.specimen.type, sheet.protocol)
@@ -308,7 +435,7 @@ def count_protocols(
     )
 
 
-def _values_in_name(folder: Path) -> dict[str, str]:
+def _parse_values(folder: Path) -> dict[str, str]:
     return {fact.key: fact.value for fact in parse_folder_name(folder.name)}
 
 
@@ -355,10 +482,10 @@ def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[
         test = infer_test(folder, stated, neighbours=neighbours)
         if "protocol" in test.open:
             undecided.append(folder)
-            continue
-        specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
-        neighbours[folder.resolve()] = (specimen_type, protocol)
-        yield test
+        else:
+            specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
+            neighbours[folder.resolve()] = (specimen_type, protocol)
+            yield test
     for folder in undecided:
         yield infer_test(folder, stated, neighbours=neighbours)
 
@@ -380,75 +507,105 @@ def infer_test(
     """
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
-    contents = read_folder(folder)
-    matches = _match(folder, contents, stated, neighbours)
-    match = matches[0] if len(matches) == 1 else None
+    exports, unread, others = read_folder(folder)
     stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
+    matches = _match_folder(folder, exports, stated, stated_files, neighbours)
     ambiguous = {
-        role: candidate.files[role]
-        for candidate in matches
-        for role in sorted(candidate.ambiguous_roles - stated_files.keys())
+        role: match.files[role]
+        for match in matches
+        for role in sorted(match.ambiguous_roles - stated_files.keys())
     }
     unclear = {name for names in ambiguous.values() for name in names}
-    exports = {path: x for path, x in contents.exports.items() if path.name not in unclear}
-    agreed, contradictions = combine_facts(_collect_facts(folder, exports))
-    facts = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
+    in_name = parse_folder_name(folder.name)  # the lab chose it: it has priority over exports
+    facts = [
+        x
+        for path in exports
+        for x in collect_export_facts(path.name, exports[path])
+        if path.name not in unclear and x.key not in {fact.key for fact in in_name}
+    ]
+    agreed, contradictions = combine_facts([*in_name, *facts])
+    copied = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
     values = {"test": safe_name(folder.resolve().name)}
-    values |= {"protocol": match.protocol.name} if match else {}
-    values |= {fact.key: fact.value for fact in facts} | dict(stated)
-    inferred_files = _assign_files(contents, matches)
+    values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
+    values |= {fact.key: fact.value for fact in copied} | dict(stated)
+    inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
     required = ["protocol", "type", "spool", "sample"]
-    required += ["span"] if match and results_needing_span(match.protocol) else []
+    required += find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else []
     open_keys = [key for key in required if not values.get(key)]
     open_keys += sorted(ambiguous) or ([] if files else ["files"])
-    own_files = {role: x for role, x in inferred_files.items() if role not in stated_files}
     used = unclear.union(*files.values())
+    kinds = {path.name: export.reader for path, export in exports.items()} | unread | others
+    own_files = {role: names for role, names in inferred_files.items() if role not in stated_files}
     remarks = [
-        *([] if "protocol" in stated else [_describe_match(contents, matches)]),
-        *_describe_files(contents, own_files, ambiguous),
-        *_describe_facts(facts),
+        *([] if "protocol" in stated else [_describe_matches(exports, matches)]),
+        *_describe_files(own_files, ambiguous, kinds),
+        *_describe_facts(copied),
         *(text for key, text in contradictions.items() if key not in stated),
-        *_describe_unused(folder, contents, used),
+        *_describe_unused(folder, kinds, used),
     ]
-    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), contents.unread)
+    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), unread)
 
 
-def _match(
-    folder: Path, contents: FolderContents, stated: Mapping[str, str], neighbours: Neighbours
+def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], dict[str, str]]:
+    """Read the exports in the folder of a test; formats are recognised by content.
+
+    Parameters
+    ----------
+    folder : of the test; a missing folder is empty
+
+    Returns
+    -------
+    exports : those that can be read
+    unread : why an export cannot be read (damaged, truncated, locked), by name
+    others : what each other file appears to be, by name
+    """
+    exports, unread, others = dict[Path, Recording](), dict[str, str](), dict[str, str]()
+    for path in list_possible_exports(folder):
+        if has_control_characters(path.name):
+            others[path.name] = format_sentence("process.control_characters")
+            continue
+        try:
+            path.open("rb").close()  # raises OSError before the format is recognised
+            try:
+                reader = recognise_export(path)
+            except ReadError:
+                others[path.name] = describe_unknown(path).kind
+            else:
+                exports[path] = reader.read(path)
+        except (LabpipeError, OSError) as error:
+            unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
+    return exports, unread, others
+
+
+def _match_folder(
+    folder: Path,
+    exports: Exports,
+    stated: Mapping[str, str],
+    stated_files: Mapping[str, tuple[str, ...]],
+    neighbours: Neighbours,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit best, by exports, names and the other tests."""
-    values = _values_in_name(folder) | dict(stated)
+    values = _parse_values(folder) | dict(stated)
     specimen_type = values.get("type", "")
-    counts = [count_protocols(neighbours, folder, specimen_type)] if specimen_type else []
-    candidates = load_all_protocols() if "protocol" not in stated else list[Protocol]()
-    if "protocol" in stated:
-        path = find_protocol(stated["protocol"], beside=folder)
-        with suppress(LabpipeError):  # a wrong or missing one is reported with the sheet
-            candidates += [] if isinstance(path, Fault) else [load_protocol(path)]
+    types = [specimen_type, None] if specimen_type else [None]
+    candidates = list[Protocol]()
+    if "protocol" not in stated:
+        candidates = load_all_protocols()
+    elif isinstance(path := find_protocol(stated["protocol"], beside=folder), Path):
+        with suppress(LabpipeError):  # reported with the sheet
+            candidates = [load_protocol(path)]
     return match_protocols(
-        contents.exports,
+        exports,
         candidates,
-        names=(folder.name, specimen_type, *(path.stem for path in contents.exports)),
-        length=_parse_metres(values.get("length", "")),
-        siblings=[*counts, count_protocols(neighbours, folder)],
-        stated_files={role: split_file_names(stated[role]) for role in ROLES if role in stated},
+        names=(folder.name, specimen_type, *(path.stem for path in exports)),
+        length=_parse_size(values.get("length", "")),
+        siblings=[count_protocols(neighbours, folder, of_type) for of_type in types],
+        stated_files=stated_files,
     )
 
 
-def _collect_facts(folder: Path, exports: Mapping[Path, Recording]) -> list[Fact]:
-    """Collect facts; the lab chose the name of the folder, which has priority over exports."""
-    facts = list(parse_folder_name(folder.name))
-    named = {fact.key for fact in facts}
-    stated = (
-        x for path, export in exports.items() for x in collect_export_facts(path.name, export)
-    )
-    return [*facts, *(fact for fact in stated if fact.key not in named)]
-
-
-def _assign_files(
-    contents: FolderContents, matches: Sequence[ProtocolMatch]
-) -> dict[str, tuple[str, ...]]:
+def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
     """Return exports by role: those on which all matching protocols agree, or else by format."""
     if matches:
         return {
@@ -457,18 +614,16 @@ def _assign_files(
             if all(x.files.get(role) == names and role not in x.ambiguous_roles for x in matches)
         }
     files: dict[str, tuple[str, ...]] = {}
-    for path, export in contents.exports.items():
+    for path, export in exports.items():
         role = "frame" if export.reader == "load-frame" else "force"
         role = "markers" if export.reader in MARKER_READERS else role
         files[role] = (*files.get(role, ()), path.name)
     return files
 
 
-def _describe_match(contents: FolderContents, matches: Sequence[ProtocolMatch]) -> str:
+def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str:
     if not matches:
-        return format_sentence(
-            "process.protocol_none" if contents.exports else "process.no_exports"
-        )
+        return format_sentence("process.protocol_none" if exports else "process.no_exports")
     if len(matches) > 1:
         names = "\n    ".join(f"{x.protocol.name}: {x.protocol.about}" for x in matches)
         return format_sentence("process.protocols_alike", count=len(matches), names=names)
@@ -478,35 +633,33 @@ def _describe_match(contents: FolderContents, matches: Sequence[ProtocolMatch]) 
 
 
 def _describe_files(
-    contents: FolderContents,
     files: Mapping[str, tuple[str, ...]],
     ambiguous: Mapping[str, tuple[str, ...]],
+    kinds: Mapping[str, str],
 ) -> Iterator[str]:
     """Yield sentences on the exports by role, and on roles with several possible exports."""
-    readers = {path.name: export.reader for path, export in contents.exports.items()}
     if files:
-        listed = {role: [f"{_escape(x)} ({readers[x]})" for x in files[role]] for role in files}
+        listed = {role: [f"{_escape(x)} ({kinds[x]})" for x in files[role]] for role in files}
         yield "; ".join(f"{role}: {', '.join(names)}" for role, names in listed.items())
     for role, candidates in sorted(ambiguous.items()):
         names = ", ".join(map(_escape, candidates))
         yield format_sentence("process.role_ambiguous", role=role, names=names)
 
 
-def _describe_facts(facts: Sequence[Fact]) -> Iterator[str]:
-    for source in dict.fromkeys(fact.source for fact in facts):
-        listed = ", ".join(f"{x.key} {x.value}" for x in facts if x.source == source)
-        yield format_sentence("process.facts_from", facts=listed, source=source)
-
-
-def _describe_unused(folder: Path, contents: FolderContents, used: set[str]) -> Iterator[str]:
+def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> Iterator[str]:
     """Yield a sentence for each file that is not used, or that is named but missing."""
-    kinds = {path.name: export.reader for path, export in contents.exports.items()}
-    for name, kind in (kinds | contents.unread | contents.others).items():
+    for name, kind in kinds.items():
         if name not in used:
             yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
     for name in sorted(used):
         if not (folder / name).exists():
             yield format_sentence("process.not_there_yet", names=_escape(name))
+
+
+def _describe_facts(facts: Sequence[Fact]) -> Iterator[str]:
+    for source in dict.fromkeys(fact.source for fact in facts):
+        listed = ", ".join(f"{x.key} {x.value}" for x in facts if x.source == source)
+        yield format_sentence("process.facts_from", facts=listed, source=source)
 
 
 def split_file_names(text: str) -> tuple[str, ...]:
@@ -522,12 +675,6 @@ def split_file_names(text: str) -> tuple[str, ...]:
     (('a.csv', 'b.csv'), ())
     """
     return tuple(part.strip() for part in text.split(";")) if text else ()
-
-
-def _parse_metres(text: str) -> float | None:
-    with suppress(ValueError):
-        return parse_quantity(text, "m") if text else None
-    return None
 
 
 def safe_name(name: str) -> str:

@@ -20,28 +20,26 @@ from labpipe.process.sheet_inference import (
 from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
-from labpipe.readers.workbooks import Cell, read_campaign_sheet
+from labpipe.readers.workbooks import Table, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
 _REQUIRED = ("test", "protocol", "type", "spool", "sample")
-DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
-"""Dimensions of a specimen that have a column of their own."""
-BUNDLE_KEY_BY_COLUMN = {"bundle_wires": "wires", "bundle_number": "number"} | {
+_DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
+_BUNDLE_KEYS = {"bundle_wires": "wires", "bundle_number": "number"} | {
     key: key for key in ("arrangement", "tape", "taping", "conduit", "conduit_bore")
 }
-"""Columns of a harness bundle and their keys in its block."""
 _KEY_PATHS = (
     {key: (key,) for key in ("test", "protocol")}
-    | {key: ("specimen", key) for key in ("type", "spool", "sample", *DIMENSIONS)}
-    | {column: ("specimen", "bundle", key) for column, key in BUNDLE_KEY_BY_COLUMN.items()}
+    | {key: ("specimen", key) for key in ("type", "spool", "sample", *_DIMENSIONS)}
+    | {column: ("specimen", "bundle", key) for column, key in _BUNDLE_KEYS.items()}
     | {key: (key,) for key in ("date", "operator")}
     | {role: ("files", role) for role in ROLES}
 )
 """Place of each column in a test sheet, in the order of the sheet."""
-TEXT_BLOCKS = ("labels", "observed")
-"""Blocks of the specimen whose texts have columns such as ``labels.cured``."""
+_DOTTED_BLOCKS = ("section", "labels", "observed")
+"""Blocks of the specimen with columns such as ``section.area`` and ``labels.cured``."""
 COLUMNS = (*_KEY_PATHS, "because")
-"""Columns of a campaign table, in addition to labels and dotted keys of the protocol."""
+"""Columns of a campaign table, in addition to blocks and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
 
@@ -86,18 +84,17 @@ def write_inferred_sheets(
     StoreError
         If the file cannot be written.
     """
-    faults = [x for column in stated for x in _unknown_column(column, column, folder, column)]
-    _raise_if_any(UsageError, faults)
+    if faults := [x for column in stated for x in _find_unknown(column, column, folder, column)]:
+        raise UsageError("\n".join(faults))
     test_folders = list_test_folders(folder)
-    existing = [path for path in test_folders or [folder] if (path / SHEET_NAME).exists()]
-    if existing == [folder] and not overwrite:
-        raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
     if not test_folders:
+        if (folder / SHEET_NAME).exists() and not overwrite:
+            raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
         yield write_inferred_sheet(infer_test(folder, stated))
         return
-    kept_folders = [] if overwrite else existing
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept_folders)
-    for test in infer_tests([path for path in test_folders if path not in kept_folders], stated):
+    kept = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
+    for test in infer_tests([path for path in test_folders if path not in kept], stated):
         yield write_inferred_sheet(test)
 
 
@@ -116,7 +113,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         If the file cannot be written.
     """
     path = test.folder / SHEET_NAME
-    open_values = {column: None for column in test.open if column in _KEY_PATHS}
+    open_values = {column: None for column in test.open if column in _KEY_PATHS or "." in column}
     data = _arrange({**test.values, **test.files, **open_values})
     plan, specimen = dict[str, Any](test.blocks.get("specimen", {})), data["specimen"]
     if labels := {**plan.get("labels", {}), **specimen.get("labels", {})}:
@@ -124,7 +121,10 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     data["specimen"] = plan | specimen
     if overrides := test.blocks.get("overrides"):
         data["overrides"] = overrides
-    _raise_if_any(UsageError, _describe_faults(test.values, {}, data, path, open_keys=test.open))
+    if faults := [
+        *_list_faults(test.values, {}, data, path, test_folder=test.folder, open_keys=test.open)
+    ]:
+        raise UsageError("\n".join(faults))
     _write(path, data)
     return WrittenSheet(path, False, test.remarks, test.open)
 
@@ -153,29 +153,33 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     """
     table = read_campaign_sheet(sheet)
     columns = [_parse_heading(cell.text) for cell in table.heading]
-    _raise_if_any(ReadError, _heading_faults(table.heading, [name for name, _ in columns], sheet))
-    faults, rows, names = list[str](), [], set[str]()
+    if faults := [*_list_heading_faults(table, [name for name, _ in columns], sheet)]:
+        raise ReadError("\n".join(faults))
+    rows: dict[str, dict[str, Any]] = {}
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
         values = {name: _add_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
         places = {name: cell.place for name, _, cell in cells}
-        files = {role: split_file_names(values[role]) for role in ROLES if role in values}
-        data, test = _arrange({**values, **files}), values.get("test", "")
-        faults += _describe_faults(values, places, data, sheet, test_folder=folder / test)
-        if test and test.casefold() in names:  # some file systems take A1 and a1 for one folder
-            faults.append(
-                str(ReadError.about("process.row_twice", sheet, places["test"], test=test))
-            )
-        names.add(test.casefold())
-        rows.append((folder / test, data, [name for several in files.values() for name in several]))
-    _raise_if_any(ReadError, faults)
+        data, test = _arrange(values), values.get("test", "")
+        faults += _list_faults(values, places, data, sheet, test_folder=folder / test)
+        if test and test.casefold() in rows:  # some file systems take A1 and a1 for one folder
+            error = ReadError.about("process.row_twice", sheet, places["test"], test=test)
+            faults.append(str(error))
+        rows[test.casefold()] = data
+    if faults:
+        raise ReadError("\n".join(faults))
     sheets = []
-    for test_folder, data, exports in rows:
-        path = test_folder / SHEET_NAME
+    for data in rows.values():
+        path = folder / data["test"] / SHEET_NAME
         if path.exists() and not overwrite:
             sheets.append(WrittenSheet(path, kept=True))
             continue
-        missing = [name for name in exports if not (test_folder / name).exists()]
+        exports = [
+            x
+            for names in (data["files"] or {}).values()
+            for x in ([names] if isinstance(names, str) else names)
+        ]
+        missing = [name for name in exports if not (path.parent / name).exists()]
         remark = format_sentence("process.not_there_yet", names=", ".join(missing))
         _write(path, data)
         sheets.append(WrittenSheet(path, remarks=(remark,) if missing else ()))
@@ -195,108 +199,98 @@ def _add_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit and is_number else text
 
 
+def _find_path(column: str) -> tuple[str, ...]:
+    """Return the place of a column in a test sheet; a key of the protocol is an override."""
+    block, _, key = column.partition(".")
+    dotted = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
+    return _KEY_PATHS.get(column, dotted)
+
+
 def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     """Arrange values into the blocks of a test sheet.
 
     Parameters
     ----------
-    values : text by column, names of exports by role; None for what is to be filled in
+    values : text by column, or names of exports; None for what is to be filled in
     """
-    paths = {column: path for column, path in _KEY_PATHS.items() if column in values}
-    dotted = [column.partition(".") for column in values if "." in column]
-    paths |= {f"{x}.{key}": ("specimen", x, key) for x, _, key in dotted if x in TEXT_BLOCKS}
     data: dict[str, Any] = {}
-    for column, (*blocks, key) in paths.items():
-        block = data
+    columns = [column for column in _KEY_PATHS if column in values]
+    for column in [*columns, *(column for column in values if "." in column)]:
+        *blocks, key = _find_path(column)
+        block, value = data, values[column]
         for name in blocks:
             block = block.setdefault(name, {})
-        value = values[column]
+        if column in ROLES and isinstance(value, str):
+            value = split_file_names(value)
         if isinstance(value, tuple):
             value = value[0] if len(value) == 1 else list(value)
         block[key] = value
+    overrides = data.pop("overrides", {})
+    if "because" in values:
+        overrides = {
+            key: entry | {"because": values["because"]} for key, entry in overrides.items()
+        }
     data.setdefault("specimen", {})
     data.setdefault("files", None)
-    because = {"because": values["because"]} if "because" in values else {}
-    overrides = {
-        name: {"value": values[name]} | because
-        for name in map("".join, dotted)
-        if name not in paths
-    }
     return data | ({"overrides": overrides} if overrides else {})
 
 
-def _raise_if_any(error: type[UsageError | ReadError], faults: Iterator[str] | list[str]) -> None:
-    if texts := list(faults):
-        raise error("\n".join(texts))
-
-
-def _heading_faults(heading: Sequence[Cell], names: Sequence[str], sheet: Path) -> Iterator[str]:
-    for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        yield from _unknown_column(name, cell.text, sheet, cell.place)
+def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Iterator[str]:
+    for number, (name, cell) in enumerate(zip(names, table.heading, strict=True)):
+        yield from _find_unknown(name, cell.text, sheet, cell.place)
         if name in names[:number]:
             yield str(ReadError.about("process.column_twice", sheet, cell.place, name=name))
+    place = table.heading[0].place
     for name in _REQUIRED:
         if name not in names:
-            yield str(ReadError.about("process.column_missing", sheet, heading[0].place, name=name))
+            yield str(ReadError.about("process.column_missing", sheet, place, name=name))
 
 
-def _unknown_column(name: str, written: str, file: Path, place: str) -> list[str]:
+def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
-    if name in COLUMNS or "." in name:
-        return []
-    columns = sort_by_likeness(written, list(COLUMNS))
-    near, likely = ", ".join(map(repr, columns)), columns[0]
-    error = ReadError.about(
-        "process.column_unknown", file, place, near=near, name=written, likely=likely
-    )
-    return [str(error)]
+    if name not in COLUMNS and "." not in name:
+        columns = sort_by_likeness(written, list(COLUMNS))
+        near, likely = ", ".join(map(repr, columns)), columns[0]
+        yield str(
+            ReadError.about(
+                "process.column_unknown", file, place, near=near, name=written, likely=likely
+            )
+        )
 
 
-def _describe_faults(
+def _list_faults(
     values: Mapping[str, str],
     places: Mapping[str, str],
     data: Mapping[str, object],
     file: Path,
     *,
-    test_folder: Path | None = None,
+    test_folder: Path,
     open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
-    """Describe the faults of one test, each with its cell or option.
+    """List the faults of one test, each with its cell or option.
 
     Parameters
     ----------
     values, data : by column, and arranged as a test sheet
     places : cell of each column; empty if the values are options
     file : the table, or the test sheet to be written
-    test_folder : in which to look for protocols; that of `file` if None
+    test_folder : in which to look for protocols
     open_keys : keys to be filled in, whose faults are not reported
     """
-    faults = [
-        fault for fault in find_sheet_faults(data) if not set(map(str, fault.path)) & set(open_keys)
-    ]
-    protocol = values.get("protocol")
-    protocol_file = find_protocol(protocol, beside=test_folder or file.parent) if protocol else None
-    for fault in [*faults, protocol_file] if isinstance(protocol_file, Fault) else faults:
-        column = _column_of_fault(fault)
+    is_open = {key.rpartition(".")[2] for key in open_keys}
+    faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
+    protocol = find_protocol(values["protocol"], beside=test_folder) if "protocol" in values else 0
+    faults += [protocol] if isinstance(protocol, Fault) else []
+    for fault in faults:
+        path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))
+        columns = (x for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS)
+        column = next((x for x in columns if path[: len(_find_path(x))] == _find_path(x)), path[-1])
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column
         expected, actual, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
             expected, actual, remedy = f"a value for {column!r}", "none", "Fill it in."
         yield format_error(file, place, expected=expected, found=actual, remedy=remedy).rstrip()
-
-
-def _column_of_fault(fault: Fault) -> str:
-    """Return the column whose value is at fault or missing."""
-    path = tuple(str(part) for part in (*fault.path, fault.missing) if part != "")
-    for column, column_path in _KEY_PATHS.items():
-        if path[: len(column_path)] == column_path:
-            return column
-    if fault.missing:
-        return fault.missing
-    if path[0] == "specimen" and len(path) > 2 and path[1] in TEXT_BLOCKS:
-        return f"{path[1]}.{path[2]}"
-    return path[1] if path[0] == "overrides" and len(path) > 1 else path[-1]
 
 
 def _write(path: Path, data: Mapping[str, object]) -> None:

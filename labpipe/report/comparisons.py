@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import nan
@@ -13,11 +13,12 @@ from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.page_tables import Cell, Table
+from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
 from labpipe.report.wording import (
     find_display,
     find_display_unit,
     typeset_unit,
+    write_count,
     write_heading,
     write_number,
 )
@@ -156,9 +157,14 @@ def describe_pair(pair: Pair) -> str:
     -------
     Text such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
     """
-    before, after = pair.differences[0].fields[pair.field]
     alike = describe_equal_fields((pair.first, pair.second), pair.field)
-    return f"{name_field(pair.field)}: {after} against {before}, {alike}"
+    return f"{name_comparison(pair)}, {alike}"
+
+
+def name_comparison(pair: Pair) -> str:
+    """Name the comparison of a pair, such as ``Taping: half-lap against none``."""
+    first, second = pair.differences[0].fields[pair.field]
+    return f"{name_field(pair.field)}: {second} against {first}"
 
 
 def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
@@ -210,28 +216,34 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     return ", ".join(filter(None, parts))
 
 
-_HEADS = ("Number", "Difference (95 %, corrected)", "Irrelevant below", "Verdict")
-
-
 def make_pair_table(pair: Pair) -> Table:
     """Make the table of a pair that differs in one field alone.
 
     Parameters
     ----------
-    pair : its description is the caption
+    pair : its description is the title
 
     Returns
     -------
     A row per number; its notes are the caveats of the comparison.
     """
-    rows = tuple(_row(difference, find_display(pair.first)) for difference in pair.differences)
+    display, rows = find_display(pair.first), list[Record]()
+    for difference in pair.differences:
+        unit = find_display_unit(difference.name, difference.unit, display)
+        margin = nan if difference.margin is None else difference.margin
+        rows.append({
+            "Number": write_heading(difference.name, unit.unit),
+            "Difference (95 %, corrected)": _write_difference(difference, display),
+            "Irrelevant below": write_number(margin, None, unit.factor, digits=3).value,
+            "Verdict": str(difference.verdict),
+        })  # fmt: skip
     caveats = dict.fromkeys(
-        caveat for difference in pair.differences for caveat in difference.caveats
+        f"{caveat}." for difference in pair.differences for caveat in difference.caveats
     )
-    return Table(describe_pair(pair), _HEADS, rows, tuple(f"{caveat}." for caveat in caveats))
+    return tabulate(describe_pair(pair), rows, notes=tuple(caveats))
 
 
-def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
+def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     """Make the cells of a pair: comparison, verdict, difference and counts of its first number.
 
     Parameters
@@ -239,60 +251,56 @@ def make_answer_cells(pair: Pair) -> tuple[Cell, ...]:
     pair : that differs in one field alone
     """
     difference = pair.differences[0]
-    before, after = difference.fields[pair.field]
-    alike = describe_context((pair.first, pair.second), pair.field)
-    shift = _difference_words(difference, find_display(pair.first))
-    means = (
-        {number.name: number.mean for number in group.numbers}.get(difference.name)
-        for group in (pair.second, pair.first)
-    )
-    counts = ("0" if mean is None else str(mean.chosen.n) for mean in means)
+    shift = _write_difference(difference, find_display(pair.first))
+    first, second = count_values(pair)
     return (
-        Cell(f"{name_field(pair.field)}: {after} against {before}", alike),
+        Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        Cell(f"{write_heading(difference.name, '1')} {shift}"),
-        Cell(" v ".join(counts)),
+        f"{write_heading(difference.name, '1')} {shift}",
+        f"{second} v {first}",
     )
 
 
-def _difference_words(difference: Difference, display: Mapping[str, str]) -> str:
+def make_answer_table(title: str, answers: Iterable[Sequence[Value]]) -> Table:
+    """Make the table of the answers of pairs, from `make_answer`."""
+    return Table(
+        title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), list(answers)
+    )
+
+
+def count_values(pair: Pair) -> list[int]:
+    """Count the values of the first number of a pair in its first and its second group."""
+    name = pair.differences[0].name
+    numbers = (
+        next((number for number in group.numbers if number.name == name), None)
+        for group in (pair.first, pair.second)
+    )
+    return [0 if x is None or x.mean is None else x.mean.chosen.n for x in numbers]
+
+
+def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
     """Write a difference in per cent or in its unit, with its corrected interval, if any."""
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
-    is_beyond = False
+    ends, shift, more = difference.interval, difference.difference, ""
     if difference.share is None:
-        display_unit = find_display_unit(difference.name, difference.unit, display)
-        shift = difference.difference
-        number = write_number(
-            shift.mean, difference.interval, display_unit.factor, estimate=shift.distinct_estimate
-        )
-        unit = f" {typeset_unit(display_unit.unit)}".rstrip()
+        scale = find_display_unit(difference.name, difference.unit, display)
+        estimate = shift.distinct_estimate
+        number = write_number(shift.mean, ends, scale.factor, estimate=estimate)
+        unit = f" {typeset_unit(scale.unit)}".rstrip()
     else:
-        ends = difference.interval
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
-            is_beyond = True
+            more = "more than "
         number, unit = write_number(difference.share, ends, 100.0), " %"
-    lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (number.lower, number.upper))
-    behind = join_sentences([difference.difference.reason])
-    if lower:
-        behind = f"({lower} to {'more than ' if is_beyond else ''}{upper})"
+    behind = join_sentences([shift.reason])
+    if number.lower:
+        behind = f"({_signed(number.lower)}{unit} to {more}{_signed(number.upper)}{unit})"
     return f"{_signed(number.value)}{unit} {behind}".strip()
 
 
 def _signed(number: str) -> str:
     """Write a plus before a positive difference."""
     return number if number.startswith(("-", "\u2013", "0")) else f"+{number}"
-
-
-def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
-    display_unit = find_display_unit(difference.name, difference.unit, display)
-    margin = nan if difference.margin is None else difference.margin
-    return (
-        Cell(write_heading(difference.name, display_unit.unit)),
-        Cell(_difference_words(difference, display)),
-        Cell(write_number(margin, None, display_unit.factor, digits=3).value),
-        Cell(str(difference.verdict)),
-    )
 
 
 def describe_fields(difference: Difference) -> str:
@@ -326,4 +334,4 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
 
 
 def _count_pairs(count: int) -> str:
-    return f"{count} pair{'s are' if count != 1 else ' is'}"
+    return f"{write_count(count, 'pair')} {'is' if count == 1 else 'are'}"

@@ -1,18 +1,23 @@
-"""Figures of a harness: its line from three sides, its bend radius, and lengths compared."""
+"""Figures of harnesses: lines and lengths compared; sections, bounds and cycles of bundles."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import Interval
+from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, line
-from labpipe.report.wire_figures import LENGTH
+from labpipe.report.wire_figures import FORCE, LENGTH, MOMENT, STIFFNESS, make_curvature_axis
+from labpipe.report.wording import write_number
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the files, without the ending."""
@@ -283,3 +288,157 @@ def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
         lines.append(plots.area("harness_band", length, *map(_bent, sweep.radius_band)))
     x, y = Axis("Length of the line", LENGTH), Axis("Smallest bend radius", LENGTH, low=0.0)
     return Plot(x, y, lines, "Smallest bend radius")
+
+
+BUNDLE_FIGURE = "bundle"
+"""File name of the figure of `make_bundle_page`, without the extension."""
+LOOP_FIGURE = "bundle-loop"
+"""File name of the figure of `make_loop_page`, without the extension."""
+
+
+def make_bundle_page(model: BundleModel) -> Page:
+    """Make the page of (a) the section of a bundle, (b) the bounds of its moment over curvature.
+
+    Parameters
+    ----------
+    model : model of the bundle
+
+    Returns
+    -------
+    A page. In (a), two lines through the neutral point show the directions of the largest and the
+    smallest stiffness; the bundle is bent upwards, along y. Both axes of (b) are logarithmic.
+    """
+    panels = [_make_section_plot(model), _make_moment_plot(model)]
+    title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
+    if model.packing_fraction is not None:
+        bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
+        title += f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+    limitations = [
+        note.message.replace("N mm^2", STIFFNESS.unit)
+        for note in model.notes
+        if note.code in ("copper_yields", "insulation_doubtful")
+    ]
+    sentences = [describe_stiffness(model), *(f"{t[0].upper()}{t[1:]}." for t in limitations)]
+    return Page(BUNDLE_FIGURE, title, panels, " ".join(sentences), 84.0, widths=(0.8, 1.0))
+
+
+def _make_section_plot(model: BundleModel) -> Plot:
+    """Make the panel of the wires and the bore of the conduit, and the principal directions.
+
+    If the stiffness is equal in all directions, the lines are along y and x.
+    """
+    margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
+    colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
+    layout, bore, angle = model.layout, model.bundle.conduit_bore or 0.0, model.principal_angle
+    lines = []
+    for kind in range(len(model.bundle.wires)):
+        rows = layout.kind == kind
+        look = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
+        radius = layout.diameter[rows] / 2.0
+        lines.append(
+            plots.circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **look)
+        )
+    if bore:
+        lines.append(plots.circles("bore_of_conduit", *model.middle, bore / 2.0))
+    looks: dict[str, dict[str, Any]] = {"stiffest_direction": {}, "most_flexible_direction": {}}
+    if _is_isotropic(model):
+        label, angle = "y and x: equal in all directions", math.pi / 2.0
+        looks = {"stiffest_direction": {"label": label}, "most_flexible_direction": {"label": ""}}
+    for look_name, settings in looks.items():
+        reach = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
+        x, y = np.array(model.neutral)[:, None] + reach * np.array([-1.0, 1.0])
+        lines.append(line(look_name, x, y, **settings))
+        angle += math.pi / 2.0
+    lines.append(line("neutral_point", *model.neutral))
+    edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
+    x_axis, y_axis = (Axis(name, LENGTH, -edge, edge) for name in ("x", "y, direction of bending"))
+    return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
+
+
+def _make_moment_plot(model: BundleModel) -> Plot:
+    """Make the panel of the moments of slipping and of sticking wires, on logarithmic axes."""
+    use = model.curvature > 0.0
+    x, slip, stick = (
+        values[use] for values in (model.curvature, model.moment_slip, model.moment_stick)
+    )
+    lines = [plots.area("between_bounds", x, slip, stick)]
+    for moment, look, is_doubtful in (
+        (stick, "wires_stick", model.is_doubtful_stick[use]),
+        (slip, "wires_slip", model.is_doubtful[use]),
+    ):
+        for part, opacity in plots.split_doubtful(~is_doubtful):
+            lines.append(line(look, x[part], moment[part], alpha=opacity))
+    for stiffness in (model.low, model.high):
+        lines.append(line("bundle_without_yielding", x, stiffness * x))
+    y = Axis("Bending moment", MOMENT, is_log=True)
+    return Plot(make_curvature_axis(x), y, lines, "First loading, bent along y")
+
+
+def describe_stiffness(model: BundleModel) -> str:
+    """Describe the bounds of the bending stiffness of a bundle in a sentence."""
+    all_slip, wires_slip, nothing_slips, smallest, largest = (
+        write_number(stiffness, None, STIFFNESS.factor, digits=4).value
+        for stiffness in (model.low, model.free, model.high, *model.principal)
+    )
+    directions = f"{smallest} to {largest} over all directions"
+    if _is_isotropic(model):
+        directions = "equal in all directions"
+    return format_sentence(
+        "report.bounds_of_bundle",
+        all_slip=all_slip,
+        wires_slip=wires_slip,
+        nothing_slips=nothing_slips,
+        directions=directions,
+    )
+
+
+def _is_isotropic(model: BundleModel) -> bool:
+    relative_tolerance = 1e-6
+    smallest, largest = model.principal
+    return largest - smallest <= relative_tolerance * largest
+
+
+def make_loop_page(name: str, fit: FrictionFit) -> Page:
+    """Make the page of the fitted force (a) and the predicted force (b), with the measured force.
+
+    Parameters
+    ----------
+    name : name of the test
+    fit : fit of the friction between the wires
+    """
+    x, y = Axis("Deflection", LENGTH), Axis("Force at the tip", FORCE)
+    panels = []
+    for rows, label, colour, heading, error in (
+        (~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
+        (fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
+    ):
+        deflection = fit.loop.deflection[rows]
+        lines = [
+            line("measured_cycles", deflection, fit.loop.force[rows]),
+            line("modelled_cycles", deflection, fit.predicted[rows], color=colour, label=label),
+            plots.level("zero", 0.0),
+        ]
+        panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
+    title = f"{name}  ·  friction between the wires"
+    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), 82.0, shared="xy")
+
+
+def describe_friction(fit: FrictionFit) -> str:
+    """Describe the friction between the wires of a bundle, and the errors of its prediction."""
+    slide_mm = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
+    held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    return format_sentence(
+        "report.friction_of_bundle",
+        composite=_format_percent(fit.composite_share),
+        kink=LENGTH.factor * fit.loop.kink[0],
+        tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
+        held=held_share,
+        work=1e3 * fit.loss,
+        predicted_work=1e3 * fit.predicted_loss,
+        error_fitted=_format_percent(fit.error_fitted),
+        error_left_out=_format_percent(fit.error_held_out),
+    )
+
+
+def _format_percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"

@@ -2,92 +2,35 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from importlib.resources import files
-from io import BytesIO
+from dataclasses import dataclass, replace
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from labpipe.errors import UsageError
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
-from labpipe.report.bundle_figures import has_bundles, make_bounds_table
-from labpipe.report.comparisons import (
-    Pair,
-    describe_context,
-    find_families,
-    list_pair_remarks,
-    list_single_field_pairs,
-    make_answer_cells,
-    make_pair_table,
-    name_field,
-)
+from labpipe.report import comparisons, page_facts, page_tables, wording
+from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
 from labpipe.report.group_plots import find_first_loading, make_group_plots
+from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
-from labpipe.report.lot_tables import make_lot_table, make_verdict_table
-from labpipe.report.page_facts import (
-    PageTest,
-    PageTests,
-    compute_report_id,
-    describe_days,
-    describe_operators,
-    list_instruments,
-    list_samples,
-    make_stems,
-    name_roles,
-)
-from labpipe.report.page_tables import (
-    DASH,
-    Cell,
-    Table,
-    describe_group,
-    make_budget_bars,
-    make_cause_table,
-    make_method_tables,
-    make_note_table,
-    make_number_table,
-    make_sample_tables,
-    make_slip_table,
-    make_source_table,
-    make_spool_table,
-    make_test_rows,
-)
-from labpipe.report.plot_records import (
-    MeanStrip,
-    clip_range,
-    make_mean_strip,
-    simplify_line,
-    write_sparkline,
-)
+from labpipe.report.page_facts import PageTest, PageTests, compute_report_id, list_samples
+from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.wording import (
-    find_number_unit,
-    is_first_cycle,
-    replace_names,
-    replace_unprintable,
-    typeset_unit,
-    write_count,
-    write_heading,
-    write_label,
-    write_mean,
-    write_with_interval,
-)
+from labpipe.report.table_records import DASH, Cell
 from labpipe.statistics.group_fields import make_field_sort_key
 
-_NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
-_ANSWER_HEADS = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
+PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
+SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,42 +48,66 @@ class Letterhead:
 
 
 PLAIN = Letterhead()
-_MAX_LOGO_BYTES = 200_000
 
 
-def read_logo(path: Path) -> str:
-    """Read the logo of a report.
+def write_report(
+    campaign: Campaign,
+    folder: Path,
+    *,
+    letterhead: Letterhead = PLAIN,
+    formats: Sequence[str] = (),
+    test_pages: Mapping[str, str] | None = None,
+    is_journal: bool = False,
+) -> list[Path]:
+    """Write the report of a campaign.
 
     Parameters
     ----------
-    path : a PNG or a JPEG
+    campaign : groups with their statistics; groups may be empty
+    folder : made if it does not exist; files of other names stay
+    letterhead : of the page
+    formats : of figures as files: ``svg``, which is always written, ``png``, ``pdf``; empty for no
+        files
+    test_pages : page of each test by its address below the folder of the report
+    is_journal : draw the figures in the style of a journal
 
     Returns
     -------
-    The picture as a ``data:`` address.
+    The files: page, workbook, pages of tests, figures.
 
     Raises
     ------
-    UsageError
-        If the file cannot be read, has another format, is damaged or larger than 200 kB.
+    StoreError
+        If a file cannot be written.
     """
-    from PIL import Image, UnidentifiedImageError
+    page = render_page(campaign, letterhead=letterhead, has_test_pages=bool(test_pages))
+    pages, figures = {PAGE_FILE: page, **(test_pages or {})}, list[Path]()
+    with writing(folder, "a report"):
+        for name, text in pages.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(wording.replace_unprintable(text), encoding="utf-8")
+        save_workbook(campaign, folder / TABLES_FILE)
+        if formats:
+            figures = save_pages(
+                _list_figures(campaign),
+                folder / FIGURES_FOLDER,
+                png="png" in formats,
+                pdf="pdf" in formats,
+                dpi=200,
+                is_journal=is_journal,
+            )
+    page_file, *others = (folder / name for name in pages)
+    return [page_file, folder / TABLES_FILE, *others, *figures]
 
-    size = path.stat().st_size if path.is_file() else None
-    fault = "no file" if size is None else f"{size} bytes"
-    try:
-        if size is not None and size <= _MAX_LOGO_BYTES:
-            content = path.read_bytes()
-            picture = Image.open(BytesIO(content), formats=("PNG", "JPEG"))
-            picture.load()
-            kind = str(picture.format).lower()
-            return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-    except UnidentifiedImageError:
-        fault = "a file of another format"
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        fault = f"a file that cannot be read ({error})"
-    kilobytes = _MAX_LOGO_BYTES // 1000
-    raise UsageError.about("report.logo", path, "", kilobytes=kilobytes, fault=fault)
+
+def _list_figures(campaign: Campaign) -> Iterator[Any]:
+    """Yield the figures of each group, and those of comparisons."""
+    stems = page_facts.make_stems(group.name for group in campaign.groups)
+    for group, stem in zip(campaign.groups, stems, strict=True):
+        for figure in list_group_figures(group):
+            yield replace(figure, name=f"{stem}-{figure.name}")
+    yield from list_family_figures(campaign)
 
 
 def render_page(
@@ -159,210 +126,184 @@ def render_page(
     An HTML document that needs no other file and no network, and can be read and printed without
     its script. All texts of the campaign are escaped.
     """
-    names = make_stems(group.name for group in campaign.groups)
-    tests = PageTests(campaign, names)
-    report, script = compute_report_id(campaign), read_page_script()
-    style = make_style(write_css_string(f"{campaign.title}  \u00b7  report {report}"), _text(STYLE))
+    stems = page_facts.make_stems(group.name for group in campaign.groups)
+    tests, report, script = (
+        PageTests(campaign, stems),
+        compute_report_id(campaign),
+        read_page_script(),
+    )
+    groups = dict(zip(stems, campaign.groups, strict=True))
     return fill_template(
         "lab_report.html",
         campaign=campaign,
         report=report,
-        style=style,
-        style_hash=compute_style_hash(style),
         script=script,
-        script_hash=compute_style_hash(script),
+        script_hash=compute_hash(script),
         page_data=write_page_data(campaign, report=report),
         pages=has_test_pages,
         logo=letterhead.logo,
-        **_first_screen(campaign, names, tests, letterhead),
-        **_other_sections(campaign, names, tests),
+        protocols=_write_protocols(campaign),
+        **make_style(f"{campaign.title}  \u00b7  report {report}", read_part("page_answers.css")),
+        **_make_first_screen(campaign, stems, tests, letterhead),
+        groups=[_make_group(group, stem, tests) for stem, group in groups.items()],
+        has_bundles=any(sample.specimen.bundle is not None for sample in list_samples(campaign)),
+        bounds_table=page_tables.make_bounds_table(campaign),
+        questions=list(_list_questions(campaign, {g.name: stem for stem, g in groups.items()})),
+        remarks_on_pairs=comparisons.list_pair_remarks(campaign),
+        notes=page_tables.make_note_table(campaign),
+        rows=page_tables.make_test_rows(campaign, tests, {s: g.name for s, g in groups.items()}),
+        methods=page_tables.make_method_tables(campaign),
+        exports=page_tables.make_source_table(tests),
     )
 
 
-def _first_screen(
-    campaign: Campaign, names: Sequence[str], tests: PageTests, letterhead: Letterhead
+def _make_first_screen(
+    campaign: Campaign, stems: Sequence[str], tests: PageTests, letterhead: Letterhead
 ) -> dict[str, Any]:
     """Return the contents of the first screen: answers, then numbers, then open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
-    causes = find_causes(campaign)
-    open_ones, answer_rows = find_open_decisions(causes, tests), make_answers(campaign)
+    causes, answers = find_causes(campaign), _list_answers(campaign)
+    open_ones = find_open_decisions(causes, tests)
     folds = {
-        "answers": min(len(answer_rows), max_answers),
+        "answers": min(len(answers), max_answers),
         "decisions": min(len(open_ones), max_decisions),
     }
     room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
     samples = list_samples(campaign)
-    recorded = name_roles(samples)
+    roles, no_certificate = (
+        page_facts.name_roles(samples),
+        "no calibration certificate stated in the protocols",
+    )
+    version = f"labpipe {campaign.labpipe_version}".strip()
+    made = [compute_report_id(campaign), str(campaign.made_on or ""), version]
+    days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
     return {
         "counts": describe_campaign(campaign, open_ones),
-        "facts": _facts(campaign, letterhead),
-        "instruments": list_instruments(samples),
-        "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
-        "lots": make_lot_table(campaign, names),
-        "answers": answer_rows,
-        "blocks": _limit_rows(make_key_blocks(campaign, names), max(room, min_groups)),
+        "facts": [
+            *letterhead.facts,
+            ("Tested", f"{days} by {operators}"),
+            ("Report", ", ".join(filter(None, made))),
+            ("Protocols", _write_protocols(campaign)),
+        ],
+        "instruments": page_facts.list_instruments(samples),
+        "no_instruments": "; ".join(filter(None, [roles, no_certificate])),
+        "lots": page_tables.make_lot_table(campaign, stems),
+        "answers": answers,
+        "blocks": _limit_rows(_list_key_blocks(campaign, stems), max(room, min_groups)),
         "open_ones": open_ones,
         "folds": folds,
-        "causes": [(cause, make_cause_table(cause)) for cause in causes],
+        "causes": [(cause, page_tables.make_cause_table(cause)) for cause in causes],
     }
 
 
-def _facts(campaign: Campaign, letterhead: Letterhead) -> list[tuple[str, str]]:
-    samples = list_samples(campaign)
-    made_on = str(campaign.made_on) if campaign.made_on else ""
-    by = f"labpipe {campaign.labpipe_version}".strip()
-    return [
-        *letterhead.facts,
-        ("Tested", f"{describe_days(samples)} by {describe_operators(samples)}"),
-        ("Report", ", ".join(filter(None, [compute_report_id(campaign), made_on, by]))),
-        ("Protocols", _protocols(campaign)),
-    ]
-
-
-def _protocols(campaign: Campaign) -> str:
+def _write_protocols(campaign: Campaign) -> str:
     return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
-def make_answers(campaign: Campaign) -> list[dict[str, Any]]:
-    """Make an answer for each field in which pairs of groups differ.
+def _list_answers(campaign: Campaign) -> list[dict[str, Any]]:
+    """List an answer for each field in which pairs of groups differ.
 
-    Parameters
-    ----------
-    campaign : with its differences; the first number of each pair counts
-
-    Returns
-    -------
-    For each ``field``: its ``question``, its ``verdict`` (for several pairs how many have each
-    verdict), the ``difference`` and the ``counts`` of the pair that differs most, and the table of
-    its ``pairs``.
+    Each has its ``field`` and ``question``, the ``verdict`` (of several pairs the count of each
+    verdict), ``difference`` and ``counts`` of the pair that differs most, and the table of all
+    ``pairs``.
     """
-    return [
-        _answer(field, list(pairs))
-        for field, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field)
-    ]
+    answers = []
+    for field, of_field in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs = list(of_field)
+        rows = list(map(comparisons.make_answer, pairs))
+        question, verdict, difference, counts = rows[pairs.index(max(pairs, key=_rank_pair))]
+        if len(pairs) > 1:
+            values = {value for pair in pairs for value in pair.differences[0].fields[field]}
+            ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
+            question = Cell(f"{comparisons.name_field(field)}: {', '.join(ordered)}")
+            kinds = Counter(pair.differences[0].verdict for pair in pairs)
+            texts = [f"{str(kind).upper()} {kinds[kind]}" for kind in Verdict if kinds[kind]]
+            verdict = Cell(", ".join(texts))
+            difference += f", largest of {len(pairs)} pairs"
+        answers.append({
+            "field": field,
+            "question": question.text,
+            "verdict": verdict.text,
+            "difference": difference,
+            "counts": counts,
+            "pairs": comparisons.make_answer_table("", rows),
+        })  # fmt: skip
+    return answers
 
 
-def _answer(field: str, pairs: Sequence[Pair]) -> dict[str, Any]:
-    rows = tuple(make_answer_cells(pair) for pair in pairs)
-    largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
-    question, verdict = rows[0][0].text, rows[0][1].text
-    if len(pairs) > 1:
-        values = {value for pair in pairs for value in pair.differences[0].fields[field]}
-        ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
-        question = f"{name_field(field)}: {', '.join(ordered)}"
-        counts = Counter(pair.differences[0].verdict for pair in pairs)
-        verdict = ", ".join(f"{str(kind).upper()} {counts[kind]}" for kind in Verdict
-                            if counts[kind])  # fmt: skip
-    of_several = f", largest of {len(pairs)} pairs" if len(pairs) > 1 else ""
-    return {
-        "field": field,
-        "question": question,
-        "verdict": verdict,
-        "difference": rows[largest][2].text + of_several,
-        "counts": rows[largest][3].text,
-        "pairs": Table("", _ANSWER_HEADS, rows),
-    }
-
-
-def _rank_of_pair(pair: Pair) -> tuple[bool, float]:
+def _rank_pair(pair: Pair) -> tuple[bool, float]:
     """Return a rank that is higher for different groups, then for a larger difference."""
     difference = pair.differences[0]
     size = difference.share if difference.share is not None else difference.difference.mean
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 
-class KeyRow(NamedTuple):
-    """A group on the first screen.
-
-    Parameters
-    ----------
-    name, stem : of the group, and of its links
-    n : number of samples
-    strip : drawing of the first number with its interval; None without a mean
-    cells : of its first numbers
-    spark : its curve as a path; empty without a curve
-    """
-
-    name: str
-    stem: str
-    n: int
-    strip: MeanStrip | None
-    cells: tuple[Cell, ...]
-    spark: str
-
-
 class KeyBlock(NamedTuple):
-    """Groups that share the headings of a table.
+    """Groups on the first screen that share the headings of a table.
 
     Parameters
     ----------
     heads : of their numbers; empty if each cell names its number
-    rows : one per group
+    rows : one per group: ``name``, ``stem`` of its links, count ``n`` of samples, ``strip`` of the
+        first number, ``cells`` of the first numbers, ``spark`` with its curve
     """
 
-    heads: tuple[str, ...]
-    rows: Sequence[KeyRow]
+    heads: Sequence[str]
+    rows: Sequence[dict[str, Any]]
 
 
-def make_key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
-    """Make the key numbers of each group.
-
-    Parameters
-    ----------
-    campaign : with the main numbers of the protocol first in each group
-    stems : of its groups
-
-    Returns
-    -------
-    A block for groups with the same numbers, and a last one for groups that share them with none.
-    """
-    by_protocol: dict[str, list[tuple[Group, str]]] = {}
-    for group, stem in zip(campaign.groups, stems, strict=True):
-        by_protocol.setdefault(group.protocol, []).append((group, stem))
+def _list_key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
+    """List a block for groups with the same numbers, and a last one for groups that share none."""
+    groups = list(zip(campaign.groups, stems, strict=True))
     by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
-    for groups in by_protocol.values():
-        by_heads.setdefault(_key_heads(groups), []).extend(groups)
-    blocks: list[KeyBlock] = []
-    single: list[KeyRow] = []
-    for heads, groups in by_heads.items():
-        if len(groups) > 1 or len(by_heads) == 1:
-            texts = tuple(text for _, text in heads)
-            blocks.append(KeyBlock(texts, _key_rows(groups, dict(heads))))
+    for protocol in dict.fromkeys(group.protocol for group in campaign.groups):
+        members = [(group, stem) for group, stem in groups if group.protocol == protocol]
+        by_heads.setdefault(_find_key_heads(members), []).extend(members)
+    blocks, single = list[KeyBlock](), list[dict[str, Any]]()
+    for heads, members in by_heads.items():
+        if len(members) > 1 or len(by_heads) == 1:
+            rows = _list_key_rows(members, dict(heads), has_heads=True)
+            blocks.append(KeyBlock([text for _, text in heads], rows))
         else:
-            single += _key_rows(groups, dict(heads), has_heads=False)
+            single += _list_key_rows(members, dict(heads), has_heads=False)
     return [*blocks, *([KeyBlock((), single)] if single else [])]
 
 
-def _key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
+def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
     """Return names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
     for group, _ in groups:
-        for number in group.numbers:
-            if is_first_cycle(number.name) and not number.is_set_by_rig:
-                unit = find_number_unit(group, number).unit
-                heads.setdefault(number.name, write_heading(number.name, unit))
+        for number in wording.list_key_numbers(group):
+            unit = wording.find_number_unit(group, number).unit
+            heads.setdefault(number.name, wording.write_heading(number.name, unit))
     return tuple(heads.items())[:n_numbers]
 
 
-def _key_rows(
-    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool = True
-) -> list[KeyRow]:
-    first = next(iter(heads), "")
-    found = [_find_mean(group, first) for group, _ in groups]
-    means = [mean for _, mean in filter(None, found)]
+def _list_key_rows(
+    groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
+) -> list[dict[str, Any]]:
+    """List the rows of groups; the strips of the first number have one scale."""
+    numbers = [_find_mean(group, next(iter(heads), "")) for group, _ in groups]
+    means = [mean for _, mean in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
     strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
     rows = []
-    for (group, stem), number_and_mean in zip(groups, found, strict=True):
+    for (group, stem), first in zip(groups, numbers, strict=True):
         strip = None
-        if has_heads and number_and_mean is not None:
-            interval = _find_interval(*number_and_mean)[0].interval
-            strip = make_mean_strip(strip_ends, interval, number_and_mean[1].mean)
-        cells = tuple(_key_cell(group, name, has_label=not has_heads) for name in heads)
-        rows.append(KeyRow(group.name, stem, len(group.samples), strip, cells, _spark(group)))
+        if has_heads and first is not None:
+            strip = make_mean_strip(strip_ends, _find_source(*first).interval, first[1].mean)
+        cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
+        rows.append({
+            "name": group.name,
+            "stem": stem,
+            "n": len(group.samples),
+            "strip": strip,
+            "cells": cells,
+            "spark": _write_spark(group),
+        })  # fmt: skip
     return rows
 
 
@@ -374,35 +315,35 @@ def _find_mean(group: Group, name: str) -> tuple[GroupNumber, MeanInterval] | No
     return None
 
 
-def _key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    found = _find_mean(group, name)
-    if found is None:
+def _find_source(number: GroupNumber, mean: MeanInterval) -> MeanInterval | Result:
+    """Return what has the interval: the mean, or the single test of a mean without one."""
+    is_one_test = mean.interval is None and len(number.values) == 1
+    return next(iter(number.values.values())) if is_one_test else mean
+
+
+def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
+    number_and_mean = _find_mean(group, name)
+    if number_and_mean is None:
         return Cell(DASH, tip="no sample has this number")
-    number, mean = found
-    scale = find_number_unit(group, number)
-    source, tip = _find_interval(number, mean)
+    number, mean = number_and_mean
+    scale, source = wording.find_number_unit(group, number), _find_source(number, mean)
+    tip = "" if source is mean else "one test: uncertainty of its measurement"
     if source.distinct_estimate is not None:
-        estimate = write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
+        estimate = wording.write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
         tip = f"interval of the {estimate}"
-    text = write_with_interval(mean.mean, source.interval, scale.factor)
+    text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)
-    return Cell(f"{text} {typeset_unit(scale.unit)}".strip(), small=write_label(name), tip=tip)
+    with_unit = f"{text} {wording.typeset_unit(scale.unit)}".strip()
+    return Cell(with_unit, small=wording.write_label(name), tip=tip)
 
 
-def _find_interval(number: GroupNumber, mean: MeanInterval) -> tuple[MeanInterval | Result, str]:
-    """Return the mean, or the single test of a mean without interval, and a note on the latter."""
-    if mean.interval is None and len(number.values) == 1:
-        return next(iter(number.values.values())), "one test: uncertainty of its measurement"
-    return mean, ""
-
-
-def _spark(group: Group) -> str:
+def _write_spark(group: Group) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
     x, y = group.band.displacement, group.band.mean
     if group.band.n < 2 or not len(x):
-        curves = (find_first_loading(sample) for sample in group.samples)
-        first = next((curve for curve in curves if curve is not None), None)
+        curves = filter(None, map(find_first_loading, group.samples))
+        first = next(curves, None)
         if first is None:
             return ""
         x, y = first.displacement, first.force
@@ -453,7 +394,7 @@ def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> 
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
     undecided = len({test.number for decision in open_ones for test in decision.tests})
     parts = [
-        write_count(len(list_samples(campaign)), "test"),
+        wording.write_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
         *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
         f"{undecided} to decide",
@@ -461,76 +402,59 @@ def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> 
     return " \u00b7 ".join(parts)
 
 
-def _other_sections(campaign: Campaign, names: Sequence[str], tests: PageTests) -> dict[str, Any]:
-    """Return the contents below the first screen."""
-    groups = list(zip(campaign.groups, names, strict=True))
-    by_stem = {stem: group.name for group, stem in groups}
-    return {
-        "groups": [_group(group, stem, tests) for group, stem in groups],
-        "has_bundles": has_bundles(campaign),
-        "bounds_table": make_bounds_table(campaign),
-        "questions": list(_questions(campaign, {group.name: stem for group, stem in groups})),
-        "remarks_on_pairs": list_pair_remarks(campaign),
-        "notes": make_note_table(campaign),
-        "rows": make_test_rows(campaign, tests, by_stem),
-        "methods": make_method_tables(campaign),
-        "protocols": _protocols(campaign),
-        "exports": make_source_table(tests),
-    }
-
-
-def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
-    spools = {sample.specimen.spool for sample in group.samples}
-    budget, causes = make_budget_bars(group)
+def _make_group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
+    """Return the contents of the section of a group."""
+    samples, about = group.samples, ""
+    if samples:
+        days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
+        counts = wording.describe_counts(group)
+        about = f"{counts}, protocol {group.protocol}, tested {days} by {operators}."
+    budget, causes = page_tables.make_budget_bars(group)
     return {
         "name": group.name,
         "stem": stem,
-        "about": describe_group(group) if group.samples else "",
-        "is_empty": not group.samples,
+        "about": about,
+        "is_empty": not samples,
         "why_empty": join_sentences([group.band.reason]) or "The group has no samples.",
         "rejected": tests.rejected(stem),
         "plots": make_group_plots(group, stem, tests),
-        "numbers": make_number_table(group),
-        "verdicts": make_verdict_table(group),
+        "numbers": page_tables.make_number_table(group),
+        "verdicts": page_tables.make_verdict_table(group),
         "budget": budget,
         "causes": causes,
-        "samples": make_sample_tables(group, tests),
-        "slips": make_slip_table(group),
-        "spools": make_spool_table(group) if len(spools) > 1 else None,
+        "samples": page_tables.make_sample_tables(group, tests),
+        "slips": page_tables.make_slip_table(group),
+        "spools": page_tables.make_spool_table(group),
         "remarks": [
-            replace_names(f"{note.where}: {note.message}")
+            wording.replace_names(f"{note.where}: {note.message}")
             for note in group.notes
             if note.severity is Severity.INFO
         ],
     }
 
 
-def _questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+def _list_questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field."""
-    drawn: dict[str, list[tuple[str, Any]]] = {}
-    for family in find_families(campaign):
-        heading = describe_context(family.groups, family.field)
-        drawn.setdefault(family.field, []).append((heading, make_family_plots(family, stems)))
-    for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        of_field = list(pairs)
-        tables = [make_pair_table(pair) for pair in of_field]
-        answers = tuple(map(make_answer_cells, of_field))
+    families = comparisons.find_families(campaign)
+    for field, of_field in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+        pairs = list(of_field)
+        tables, name = list(map(comparisons.make_pair_table, pairs)), comparisons.name_field(field)
+        rows = map(comparisons.make_answer, pairs)
         yield {
-            "field": name,
-            "name": name_field(name),
-            "answers": Table(f"Verdicts: {name_field(name)}", _ANSWER_HEADS, answers),
-            "comparisons": drawn.get(name, []),
+            "field": field,
+            "name": name,
+            "answers": comparisons.make_answer_table(f"Verdicts: {name}", rows),
+            "comparisons": [
+                (
+                    comparisons.describe_context(family.groups, field),
+                    make_family_plots(family, stems),
+                )
+                for family in families
+                if family.field == field
+            ],
             "tables": [replace(table, notes=()) for table in tables],
             "notes": list(dict.fromkeys(note for table in tables for note in table.notes)),
         }
-
-
-SCRIPTS: Final = ("page_tables.js", "page_plots.js", "page_decisions.js")
-STYLE: Final = "page_answers.css"
-LOOKS: Final = "page_looks.css"
-_SCHEMA: Final = 1
-_NO_NETWORK: Final = "connect-src 'none'"
-_OWN_SERVER: Final = "connect-src 'self'"
 
 
 def read_page_script() -> Markup:
@@ -539,7 +463,7 @@ def read_page_script() -> Markup:
     The script sorts and filters tables, zooms figures and stores decisions. It defines no global
     names and uses no network.
     """
-    parts = "\n".join(_text(name) for name in SCRIPTS)
+    parts = "\n".join(map(read_part, SCRIPTS))
     return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
 
 
@@ -556,7 +480,7 @@ def write_page_data(campaign: Campaign, *, report: str) -> Markup:
     JSON in which no text can end the element.
     """
     data = {
-        "schema": _SCHEMA,
+        "schema": 1,
         "campaign": campaign.name,
         "report": report,
         "labpipe": campaign.labpipe_version,
@@ -565,159 +489,3 @@ def write_page_data(campaign: Campaign, *, report: str) -> Markup:
     # Escaped to ASCII: a name may contain a lone surrogate.
     text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
-
-
-def fill_template(template: str, **values: Any) -> str:
-    """Fill the template of a page; all texts are escaped.
-
-    Parameters
-    ----------
-    template : name of the file, or the text of a template
-    values : of all names in the template
-    """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    is_text = "{" in template
-    page = environment.from_string(template) if is_text else environment.get_template(template)
-    return page.render(**values)
-
-
-def make_style(footer: str, more: str) -> Markup:
-    """Make the style sheet of a page.
-
-    Parameters
-    ----------
-    footer : of each printed sheet, from `write_css_string`
-    more : rules of this page alone
-    """
-    return Markup(f"{_text(LOOKS).replace('var(--footer)', footer)}{more}")
-
-
-def compute_style_hash(text: str) -> Markup:
-    """Compute the SHA-256 of a style or a script for the security policy of the page.
-
-    Parameters
-    ----------
-    text : of the style or the script, as in the page
-    """
-    digest = hashlib.sha256(replace_unprintable(text).encode()).digest()
-    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
-
-
-def write_css_string(text: str) -> str:
-    """Write a text as an escaped string of a style sheet.
-
-    Parameters
-    ----------
-    text : letters and digits are kept, all other characters escaped
-    """
-    plain = (
-        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
-        for letter in replace_unprintable(text)
-    )
-    return f'"{"".join(plain)}"'
-
-
-def allow_own_server(page: str) -> str:
-    """Allow a page to connect to the server that it comes from.
-
-    Parameters
-    ----------
-    page : of a report, whose policy forbids connections
-
-    Returns
-    -------
-    The page with a policy that allows connections to its own server. A page without a policy is
-    unchanged; it saves decisions as a file.
-    """
-    head, policy, rest = page.partition(_NO_NETWORK)
-    return page if "<body" in head or not policy else f"{head}{_OWN_SERVER}{rest}"
-
-
-def _text(name: str) -> str:
-    return (files("labpipe.report") / name).read_text(encoding="utf-8")
-
-
-PAGE_FILE = "report.html"
-TABLES_FILE = "tables.xlsx"
-FIGURES_FOLDER = "figures"
-
-
-@dataclass(frozen=True, slots=True)
-class Extras:
-    """Optional parts of a report.
-
-    Parameters
-    ----------
-    letterhead : of the page
-    formats : of figures as files: ``svg``, ``png``, ``pdf``; empty for no files
-    test_pages : page of each test by its address below the folder of the report
-    is_journal : draw the figures in the style of a journal
-    """
-
-    letterhead: Letterhead = PLAIN
-    formats: tuple[str, ...] = ()
-    test_pages: Mapping[str, str] = field(default_factory=dict)
-    is_journal: bool = False
-
-
-NOTHING_MORE = Extras()
-
-
-def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE) -> list[Path]:
-    """Write the report of a campaign.
-
-    Parameters
-    ----------
-    campaign : groups with their statistics; groups may be empty
-    folder : made if it does not exist; files of other names stay
-    extras : letterhead, figures as files, pages of single tests
-
-    Returns
-    -------
-    The files: page, workbook, pages of tests, figures.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-    """
-    page = render_page(
-        campaign, letterhead=extras.letterhead, has_test_pages=bool(extras.test_pages)
-    )
-    tables, pages = folder / TABLES_FILE, {PAGE_FILE: page, **extras.test_pages}
-    with writing(folder, "a report"):
-        for name, text in pages.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(replace_unprintable(text), encoding="utf-8")
-        save_workbook(campaign, tables)
-        figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras)
-    return [folder / PAGE_FILE, tables, *(folder / name for name in extras.test_pages), *figures]
-
-
-def _save_figures(campaign: Campaign, folder: Path, extras: Extras) -> list[Path]:
-    """Write the figures of each group, and of comparisons, each at least as SVG."""
-    if not extras.formats:
-        return []
-    names = make_stems(group.name for group in campaign.groups)
-    figures_to_save = [
-        replace(drawing, name=f"{stem}-{drawing.name}")
-        for group, stem in zip(campaign.groups, names, strict=True)
-        for drawing in list_group_figures(group)
-    ]
-    figures_to_save += list_family_figures(campaign)
-    return save_pages(
-        figures_to_save,
-        folder,
-        png="png" in extras.formats,
-        pdf="pdf" in extras.formats,
-        dpi=200,
-        is_journal=extras.is_journal,
-    )

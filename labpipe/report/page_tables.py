@@ -1,10 +1,10 @@
-"""Tables of the page of a report: of each group, of all tests, of issues and of methods."""
+"""Tables of the page of a report: of lots, groups, bundles, issues, tests and methods."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import nan
+from math import isfinite, isnan, nan
 from typing import Any
 from urllib.parse import quote
 
@@ -12,9 +12,10 @@ import numpy as np
 
 from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
-from labpipe.records.group import Campaign, Group, GroupNumber, Sample
+from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.report import wording
 from labpipe.report.budget_figures import (
     find_cause_colour,
     list_drawn_causes,
@@ -23,83 +24,23 @@ from labpipe.report.budget_figures import (
 )
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import Cause, describe_decision, find_notes, join_sentences
-from labpipe.report.page_facts import (
-    PageTest,
-    PageTests,
-    describe_days,
-    describe_operators,
-    make_key,
-)
+from labpipe.report.page_facts import PageTest, PageTests, make_key
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
+from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.report.wording import (
-    describe_counts,
+    Scale,
     find_display,
     find_display_unit,
     find_number_unit,
-    find_units,
-    is_main,
-    replace_names,
-    write_count,
     write_heading,
     write_label,
-    write_mean,
     write_number,
     write_with_interval,
 )
-
-DASH = "\u2013"
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """Contents of a cell.
-
-    Parameters
-    ----------
-    text : in the first line
-    small : in the second line, in smaller letters
-    mark : after the text: ``?`` for doubtful, ``!`` for an outlier
-    tip : sentence or code that the page shows on hover
-    sort : value by which the column is sorted, SI; None to sort by the text
-    drawing : replaces the text
-    link : address of the text on the page
-    """
-
-    text: str
-    small: str = ""
-    mark: str = ""
-    tip: str = ""
-    sort: float | None = None
-    drawing: MeanStrip | None = None
-    link: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of the page; the first cell of a row is its heading.
-
-    Parameters
-    ----------
-    caption : above the table
-    heads : headings, one per column
-    rows : as many cells as headings
-    notes : sentences below the table
-    """
-
-    caption: str
-    heads: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[str, ...] = ()
-
+from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
 """Samples with a column in the table of numbers; a larger group has tables of samples, too."""
-
-
-def describe_group(group: Group) -> str:
-    """Describe a group: counts of samples and spools, protocol, days and operators."""
-    tested = f"tested {describe_days(group.samples)} by {describe_operators(group.samples)}"
-    return f"{describe_counts(group)}, protocol {group.protocol}, {tested}."
 
 
 def make_number_table(group: Group) -> Table:
@@ -111,56 +52,52 @@ def make_number_table(group: Group) -> Table:
     """
     n_drawn = 8  # rows with a drawing
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
-    heads = ("Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns))
-    rows = tuple(
-        _number_row(group, number, columns, is_drawn=row < n_drawn)
-        for row, number in enumerate(group.numbers)
-    )
-    return Table("", heads, rows, tuple(_table_notes(group)))
+    rows = []
+    for row, number in enumerate(group.numbers):
+        scale = find_number_unit(group, number)
+        rows.append([
+            Cell(write_heading(number.name, scale.unit), tip=number.name),
+            Cell("", drawing=_draw_strip(number) if row < n_drawn and number.mean else None),
+            *_mean_cells(group, number, scale.factor),
+            *(_sample_cell(number, sample, scale.factor) for sample in columns),
+        ])  # fmt: skip
+    heads = ["Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns)]
+    return Table("", heads, rows, tuple(_list_table_notes(group)))
 
 
-def _number_row(
-    group: Group, number: GroupNumber, columns: Sequence[Sample], *, is_drawn: bool
-) -> tuple[Cell, ...]:
-    unit = find_number_unit(group, number)
-    head = Cell(write_heading(number.name, unit.unit), tip=number.name)
-    samples = [_sample_cell(number, column, unit.factor) for column in columns]
+def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
+    """Make the cells of mean, count and standard deviation."""
     mean = number.mean
     if mean is None:
-        missing = Cell(DASH, tip="no sample has this number")
-        return head, Cell(""), missing, Cell("0"), Cell(DASH), *samples
+        return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
     count = f"{mean.chosen.n}"
     if not mean.is_pooled:
-        count = write_count(mean.chosen.n, "spool")
+        count = wording.write_count(mean.chosen.n, "spool")
     elif mean.chosen.n != len(group.samples):
         count = f"{mean.chosen.n} of {len(group.samples)}"
     return (
-        head,
-        Cell("", drawing=_number_strip(number) if is_drawn else None),
-        Cell(write_mean(mean.chosen, unit.factor)),
+        Cell(wording.write_mean(mean.chosen, factor)),
         Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
-        Cell(write_number(mean.chosen.deviation, None, unit.factor, digits=2).value),
-        *samples,
+        Cell(write_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
-def _number_strip(number: GroupNumber) -> MeanStrip:
+def _draw_strip(number: GroupNumber) -> MeanStrip:
     """Draw samples, mean and interval of a number on their own scale."""
     max_dots, max_reach = 12, 1.5  # reach of intervals beside the values, of their range
     values = [value.value for value in number.values.values() if value.value is not None]
-    chosen = None if number.mean is None else number.mean.chosen
-    interval = None if chosen is None else chosen.interval
-    mean = nan if chosen is None else chosen.mean
+    interval, mean = None, nan
+    if number.mean is not None:
+        interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
     return make_mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
-    named = (result for result in sample.results if result.name == number.name)
-    result = number.values.get(sample.test) or next(named, None)
-    marked = any(outlier.sample == sample.test for outlier in number.outliers)
-    return make_result_cell(result, factor, is_outlier=marked)
+    result = number.values.get(sample.test) or find_result(sample.results, number.name)
+    is_outlier = any(outlier.sample == sample.test for outlier in number.outliers)
+    return make_result_cell(result, factor, is_outlier=is_outlier)
 
 
 def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
@@ -172,47 +109,35 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
     factor : from SI to the display unit
     is_outlier : among the samples of its group
     """
-    if result is None:
-        return Cell(DASH, tip="not requested")
-    if result.value is None:
-        return Cell(DASH)
+    if result is None or result.value is None:
+        return Cell(DASH, tip="" if result else "not requested")
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    text = write_with_interval(
-        result.value, result.interval, factor, estimate=result.distinct_estimate
-    )
-    return Cell(text, mark=mark)
+    return Cell(wording.write_result(result, factor), mark=mark)
 
 
-def _table_notes(group: Group) -> Iterator[str]:
-    """Yield the notes on signs and averages of the table."""
-    if any(not number.mean.is_pooled for number in group.numbers if number.mean):
+def _list_table_notes(group: Group) -> Iterator[str]:
+    """Yield the notes on the counts, the intervals and the signs of the table of a group."""
+    means = [(number, number.mean) for number in group.numbers if number.mean is not None]
+    if any(not mean.is_pooled for _, mean in means):
         yield format_sentence("report.n_in_spools")
     names = [write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
     if names:
         yield format_sentence("report.set_by_rig", numbers="; ".join(names))
-    spools = {sample.specimen.spool for sample in group.samples}
-    if len(spools) == 1 and len(group.samples) > 1:
+    if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
         yield format_sentence("report.one_spool")
-    yield from _interval_notes(group)
-    yield from _reason_notes(group)
-
-
-def _interval_notes(group: Group) -> Iterator[str]:
-    """Yield the reasons of missing and of very wide intervals of means."""
-    min_tests = 2
     reasons: dict[Reason, list[str]] = {}
-    for member in group.numbers:
-        if member.mean is not None and member.mean.chosen.reason:
-            reasons.setdefault(member.mean.chosen.reason, []).append(write_label(member.name))
+    for number, mean in means:
+        if mean.chosen.reason:
+            reasons.setdefault(mean.chosen.reason, []).append(write_label(number.name))
     for why, names in reasons.items():
         numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield format_sentence("report.no_mean_interval", why=join_sentences([why]), numbers=numbers)
-    means = [number.mean for number in group.numbers if number.mean is not None]
-    if any(not mean.is_pooled and mean.chosen.n == min_tests for mean in means):
+    if any(not mean.is_pooled and mean.chosen.n == 2 for _, mean in means):
         yield format_sentence("report.two_spool_means")
+    yield from _list_mark_notes(group)
 
 
-def _reason_notes(group: Group) -> Iterator[str]:
+def _list_mark_notes(group: Group) -> Iterator[str]:
     """Yield the reasons of doubtful (?), missing and outlying (!) numbers with their tests."""
     names = {number.name for number in group.numbers}
     tests_by_reason: dict[str, dict[str, None]] = {}
@@ -244,32 +169,25 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     -------
     No tables if `make_number_table` shows the samples.
     """
-    numbers_per_table = 8
+    numbers_per_table, tables = 8, list[Table]()
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
-        return []
-    numbers = [number for number in group.numbers if is_main(number.name)]
-    parts = split_pages(numbers, numbers_per_table)
-    return [_samples_table(group, part, tests, at > 0) for at, part in enumerate(parts)]
-
-
-def _samples_table(
-    group: Group, numbers: Sequence[GroupNumber], tests: PageTests, is_more: bool
-) -> Table:
-    scales = [find_number_unit(group, number) for number in numbers]
-    heads = [
-        write_heading(number.name, unit.unit) for number, unit in zip(numbers, scales, strict=True)
-    ]
-    rows = []
-    for sample in group.samples:
-        link = f"#t{tests.number[make_key(sample)]}"
-        named = [Cell(sample.test, link=link), Cell(sample.specimen.spool)]
-        values = [
-            _sample_cell(number, sample, unit.factor)
-            for number, unit in zip(numbers, scales, strict=True)
-        ]
-        rows.append((*([Cell(sample.test)] if is_more else named), *values))
-    caption = f"{group.name}: every sample{', continued' if is_more else ''}"
-    return Table(caption, ("Test", *([] if is_more else ["Spool"]), *heads), tuple(rows))
+        return tables
+    main = [number for number in group.numbers if wording.is_main(number.name)]
+    for numbers in split_pages(main, numbers_per_table):
+        rows = []
+        for sample in group.samples:
+            row: Record = {"Test": sample.test}
+            if not tables:
+                link = f"#t{tests.number[make_key(sample)]}"
+                row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
+            for number in numbers:
+                unit = find_number_unit(group, number)
+                head = write_heading(number.name, unit.unit)
+                row[head] = _sample_cell(number, sample, unit.factor)
+            rows.append(row)
+        title = f"{group.name}: every sample{', continued' if tables else ''}"
+        tables.append(tabulate(title, rows))
+    return tables
 
 
 def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -289,88 +207,243 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
     tests = [bar._replace(text="one test") for bar in make_group_bars(group, of_means=False)]
     chosen = (means or tests)[:n_bars]
     bar_shares = sort_shares([bar.shares for bar in chosen])
+    looks: dict[str, dict[str, Any]] = {
+        cause: {
+            "cause": cause,
+            "colour": find_cause_colour(cause),
+            "is_common": IS_COMMON.get(cause, False),
+        }
+        for cause in list_drawn_causes(bar_shares)
+    }
     bars = []
     for bar, shares in zip(chosen, bar_shares, strict=True):
         starts = np.cumsum([0.0, *shares.values()]).tolist()
-        drawn = [
-            _cause_look(cause) | {"share": share, "start": start}
+        parts = [
+            looks[cause] | {"share": share, "start": start}
             for (cause, share), start in zip(shares.items(), starts, strict=False)
         ]
-        bars.append({"name": bar.name, "text": bar.text, "parts": drawn})
-    return bars, list(map(_cause_look, list_drawn_causes(bar_shares)))
+        bars.append({"name": bar.name, "text": bar.text, "parts": parts})
+    return bars, list(looks.values())
 
 
-def _cause_look(cause: str) -> dict[str, Any]:
-    colour = find_cause_colour(cause)
-    return {"cause": cause, "colour": colour, "is_common": IS_COMMON.get(cause, False)}
-
-
-def make_spool_table(group: Group) -> Table:
-    """Make the table of the spool means and of the decisions how to average them."""
-    spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
-    rows, above = [], ""
+def make_spool_table(group: Group) -> Table | None:
+    """Make the table of the spool means and of how they are averaged; None with one spool."""
+    spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
+    rows, decision_above = [], ""
     for number in group.numbers:
         if number.mean is None:
             continue
-        unit = find_number_unit(group, number)
-        cells = [Cell(write_heading(number.name, unit.unit))]
+        unit, decision = find_number_unit(group, number), number.mean.decision
+        row: Record = {"Number": write_heading(number.name, unit.unit)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
-            text, small = DASH, "no number"
+            row[f"Spool {spool}"] = Cell(DASH, "no number")
             if mean is not None:
-                text, small = write_mean(mean, unit.factor), f"n = {mean.n}"
-            cells.append(Cell(text, small))
-        decision = str(number.mean.decision)
-        done, because = number.mean.decision.action, "; ".join(number.mean.decision.grounds)
-        cells.append(Cell("as above") if decision == above else Cell(done, because))
-        rows.append(tuple(cells))
-        above = decision
-    heads = ("Number", *(f"Spool {spool}" for spool in spools), "Decision")
-    return Table(f"{group.name}: spool means and their averaging", heads, tuple(rows))
+                row[f"Spool {spool}"] = Cell(wording.write_mean(mean, unit.factor), f"n = {mean.n}")
+        row["Decision"] = Cell(decision.action, "; ".join(decision.grounds))
+        if str(decision) == decision_above:
+            row["Decision"] = "as above"
+        rows.append(row)
+        decision_above = str(decision)
+    title = f"{group.name}: spool means and their averaging"
+    heads = ["Number", *(f"Spool {spool}" for spool in spools), "Decision"]
+    return tabulate(title, rows, heads) if len(spools) > 1 else None
 
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
-    rows = tuple(
-        (
-            Cell(sample.test),
-            Cell(write_with_interval(slip.position, slip.position_interval, x_unit.factor)),
-            Cell(write_with_interval(slip.drop, slip.drop_interval, y_unit.factor)),
-            Cell(describe_decision(slip.decision)),
-        )
+    x, y = wording.find_units(find_display(group), "displacement", "force")
+    rows: list[Record] = [
+        {
+            "Sample": sample.test,
+            x.label("Displacement"): write_with_interval(
+                slip.position, slip.position_interval, x.factor
+            ),
+            y.label("Force lost"): write_with_interval(slip.drop, slip.drop_interval, y.factor),
+            "Treatment": describe_decision(slip.decision),
+        }
         for sample in group.samples
         for slip in sample.slips
+    ]
+    return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
+
+
+def find_lot_scale(group: Group, lot: Lot) -> Scale:
+    """Return the scale of a share of the limit: a force, or the share itself without one limit."""
+    if lot.limit is None:
+        return Scale(1.0, "")
+    factor, unit = find_display_unit("", "N", find_display(group))
+    return Scale(factor * lot.limit, wording.typeset_unit(unit))
+
+
+def describe_observations(samples: Sequence[Sample]) -> str:
+    """Count the answers of the test sheets, such as ``slip 3, contact broken outside 1``.
+
+    Parameters
+    ----------
+    samples : of one group
+    """
+    names = dict.fromkeys(name for sample in samples for name in sample.specimen.observed)
+    counts = Counter(
+        sample.specimen.observed.get(name, _NOT_STATED) for name in names for sample in samples
     )
-    heads = ("Sample", x_unit.label("Displacement"), y_unit.label("Force lost"), "Treatment")
-    return Table(f"{group.name}: slips in the grips", heads, rows) if rows else None
+    return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
+
+
+_NOT_STATED = "not stated"
+
+
+def make_lot_table(campaign: Campaign, stems: Sequence[str]) -> Table | None:
+    """Make the table of lots with their answers; None if no protocol asks for a limit.
+
+    Parameters
+    ----------
+    campaign : with its groups
+    stems : of the groups, for links
+    """
+    rows, rules = list[Record](), set[str]()
+    for group, stem in zip(campaign.groups, stems, strict=True):
+        if (lot := group.lot) is None:
+            continue
+        scale = find_lot_scale(group, lot)
+        limit, bound, smallest = (
+            f"{write_number(share, None, scale.factor).value} {scale.unit}".strip()
+            if isfinite(share)
+            else DASH
+            for share in (1.0, lot.bound, lot.smallest)
+        )
+        no_limit = Cell(DASH, tip="the samples have several limits")
+        rows.append({
+            "Lot": Cell(group.name, link=f"#group-{stem}"),
+            "Answer": str(lot.answer).upper(),
+            "Why": join_sentences(lot.reasons),
+            "Limit": no_limit if lot.limit is None else limit,
+            "Bound": bound,
+            "Smallest": smallest,
+            "Cpk": f"{lot.cpk:.2f}" if isfinite(lot.cpk) else DASH,
+            "n": str(lot.n),
+            "Separation": describe_observations(group.samples) or DASH,
+        })  # fmt: skip
+        coverage, confidence = map(write_percent, (lot.rule.coverage, lot.rule.confidence))
+        rules.add(f"{coverage} of the lot with {confidence} confidence")
+    note = format_sentence("report.lots", rules=" or ".join(sorted(rules)))
+    return tabulate("Lots against their smallest force", rows, notes=(note,)) if rows else None
+
+
+def make_verdict_table(group: Group) -> Table | None:
+    """Make the table of the verdict on each sample; None if the protocol asks for no limit.
+
+    Parameters
+    ----------
+    group : with its lot
+    """
+    if group.lot is None:
+        return None
+    factor, unit = find_display_unit("", "N", find_display(group))
+    names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
+    rows = []
+    for sample in group.samples:
+        verdict = group.lot.verdicts.get(sample.test)
+        row: Record = {
+            "Test": sample.test,
+            "Verdict": DASH if verdict is None else str(verdict.by_number),
+            "With its interval": DASH if verdict is None else str(verdict.with_interval),
+        }
+        for name in ("peak_force.1", FORCE_LIMIT):
+            result = find_result(sample.results, name)
+            row[write_heading(name, unit)] = make_result_cell(result, factor)
+        for name in names:
+            answer = sample.specimen.observed.get(name, _NOT_STATED)
+            row[name.replace("_", " ").capitalize()] = answer
+        rows.append(row)
+    return tabulate(f"{group.name}: verdict on each sample", rows)
+
+
+def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
+    """Choose the display unit of bending stiffness for each group.
+
+    Parameters
+    ----------
+    campaign : content of the report, with at least one group
+
+    Returns
+    -------
+    Scale by group: the unit of its protocol, or SI for all groups if their units differ.
+    """
+    scales = {
+        group.name: wording.find_unit(find_display(group), "bending_stiffness")
+        for group in campaign.groups
+    }
+    has_common_unit = len({scale.unit for scale in scales.values()}) == 1
+    si_unit = wording.find_unit({}, "bending_stiffness")
+    return scales if has_common_unit else dict.fromkeys(scales, si_unit)
+
+
+def make_bounds_table(campaign: Campaign) -> Table | None:
+    """Make the table of measured bending stiffnesses of bundles and their bounds.
+
+    Parameters
+    ----------
+    campaign : content of the report
+
+    Returns
+    -------
+    The table; None if the report was made without a wire sheet, or if no test is of a bundle.
+    """
+    if not campaign.bounded_stiffnesses:
+        return None
+    scales, rows = choose_stiffness_units(campaign), list[Record]()
+    for stiffness in campaign.bounded_stiffnesses:
+        scale = scales[stiffness.group]
+        all_slip, wires_slip, nothing_slips, smallest, largest = (
+            write_number(bound, None, scale.factor, digits=3).value
+            for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
+        )
+        value = nan if stiffness.value is None else stiffness.value
+        share = write_number(100.0 * stiffness.share, None, digits=2).value
+        if stiffness.share_interval is not None:
+            share = write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
+        share += "" if isnan(stiffness.share) else " %"
+        directions = "" if smallest == largest else f"{smallest} to {largest}"
+        test = Cell(stiffness.test, stiffness.group)
+        rows.append({
+            "Test": test if stiffness.test else f"mean of {stiffness.group}",
+            scale.label("Bending stiffness"): write_with_interval(
+                value, stiffness.interval, scale.factor
+            ),
+            scale.label("All slips"): all_slip,
+            scale.label("Wires slip"): wires_slip,
+            scale.label("Nothing slips"): Cell(nothing_slips, directions),
+            "Share of the way": Cell(share, join_sentences(stiffness.reasons)),
+        })  # fmt: skip
+    notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
+    return tabulate("Between slipping and sticking", rows, notes=notes)
 
 
 def make_cause_table(cause: Cause) -> Table:
     """Make the table of a cause: a row per issue."""
-    rows = tuple(
-        (
-            Cell(issue.test or ", ".join(issue.tests) or "the whole group", issue.group),
-            Cell(issue.what or DASH),
-            Cell(issue.reason, tip=issue.code),
-        )
+    rows: list[Record] = [
+        {
+            "Test": Cell(issue.test or ", ".join(issue.tests) or "the whole group", issue.group),
+            "What": issue.what or DASH,
+            "Why": Cell(issue.reason, tip=issue.code),
+        }
         for issue in cause.issues
-    )
-    return Table(f"{cause.kind} ({len(cause.issues)})", ("Test", "What", "Why"), rows)
+    ]
+    return tabulate(f"{cause.kind} ({len(cause.issues)})", rows)
 
 
 def make_note_table(campaign: Campaign) -> Table | None:
     """Make the table of notes without consequences, a row per kind; None without notes."""
-    rows = tuple(
-        (
-            Cell(note.issues[0].reason, tip=note.code),
-            Cell(str(len(note.issues))),
-            Cell(note.subject),
-        )
+    rows: list[Record] = [
+        {
+            "Note (first of its kind)": Cell(note.issues[0].reason, tip=note.code),
+            "Number": str(len(note.issues)),
+            "Where": note.subject,
+        }
         for note in find_notes(campaign)
-    )
-    heads = ("Note (first of its kind)", "Number", "Where")
-    return Table("Notes without consequences", heads, rows) if rows else None
+    ]
+    return tabulate("Notes without consequences", rows) if rows else None
 
 
 def make_method_tables(campaign: Campaign) -> list[Table]:
@@ -381,23 +454,16 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         for sample in group.samples:
             for result in sample.results:
                 numbers.setdefault(result.name, {})[result.method] = None
-    return [
-        Table(
-            f"Protocol {protocol}: method of each number",
-            ("Number", "Method"),
-            tuple(
-                (
-                    Cell(write_label(name), tip=name),
-                    Cell(
-                        replace_names("; ".join(filter(None, method)))
-                        or "No sample has this number."
-                    ),
-                )
-                for name, method in numbers.items()
-            ),
-        )
-        for protocol, numbers in methods.items()
-    ]
+    tables = []
+    for protocol, numbers in methods.items():
+        rows = []
+        for name, texts in numbers.items():
+            method = wording.replace_names("; ".join(filter(None, texts)))
+            row: Record = {"Number": Cell(write_label(name), tip=name)}
+            rows.append(row | {"Method": method or "No sample has this number."})
+        title = f"Protocol {protocol}: method of each number"
+        tables.append(tabulate(title, rows, ("Number", "Method")))
+    return tables
 
 
 def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
@@ -416,22 +482,23 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
     ``address``, and ``why`` the test is doubtful, failed or rejected.
     """
     mains = {
-        stem: next((number.name for number in group.numbers if is_main(number.name)), "")
+        stem: next((number.name for number in group.numbers if wording.is_main(number.name)), "")
         for stem, group in zip(stems, campaign.groups, strict=False)
     }
-    return [
-        {
+    rows = []
+    for test in tests.every:
+        page = name_page_file(test.sample.label or test.sample.test)
+        rows.append({
             "test": test,
             "group": stems.get(test.stem, ""),
-            "first": _first_number_cell(test, mains.get(test.stem, "")),
+            "first": _first_number_cell(test.sample, mains.get(test.stem, "")),
             "decided": "reject" if test.why else "accept" if test.sample.decision else "",
             "words": test.why or test.sample.decision,
-            "page": (page := name_page_file(test.sample.label or test.sample.test)),
+            "page": page,
             "address": quote(page, errors="replace"),
             "why": describe_problems(test),
-        }
-        for test in tests.every
-    ]
+        })  # fmt: skip
+    return rows
 
 
 def name_page_file(label: str) -> str:
@@ -449,14 +516,14 @@ def name_page_file(label: str) -> str:
     return f"tests/{label.replace('/', '__')}.html"
 
 
-def _first_number_cell(test: PageTest, main: str) -> Cell:
+def _first_number_cell(sample: Sample, main: str) -> Cell:
     """Make the cell of the first main number of a test, with the name and the unit below it."""
-    result = next((result for result in test.sample.results if result.name == main), None)
+    result = find_result(sample.results, main)
     if result is None:
         return Cell(DASH)
-    unit = find_display_unit(main, result.unit, test.sample.display)
+    unit = find_display_unit(main, result.unit, sample.display)
     cell = make_result_cell(result, unit.factor)
-    return Cell(cell.text, write_heading(main, unit.unit), cell.mark, cell.tip, result.value)
+    return cell._replace(small=write_heading(main, unit.unit), sort=result.value)
 
 
 def describe_problems(test: PageTest) -> str:
@@ -481,6 +548,6 @@ def make_source_table(tests: PageTests) -> Table:
     """
     rows = []
     for test in tests.every:
-        sources = [f"{source.file}: {source.sha256}" for source in test.sample.inputs]
-        rows.append((Cell(test.sample.test), Cell("; ".join(sources) or DASH)))
-    return Table("Sources of the numbers", ("Test", "Recorded files with SHA-256"), tuple(rows))
+        files = [f"{source.file}: {source.sha256}" for source in test.sample.inputs]
+        rows.append((test.sample.test, "; ".join(files) or DASH))
+    return Table("Sources of the numbers", ("Test", "Recorded files with SHA-256"), rows)

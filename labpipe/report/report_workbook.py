@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from labpipe.records.causes import IS_COMMON
-from labpipe.records.curve import Interval
 from labpipe.records.group import (
     Band,
     Campaign,
@@ -18,21 +17,25 @@ from labpipe.records.group import (
     Sample,
 )
 from labpipe.records.quality import join_reasons
-from labpipe.records.result import Result, Status
-from labpipe.report.bundle_figures import choose_stiffness_units
-from labpipe.report.comparisons import (
-    describe_fields,
-    list_multi_field_differences,
+from labpipe.records.result import Status
+from labpipe.report import comparisons, page_facts
+from labpipe.report.issues import find_causes, find_notes, join_sentences
+from labpipe.report.page_tables import (
+    choose_stiffness_units,
+    describe_observations,
+    find_lot_scale,
 )
-from labpipe.report.issues import Cause, Issue, find_causes, find_notes
-from labpipe.report.lot_tables import make_lot_record, make_verdict_cells
-from labpipe.report.page_facts import (
-    compute_report_id,
-    describe_days,
-    describe_operators,
-    find_state,
-    list_instruments,
-    list_samples,
+from labpipe.report.table_records import (
+    Chart,
+    Record,
+    Table,
+    make_interval_cells,
+    make_number_cell,
+    make_percent_cell,
+    make_records,
+    save_tables,
+    stack_blocks,
+    tabulate,
 )
 from labpipe.report.wording import (
     Scale,
@@ -41,30 +44,12 @@ from labpipe.report.wording import (
     find_number_unit,
     find_units,
     is_main,
+    list_key_numbers,
     typeset_unit,
     write_count,
     write_label,
 )
-from labpipe.report.workbook_file import (
-    About,
-    Chart,
-    Line,
-    Record,
-    Sheet,
-    how_to_read,
-    make_interval_cells,
-    make_number_cell,
-    make_percent_cell,
-    make_records,
-    make_sheet,
-    save_book,
-    stack_blocks,
-    unite_heads,
-)
 from labpipe.statistics.means import sort_causes, summarise_budget
-
-BOOK = "report"
-"""Name of the workbook in ``workbooks.toml``."""
 
 
 def save_workbook(campaign: Campaign, path: Path) -> None:
@@ -82,155 +67,214 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Notes
     -----
-    At most twelve sheets after the first, for any number of groups.
+    At most thirteen sheets after the first, for any number of groups.
     """
-    footer = f"{campaign.title}  \u00b7  report {compute_report_id(campaign)}"
-    about = About(campaign.title, (*_facts(campaign), *how_to_read(BOOK)), footer)
-    save_book(about, list(_sheets(campaign)), path)
+    footer = f"{campaign.title}  \u00b7  report {page_facts.compute_report_id(campaign)}"
+    facts, tables = _list_facts(campaign), filter(None, _list_tables(campaign))
+    save_tables(tables, path, book="report", title=campaign.title, facts=facts, footer=footer)
 
 
-def _facts(campaign: Campaign) -> Iterator[str]:
+def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
-    samples, rejected = list_samples(campaign), len(campaign.rejected)
+    samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
     text = f"{write_count(len(samples), 'test')} in {write_count(len(campaign.groups), 'group')}"
     yield f"{text}, {write_count(rejected, 'test')} rejected." if rejected else f"{text}."
     if samples:
-        yield f"Tested {describe_days(samples)}; {describe_operators(samples)}."
-    for instrument in list_instruments(samples):
+        days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
+        yield f"Tested {days}; {operators}."
+    for instrument in page_facts.list_instruments(samples):
         yield f"{instrument.name}: {instrument.due}."
     date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
-    by = f"labpipe {campaign.labpipe_version}".strip()
-    yield f"Report {compute_report_id(campaign)}, made{date} by {by}."
+    version = f"labpipe {campaign.labpipe_version}".strip()
+    yield f"Report {page_facts.compute_report_id(campaign)}, made{date} by {version}."
 
 
-def _sheets(campaign: Campaign) -> Iterator[Sheet]:
-    lots = [make_lot_record(group, group.lot) for group in campaign.groups if group.lot]
-    if lots:
-        yield make_sheet(BOOK, "lots", lots)
-    yield make_sheet(BOOK, "means", _means(campaign))
-    yield _tests_sheet(campaign)
-    results = (
-        {"group": group.name, "test": sample.test, **_result(sample, result)}
-        for group in campaign.groups
-        for sample in group.samples
-        for result in sample.results
-    )
-    yield make_sheet(BOOK, "results", results)
-    yield _curves_sheet(campaign, is_scaled=False)
-    if any(group.band_scaled is not None for group in campaign.groups):
-        yield _curves_sheet(campaign, is_scaled=True)
-    single_field = [difference for difference in campaign.differences if difference.family]
+def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
+    """Yield the sheets in order; None for one without rows that is then left out."""
+    pairs = comparisons.list_single_field_pairs(campaign)
+    by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: find_display(group) for group in campaign.groups}
-    differences = [
-        _difference(difference, displays.get(difference.first, {}))
-        for difference in (*single_field, *list_multi_field_differences(campaign))
-    ]
-    yield make_sheet(BOOK, "comparisons", differences)
-    if budgets := _budgets(campaign):
-        yield make_sheet(BOOK, "budgets", budgets)
-    if campaign.bounded_stiffnesses:
-        yield make_sheet(BOOK, "slipping and sticking", _record_bounds(campaign))
-    ranked = [(rank, cause) for rank, cause in enumerate(find_causes(campaign), start=1)]
-    causes = [*ranked, *((None, note) for note in find_notes(campaign))]
-    issues = (_issue(rank, cause, issue) for rank, cause in causes for issue in cause.issues)
-    yield make_sheet(BOOK, "needs a look", issues)
+    single_field = [difference for difference in campaign.differences if difference.family]
+    differences = [*single_field, *comparisons.list_multi_field_differences(campaign)]
+    has_scaled = any(group.band_scaled is not None for group in campaign.groups)
+    yield _tabulate_some("lots", (_record_lot(g, g.lot) for g in campaign.groups if g.lot))
+    yield _tabulate_some("answers", map(_record_answer, pairs))
+    yield tabulate("key numbers", map(_record_key_numbers, by_protocol))
+    yield tabulate("means", _list_means(campaign))
+    yield _tabulate_tests(campaign)
+    yield tabulate("results", _list_results(campaign))
+    yield _tabulate_curves(campaign, is_scaled=False)
+    yield _tabulate_curves(campaign, is_scaled=True) if has_scaled else None
+    yield tabulate("comparisons", (_record_difference(x, displays[x.first]) for x in differences))
+    yield _tabulate_some("budgets", _list_budgets(campaign))
+    yield _tabulate_some("slipping and sticking", _list_bounds(campaign))
+    yield tabulate("needs a look", _list_issues(campaign))
+
+
+def _tabulate_some(title: str, records: Iterator[Record]) -> Table | None:
+    rows = list(records)
+    return tabulate(title, rows) if rows else None
+
+
+def _record_lot(group: Group, lot: Lot) -> Record:
+    scale = find_lot_scale(group, lot)
+    forces = {
+        "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
+        "smallest": lot.smallest, "tolerance bound": lot.bound,
+    }  # fmt: skip
+    return {
+        "group": group.name,
+        "answer": str(lot.answer),
+        "unit": scale.unit or "of the limit",
+        **{name: make_number_cell(force, None, scale.factor) for name, force in forces.items()},
+        "Cpk": make_number_cell(lot.cpk),
+        "n": lot.n,
+        "n that would pass": lot.n_needed,
+        "coverage (%)": 100.0 * lot.rule.coverage,
+        "confidence (%)": 100.0 * lot.rule.confidence,
+        "observed": describe_observations(group.samples),
+        "reason": join_sentences(lot.reasons),
+    }
+
+
+def _record_answer(pair: comparisons.Pair) -> Record:
+    """Make the record of the verdict on the first number of a pair."""
+    difference = pair.differences[0]
+    record = _record_difference(difference, find_display(pair.first))
+    n_first, n_second = comparisons.count_values(pair)
+    return {
+        "comparison": comparisons.name_comparison(pair),
+        "of": comparisons.describe_context((pair.first, pair.second), pair.field),
+        "number": record["number"],
+        "verdict": record["verdict"],
+        "difference (%)": record["share (%)"],
+        "corrected lower (%)": record["corrected lower (%)"],
+        "corrected upper (%)": record["corrected upper (%)"],
+        "difference": record["second minus first"],
+        "n": n_second,
+        "n against": n_first,
+        "why": difference.verdict_reason,
+        **{head: record[head] for head in ("unit", "irrelevant below", "level (%)")},
+        "first": difference.first,
+        "second": difference.second,
+        "caveats": "; ".join(difference.caveats),
+    }
+
+
+def _record_key_numbers(group: Group) -> Record:
+    """Make the record of the first three numbers of a group; no later cycles."""
+    n_numbers = 3
+    record: Record = {
+        "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
+    }  # fmt: skip
+    for number in list_key_numbers(group)[:n_numbers]:
+        scale = find_number_unit(group, number)
+        cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
+        for part, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
+            record[write_column_heading(write_label(number.name), scale.unit, part)] = cell
+    return record
 
 
 def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
     """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
-    if mean is None:
-        return make_interval_cells(None, None, name="mean")
-    return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
+    value, interval = (None, None) if mean is None else (mean.mean, mean.interval)
+    return make_interval_cells(value, interval, scale.factor, name="mean")
 
 
 def write_column_heading(name: str, unit: str, part: str = "") -> str:
-    """Write the heading of a column: name, part and unit."""
-    return f"{name}{part} ({unit})" if unit else f"{name}{part}"
+    """Write the heading of a column: name, part and typeset unit."""
+    text = typeset_unit(unit)
+    return f"{name}{part} ({text})" if text else f"{name}{part}"
 
 
-def _means(campaign: Campaign) -> Iterator[Record]:
+def _list_means(campaign: Campaign) -> Iterator[Record]:
     """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
-            mean = number.mean
+            scale, mean = find_number_unit(group, number), number.mean
+            head: Record = {
+                "group": group.name, "number": write_label(number.name), "over": "all",
+                "unit": typeset_unit(scale.unit),
+            }  # fmt: skip
             if mean is None:
-                why = "; ".join(map(join_reasons, number.left_out.values()))
-                yield _mean_record(group, number, None, "all") | {"reason": why}
+                reason = "; ".join(map(join_reasons, number.left_out.values()))
+                yield {
+                    **head, **_mean_cells(None, scale), "reason": reason, "result": number.name
+                }  # fmt: skip
                 continue
-            scale = find_number_unit(group, number)
             within, between = (
                 make_number_cell(spread, mean.chosen.interval, scale.factor)
                 for spread in (mean.within, mean.between_spools)
             )
-            yield _mean_record(group, number, mean.chosen, "all") | {
+            of_all: Record = {
                 "mean over": "samples" if mean.is_pooled else "spool means",
                 "n samples": mean.over_samples.n,
                 "within spools": within,
                 "between spools": between,
-                "spools equal, p": make_number_cell(mean.spool_p, None),
+                "spools equal, p": make_number_cell(mean.spool_p),
                 "decision": str(mean.decision),
             }
+            yield _record_mean(head, number, mean.chosen, scale, of_all)
             for spool, of_spool in mean.spool_means.items() if len(mean.spool_means) > 1 else ():
-                yield _mean_record(group, number, of_spool, f"spool {spool}")
+                spool_head = {**head, "over": f"spool {spool}"}
+                yield _record_mean(spool_head, number, of_spool, scale, dict.fromkeys(of_all))
 
 
-def _mean_record(group: Group, number: GroupNumber, mean: MeanInterval | None, over: str) -> Record:
-    scale = find_number_unit(group, number)
-    head: Record = {
-        "group": group.name, "number": write_label(number.name), "over": over,
-        "unit": typeset_unit(scale.unit), **_mean_cells(mean, scale),
-    }  # fmt: skip
-    if mean is None:
-        return {**head, "reason": "", "result": number.name}
+def _record_mean(
+    head: Record, number: GroupNumber, mean: MeanInterval, scale: Scale, more: Record
+) -> Record:
     return {
         **head,
+        **_mean_cells(mean, scale),
         "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
-        **dict.fromkeys(_OF_ALL_SAMPLES),
+        **more,
         "reason": str(mean.reason or ""),
         "result": number.name,
     }
 
 
-_OF_ALL_SAMPLES: tuple[str, ...] = (
-    "mean over", "n samples", "within spools", "between spools", "spools equal, p", "decision"
-)  # fmt: skip
-"""Columns that the means of single spools leave empty."""
-
-
-def _tests_sheet(campaign: Campaign) -> Sheet:
+def _tabulate_tests(campaign: Campaign) -> Table:
     """Make the sheet of tests with a column per number; rejected tests are last."""
     last = ("decision", "key of the run")
-    every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
-    every += [("", sample) for sample in campaign.rejected_samples]
-    lots = {group.name: group.lot for group in campaign.groups}
-    records = [_test(group, sample, lots.get(group)) for group, sample in every]
-    heads = [*(head for head in unite_heads(records) if head not in last), *last]
-    return make_sheet(BOOK, "tests", records, heads=heads)
+    records = [
+        _record_test(group.name, sample, group.lot)
+        for group in campaign.groups
+        for sample in group.samples
+    ]
+    records += [_record_test("", sample, None) for sample in campaign.rejected_samples]
+    heads = dict.fromkeys(head for record in records for head in record if head not in last)
+    return tabulate("tests", records, [*heads, *last])
 
 
-def _test(group: str, sample: Sample, lot: Lot | None) -> Record:
+def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
     main = [result for result in sample.results if is_main(result.name)]
+    answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
+    verdict = lot and lot.verdicts.get(sample.test)
+    verdicts: Record = (verdict and {
+        "verdict": str(verdict.by_number), "verdict with interval": str(verdict.with_interval)
+    }) or {}  # fmt: skip
+    sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
+             for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
     for result in main:
         scale = find_display_unit(result.name, result.unit, sample.display)
-        head = write_column_heading(write_label(result.name), typeset_unit(scale.unit))
+        head = write_column_heading(write_label(result.name), scale.unit)
         numbers[head] = make_number_cell(result.value, result.interval, scale.factor)
-    sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
-             for name, size in specimen.dimensions.items()}  # fmt: skip
     return {
         "test": sample.test,
         "group": group,
-        "state": find_state(sample) if group else "rejected",
+        "state": page_facts.find_state(sample) if group else "rejected",
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
         "protocol": sample.protocol,
-        "day": "" if sample.date is None else str(sample.date),
+        "day": str(sample.date or ""),
         "operator": sample.operator,
-        **make_verdict_cells(sample, lot),
+        **verdicts,
+        **answers,
         **sizes,
         "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
         "failed numbers": sum(result.status is Status.FAILED for result in main),
@@ -240,18 +284,23 @@ def _test(group: str, sample: Sample, lot: Lot | None) -> Record:
     }
 
 
-def _result(sample: Sample, result: Result) -> Record:
-    scale = find_display_unit(result.name, result.unit, sample.display)
-    return {
-        "number": write_label(result.name),
-        "unit": typeset_unit(scale.unit),
-        **make_interval_cells(result.value, result.interval, scale.factor, name="value"),
-        "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
-        "status": str(result.status),
-        "reason": result.reason_text,
-        "result": result.name,
-        "method": result.full_method,
-    }
+def _list_results(campaign: Campaign) -> Iterator[Record]:
+    for group in campaign.groups:
+        for sample in group.samples:
+            for result in sample.results:
+                scale = find_display_unit(result.name, result.unit, sample.display)
+                yield {
+                    "group": group.name,
+                    "test": sample.test,
+                    "number": write_label(result.name),
+                    "unit": typeset_unit(scale.unit),
+                    **make_interval_cells(result.value, result.interval, scale.factor),
+                    "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
+                    "status": str(result.status),
+                    "reason": result.reason_text,
+                    "result": result.name,
+                    "method": result.full_method,
+                }
 
 
 _BAND_COLUMNS = {
@@ -261,48 +310,41 @@ _BAND_COLUMNS = {
 """Field of a band by the name of its column."""
 
 
-def _curves_sheet(campaign: Campaign, *, is_scaled: bool) -> Sheet:
+def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
     """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
-    first = next((group for group in campaign.groups if group.samples), None)
-    x_unit, y_unit = Scale(1.0, "m"), Scale(1.0, "N")
-    if first is not None:
-        x_unit, y_unit = find_units(find_display(first), "displacement", "force")
-    y_unit = Scale(1.0, "") if is_scaled else y_unit
-    bands = {group: group.band_scaled if is_scaled else group.band for group in campaign.groups}
-    blocks = {
-        group.name: _band_records(group.name, band, x_unit, y_unit)
-        for group, band in bands.items()
-        if band is not None
-    }
-    rows, ends = stack_blocks(blocks)
-    lines: dict[str, list[Line]] = {}
-    for group, band in bands.items():
+    display = next((find_display(group) for group in campaign.groups if group.samples), {})
+    x, y = find_units(display, "displacement", "force")
+    y, title = (Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
+    blocks, by_protocol = dict[str, list[Record]](), dict[str, list[str]]()
+    for group in campaign.groups:
+        band = group.band_scaled if is_scaled else group.band
+        if band is not None:
+            blocks[group.name] = _list_band_records(group.name, band, x, y)
         if band is not None and len(band.displacement):
-            lines.setdefault(group.protocol, []).append(Line(group.name, ends[group.name], 1, 2))
-    title, label = ("Mean force", y_unit.label("Force"))
-    if is_scaled:
-        title, label = ("Mean force over peak force", "Force / peak force")
+            by_protocol.setdefault(group.protocol, []).append(group.name)
+    rows, ends = stack_blocks(blocks)
+    x_head, y_head = x.label("displacement"), write_column_heading("mean", y.unit)
     charts = [
-        Chart(f"{title} on first loading ({protocol})", x_unit.label("Displacement"), label, own)
-        for protocol, own in lines.items()
+        Chart(f"{title} on first loading ({protocol})", x_head, y_head, {n: ends[n] for n in names})
+        for protocol, names in by_protocol.items()
     ]
-    columns = [write_column_heading(part, y_unit.unit) for part in _BAND_COLUMNS]
-    heads = ["group", x_unit.label("displacement"), *columns, "n", "mean over", "reason"]
+    columns = [write_column_heading(part, y.unit) for part in _BAND_COLUMNS]
+    heads = ["group", x_head, *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
-    return make_sheet(BOOK, name, rows, heads=heads, charts=charts)
+    return tabulate(name, rows, heads, charts=charts)
 
 
-def _band_records(group: str, band: Band, x_unit: Scale, y_unit: Scale) -> list[Record]:
-    """Make a record per point of a mean curve, at least one; the first holds the reason."""
-    columns = {x_unit.label("displacement"): x_unit.factor * band.displacement}
+def _list_band_records(group: str, band: Band, x: Scale, y: Scale) -> list[Record]:
+    """List a record per point of a mean curve, at least one; the first holds the reason."""
+    columns = {x.label("displacement"): x.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
-        columns[write_column_heading(part, y_unit.unit)] = y_unit.factor * getattr(band, field)
+        columns[write_column_heading(part, y.unit)] = y.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first, *others = points or [{"group": group}]
     return [first | {"reason": str(band.reason or "")}, *others]
 
 
-def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
+def _record_difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
     scale = find_display_unit(difference.name, difference.unit, display)
@@ -321,11 +363,11 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
         "question": difference.single_field,
-        "differ in": describe_fields(difference),
+        "differ in": comparisons.describe_fields(difference),
         "level (%)": make_percent_cell(ends, "level"),
         "irrelevant below": make_number_cell(difference.margin, None, scale.factor),
-        "different, p": make_number_cell(difference.p, None),
-        "equivalent, p": make_number_cell(difference.p_equivalent, None),
+        "different, p": make_number_cell(difference.p),
+        "equivalent, p": make_number_cell(difference.p_equivalent),
         "family": difference.family,
         "in family": difference.tests or None,
         "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
@@ -334,44 +376,38 @@ def _difference(difference: Difference, display: Mapping[str, str]) -> Record:
     }
 
 
-def _budgets(campaign: Campaign) -> list[Record]:
-    """Make the records of the shares of causes: of each mean, and their medians over the tests."""
+def _list_budgets(campaign: Campaign) -> Iterator[Record]:
+    """Yield the shares of causes: of each mean, and their medians over the tests."""
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
-            budget = summarise_budget(number)
-            if budget.of_tests and budget.of_mean and number.mean is not None:
-                interval = number.mean.chosen.interval
-                head = _budget_head(group, number, "mean of the group", interval)
-                rows.append((head, budget.of_mean))
-            if budget.of_tests:
-                head = _budget_head(group, number, "median of the tests", None)
-                rows.append((head, budget.of_tests))
+            budget, scale = summarise_budget(number), find_number_unit(group, number)
+            interval = None if number.mean is None else number.mean.chosen.interval
+            kinds = (
+                ("mean of the group", interval, number.mean and budget.of_mean),
+                ("median of the tests", None, budget.of_tests),
+            )
+            for name, ends, shares in kinds if budget.of_tests else ():
+                half = None if ends is None else 0.5 * (ends.upper - ends.lower)
+                head: Record = {
+                    "group": group.name,
+                    "number": write_label(number.name),
+                    "of": name,
+                    "unit": typeset_unit(scale.unit),
+                    "half of the 95 % interval": make_number_cell(half, None, scale.factor),
+                }
+                if shares:
+                    rows.append((head, shares))
     causes = sort_causes(cause for _, shares in rows for cause in shares)
     heads = {cause: f"{cause}{'*' * IS_COMMON.get(cause, False)} (%)" for cause in causes}
-    return [
-        head | {heads[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
-        for head, shares in rows
-    ]
+    for head, shares in rows:
+        yield head | {heads[cause]: make_percent_cell(shares.get(cause)) for cause in causes}
 
 
-def _budget_head(group: Group, number: GroupNumber, of: str, interval: Interval | None) -> Record:
-    scale = find_number_unit(group, number)
-    half = None if interval is None else 0.5 * (interval.upper - interval.lower)
-    return {
-        "group": group.name,
-        "number": write_label(number.name),
-        "of": of,
-        "unit": typeset_unit(scale.unit),
-        "half of the 95 % interval": make_number_cell(half, None, scale.factor),
-    }
-
-
-def _record_bounds(campaign: Campaign) -> Iterator[Record]:
-    """Yield the rows of bending stiffnesses of bundles with their bounds."""
-    scales = choose_stiffness_units(campaign)
+def _list_bounds(campaign: Campaign) -> Iterator[Record]:
+    """Yield the bending stiffnesses of bundles with their bounds."""
     for stiffness in campaign.bounded_stiffnesses:
-        scale, ends = scales[stiffness.group], stiffness.share_interval
+        scale = choose_stiffness_units(campaign)[stiffness.group]
         bounds = {
             "all slips": stiffness.low,
             "wires slip": stiffness.free,
@@ -388,20 +424,24 @@ def _record_bounds(campaign: Campaign) -> Iterator[Record]:
             ),
             **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
             "share (%)": make_percent_cell(stiffness.share),
-            "share lower (%)": make_percent_cell(ends, "lower"),
-            "share upper (%)": make_percent_cell(ends, "upper"),
+            "share lower (%)": make_percent_cell(stiffness.share_interval, "lower"),
+            "share upper (%)": make_percent_cell(stiffness.share_interval, "upper"),
             "reason": join_reasons(stiffness.reasons),
         }
 
 
-def _issue(rank: int | None, cause: Cause, issue: Issue) -> Record:
-    return {
-        "rank": rank,
-        "kind": str(issue.kind),
-        "group": issue.group,
-        "test": issue.test or ", ".join(issue.tests),
-        "what": issue.what,
-        "reason": issue.reason,
-        "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
-        "code": issue.code,
-    }
+def _list_issues(campaign: Campaign) -> Iterator[Record]:
+    """Yield the issues, cause by cause; notes without consequences have no rank."""
+    ranked = [*enumerate(find_causes(campaign), start=1)]
+    for rank, cause in [*ranked, *((None, note) for note in find_notes(campaign))]:
+        for issue in cause.issues:
+            yield {
+                "rank": rank,
+                "kind": str(issue.kind),
+                "group": issue.group,
+                "test": issue.test or ", ".join(issue.tests),
+                "what": issue.what,
+                "reason": issue.reason,
+                "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
+                "code": issue.code,
+            }

@@ -7,11 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.mechanics.wire.end_load_path import interpolate_end_load
+from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report.plot_records import simplify_line
+from labpipe.report.table_records import (
+    Cell,
+    Chart,
+    Record,
+    Table,
+    make_records,
+    save_tables,
+    stack_blocks,
+    tabulate,
+)
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
@@ -22,19 +32,6 @@ from labpipe.report.wire_figures import (
     join_warnings,
 )
 from labpipe.report.wording import Scale
-from labpipe.report.workbook_file import (
-    About,
-    Chart,
-    Line,
-    Record,
-    Sheet,
-    how_to_read,
-    make_records,
-    make_sheet,
-    save_book,
-    stack_blocks,
-    unite_heads,
-)
 
 REPORTED_DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Deflections of the tip, m, at which the summary gives the end load."""
@@ -168,8 +165,6 @@ _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("highest moment of all orientations", "highest_moment", MOMENT),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
-BOOK = "wires"
-"""Name of the workbook in ``workbooks.toml``."""
 
 
 def save_wire_workbook(
@@ -198,37 +193,36 @@ def save_wire_workbook(
     With many wires, the sheet of laws shows some rows of each law: 12 000 together, but at least 40
     of each. The summary gives their number and the error of linear interpolation between them.
     """
-    sheets = list(_sheets(tables, refused or {}, stated or {}))
-    save_book(About("Laws of wires", how_to_read(BOOK)), sheets, path)
+    sheets = _list_tables(tables, refused or {}, stated or {})
+    save_tables(sheets, path, book="wires", title="Laws of wires")
 
 
-def _sheets(
+def _list_tables(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
-) -> Iterator[Sheet]:
+) -> Iterator[Table]:
     max_law_rows = 12_000  # of all wires: with more, writing takes longer than the model
     min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
-    summary = [
-        {"wire": table.name, **make_summary_record(table)}
-        | {
+    records: list[Record] = [
+        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
+    ]
+    for table, rows in zip(tables, law_rows, strict=True):
+        link = f"'laws'!A{places[table.name][0] + 2}"
+        records.append({
+            "wire": Cell(table.name, link=link),
+            **make_summary_record(table),
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
             "error between the rows shown, largest (% of moment)": compute_row_error(table, rows),
             "stress tables": stated.get(table.name),
-        }
-        for table, rows in zip(tables, law_rows, strict=True)
-    ]
-    failed: list[Record] = [
-        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
-    ]
-    links = {name: f"'laws'!A{first + 2}" for name, (first, _) in places.items()}
-    heads = unite_heads([*summary, *failed])
-    yield make_sheet(BOOK, "wires", [*failed, *summary], heads=heads, links=links)
+        })  # fmt: skip
+    heads = dict.fromkeys(head for record in reversed(records) for head in record)
+    yield tabulate("wires", records, heads)
     yield laws
     yield _cantilevers_sheet(tables)
-    yield make_sheet(BOOK, "notes", _note_records(tables, refused))
+    yield tabulate("notes", _note_records(tables, refused))
 
 
 def _mark_doubtful(
@@ -244,9 +238,8 @@ def _mark_doubtful(
 
 def _laws_sheet(
     tables: Sequence[WireTable], law_rows: Sequence[Ints]
-) -> tuple[Sheet, dict[str, tuple[int, int]]]:
+) -> tuple[Table, dict[str, tuple[int, int]]]:
     """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
-    moment_column, secant_column = 2, 8  # drawn
     blocks = {}
     for table, rows_of_law in zip(tables, law_rows, strict=True):
         columns = {
@@ -257,17 +250,16 @@ def _laws_sheet(
     rows, ends = stack_blocks(blocks)
     heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
     charts = []
-    for column in (secant_column, moment_column):
+    for head in (STIFFNESS.label("secant stiffness"), MOMENT.label("moment")):
         # without the point at zero curvature
-        lines = [Line(name, (first + 1, last), 1, column) for name, (first, last) in ends.items()
-                 if last > first]  # fmt: skip
-        title, x_label = heads[column].partition(" (")[0], CURVATURE.label("Curvature")
+        lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
+        title = head.partition(" (")[0].capitalize()
         if lines:
-            charts.append(Chart(title.capitalize(), x_label, heads[column], lines, is_log=True))
-    return make_sheet(BOOK, "laws", rows, heads=heads, charts=charts), ends
+            charts.append(Chart(title, CURVATURE.label("curvature"), head, lines, is_log=True))
+    return tabulate("laws", rows, heads=heads, charts=charts), ends
 
 
-def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
+def _cantilevers_sheet(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
     blocks = {}
     for table in tables:
@@ -278,10 +270,9 @@ def _cantilevers_sheet(tables: Sequence[WireTable]) -> Sheet:
         is_doubtful = table.tip_deflection > table.doubtful_deflection
         blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
     rows, ends = stack_blocks(blocks)
-    lines = [Line(name, (first, last), 1, 2) for name, (first, last) in ends.items()
-             if last > first]  # fmt: skip
-    chart = Chart("", LENGTH.label("Tip deflection"), FORCE.label("End load"), lines)
-    return make_sheet(BOOK, "cantilevers", rows, charts=[chart] if lines else [])
+    lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
+    chart = Chart("", LENGTH.label("tip deflection"), FORCE.label("end load"), lines)
+    return tabulate("cantilevers", rows, charts=[chart] if lines else [])
 
 
 def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:

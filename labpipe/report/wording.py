@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
-from labpipe.records.result import Status, TestResult
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.results import KINDS
 from labpipe.statistics.lots import FORCE_LIMIT
 from labpipe.units import find_si_factor
@@ -209,6 +209,15 @@ def is_main(name: str) -> bool:
 def is_first_cycle(name: str) -> bool:
     """Return whether a number belongs to no single cycle, or to the first one."""
     return name.partition(".")[2] in {"", "1"}
+
+
+def list_key_numbers(group: Group) -> list[GroupNumber]:
+    """List the numbers of a group that describe it: of the first cycle, not set by the rig."""
+    return [
+        number
+        for number in group.numbers
+        if is_first_cycle(number.name) and not number.is_set_by_rig
+    ]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
@@ -474,3 +483,17 @@ def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
     factor : from SI to the display unit
     """
     return write_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)
+
+
+def write_result(result: Result, factor: float = 1.0) -> str:
+    """Write the value of a result with its interval as `write_with_interval` does; a dash without.
+
+    Parameters
+    ----------
+    result : in SI
+    factor : from SI to the display unit
+    """
+    if result.value is None:
+        return "\u2013"
+    estimate = result.distinct_estimate
+    return write_with_interval(result.value, result.interval, factor, estimate=estimate)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_section import Material, read_material
+from labpipe.mechanics.studies.harness_line import prepare_line
+from labpipe.mechanics.studies.harness_material import Material, read_material
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 
@@ -94,7 +94,6 @@ class Followed(NamedTuple):
 
     harness: HarnessFile
     material: Material
-    prepared: PreparedLine
     path: RodPath
 
 
@@ -113,5 +112,5 @@ def followed(text: str, **inputs: float) -> Followed:
         material = read_material(harness, file)
     best = {**material.best, **inputs}
     prepared = prepare_line(harness, material.sections[0](best), best)
-    path = follow(prepared.line, prepared.boundaries, steps=harness.steps)
-    return Followed(harness, material, prepared, path)
+    path = follow(*prepared, steps=harness.steps)
+    return Followed(harness, material, path)

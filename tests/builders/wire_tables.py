@@ -38,15 +38,10 @@ def wire_table(name: str = "A2", called: str | None = None) -> WireTable:
 
 
 def loss_card(
-    curvature: Floats,
-    moment: Floats,
-    *,
-    first: float = 0.0,
-    last: float = np.inf,
-    counts: tuple[int, ...] = SLIDER_COUNTS,
+    curvature: Floats, moment: Floats, *, counts: tuple[int, ...] = SLIDER_COUNTS
 ) -> LossCard:
-    """What a law loses between two curvatures."""
-    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
+    """What a law loses."""
+    laws = [fit_sliders(curvature, moment, count) for count in counts]
     return make_loss_card(curvature, moment, laws)
 
 

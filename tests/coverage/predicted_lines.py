@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.rod.bands import LineBands, predict_line_bands
+from labpipe.mechanics.rod.bands import Band, LineBands, predict_line_bands
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     build_calibrated_distributions,
@@ -18,7 +18,6 @@ from labpipe.mechanics.rod.input_distributions import (
     join_distributions,
 )
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.rod.response import Band
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.bands import compute_line_curvatures
 from labpipe.mechanics.rod.boundaries import EARTH, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
@@ -224,7 +223,7 @@ def _in_space(kind: LineKind, drawn: Drawn, length: float, mass: float, torsion:
         message = f"the truth fails: {path.reasons}"
         raise RuntimeError(message)
     held, last = path.states[held_at(kind, laid.returning)], path.last
-    most = float(np.linalg.norm(compute_line_curvatures(held), axis=-1).max())
+    most = float(np.linalg.norm(held.curvature_vectors, axis=-1).max())
     return TrueLine(
         held.positions[::FINER],
         last.positions[::FINER],

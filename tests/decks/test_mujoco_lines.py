@@ -16,7 +16,7 @@ from labpipe.mechanics.decks.mujoco_line import write_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_section import read_material
+from labpipe.mechanics.studies.harness_material import read_material
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
@@ -169,7 +169,7 @@ def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 60
 
 def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
     """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
-    path = follow(prepared.line, prepared.boundaries, steps=steps)
+    path = follow(*prepared, steps=steps)
     nodes = np.round(np.linspace(1, 30, places)).astype(int)
     at = (nodes - 0.5) / 30.0 * prepared.line.length
     return np.column_stack(
@@ -207,7 +207,7 @@ def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path, weight: str, 
     text = text.replace("release: 9", "release: 15")
     prepared = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
     if weight == "none":
-        prepared = replace(prepared, boundaries=prepared.boundaries[:-1])
+        prepared = prepared._replace(boundaries=prepared.boundaries[:-1])
     deck = write_line_deck(prepared.line, prepared.boundaries, title="pushed")
     assert moved(deck, 16, 7) == pytest.approx(along_rod(prepared, 16, 7), abs=2e-4)
 

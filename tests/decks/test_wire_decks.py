@@ -42,8 +42,11 @@ from labpipe.mechanics.decks.lookup import (
     write_sliders_json,
 )
 from labpipe.mechanics.decks.unloading import find_bends, make_table_strands
-from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
-from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_wire_sliders
+from labpipe.mechanics.law.loss_card import (
+    compute_turn_loss,
+    fit_equivalent_material,
+    fit_wire_sliders,
+)
 from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
 from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.records.arrays import Floats

@@ -11,10 +11,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
 from labpipe.mechanics.law.sliders import (
+    GrowingSlider,
     SliderLaw,
     compute_slider_moment,
+    grow_from,
     make_unbent_rests,
     slide,
     slide_vector,

@@ -9,13 +9,18 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from labpipe.mechanics.law.equivalent_material import (
+from labpipe.mechanics.law.loss_card import (
     EquivalentMaterial,
+    compute_turn_loss,
+    fit_dahl,
     fit_equivalent_material,
 )
-from labpipe.mechanics.law.loading_table import LoadingTable
-from labpipe.mechanics.law.loss_card import compute_turn_loss, fit_dahl
-from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature, make_linear_plays
+from labpipe.mechanics.law.plays import (
+    LoadingTable,
+    PlayLaw,
+    compute_first_curvature,
+    make_linear_plays,
+)
 from labpipe.mechanics.law.sliders import fit_sliders, make_unbent_rests, slide
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import loss_card, wire_table
@@ -222,6 +227,6 @@ def test_a_constant_stiffness_by_hand() -> None:
     card = loss_card(curvature, moment, counts=(2,))
     assert (card.stiffness, card.constant) == pytest.approx((1.5, 0.5))
     assert card.sliders[0] == pytest.approx((2, 0.0), abs=1e-12)
-    part = loss_card(curvature, moment, first=1.0, last=2.0, counts=(2,))
+    part = loss_card(curvature[:3], moment[:3], counts=(2,))
     assert (part.first, part.last) == (1.0, 2.0)
     assert (part.stiffness, part.constant) == pytest.approx((2.4, 0.2))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.equivalent_material import fit_equivalent_material
+from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import (
     PlayLaw,
     compute_first_curvature,
@@ -132,8 +132,8 @@ def row(*numbers: float) -> Floats:
     return np.array(numbers)
 
 
-def sliders(n_sliders: int = 4, **options: float) -> SliderLaw:
-    return fit_sliders(CURVATURE, np.sqrt(1.0 + CURVATURE) - 1.0, n_sliders, **options)
+def sliders(n_sliders: int) -> SliderLaw:
+    return fit_sliders(CURVATURE, np.sqrt(1.0 + CURVATURE) - 1.0, n_sliders)
 
 
 CASES: dict[str, list[Callable[[], object]]] = {
@@ -155,9 +155,8 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: fit_sliders(LINE, np.where(LINE > 6.0, 5.0, LINE), 4),
         lambda: fit_sliders(LINE, LINE**2, 4),
         lambda: fit_sliders(row(0, 1, 2), row(0, 1), 4),
-        lambda: sliders(first=5.0, last=5.0),
-        lambda: sliders(first=0.1, last=20.0),
-        lambda: sliders(first=0.1, last=np.nan),
+        lambda: SliderLaw(1.0, row(1), row(1), 5.0, 5.0),
+        lambda: SliderLaw(1.0, row(1), row(1), 0.1, np.nan),
         lambda: sliders(0),
         lambda: sliders(65),
         lambda: SliderLaw(-1.0, row(1), row(1), 0.1, 10.0),

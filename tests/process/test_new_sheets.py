@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
-from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
 from labpipe.process.sheet_inference import (
     FOLDER_NAME,
     Fact,
     InferredTest,
+    ProtocolMatch,
     collect_export_facts,
     combine_facts,
     infer_test,
     infer_tests,
+    load_all_protocols,
+    match_protocols,
     parse_day,
     parse_folder_name,
 )
@@ -31,6 +33,7 @@ from labpipe.process.sheet_writing import (
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -51,6 +54,12 @@ Conduit_bore (mm);labels.cured;force;markers
 C-1;wire-cantilever;CWB;s1;1;152.4;19 B1;;;;corrugated-tube;10.7;24 h;a.mat;t.csv
 C-2;wire-cantilever;CWB;s1;2;152.4;10 B1 + 9 B2;asymmetric;PVC;coarse;twist-tube;;;a.mat;t.csv
 C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
+"""
+
+
+PULL = """\
+test;protocol;type;spool;sample;gauge_length (mm);section.area (mm^2);frame
+P-1;iso-6892;42CrMoS4;1;1;25;19.66;a.csv
 """
 
 
@@ -81,6 +90,11 @@ def test_one_test_sheet_per_row(tmp_path: Path) -> None:
     assert [dict(part.labels) for part in specimens] == [{"cured": "24 h"}, {}, {}]
     path = tmp_path / "raw" / "C-1" / "test.yaml"
     assert resolve(sheets[0], path).specimen.span == 0.1524
+
+    (pull,) = sheets_of(PULL, tmp_path)
+    specimen = resolve(pull, tmp_path / "raw" / "P-1" / "test.yaml").specimen
+    assert specimen.section is not None
+    assert (specimen.gauge_length, specimen.section.area) == pytest.approx((0.025, 19.66e-6))
 
 
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
@@ -206,6 +220,31 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open[-1] == "span"
 
 
+@pytest.mark.parametrize(
+    ("protocol", "stated", "asked"),
+    [
+        ("iso-6892", {}, ("gauge_length", "section.area")),
+        ("iso-527-tape", {"length": "80 mm"}, ("section.area",)),
+        ("iso-6892", {"gauge_length": "25 mm", "section.outer_diameter": "5 mm"}, ()),
+        ("tensile", {}, ()),
+    ],
+)
+def test_tension_tests_ask_for_gauge_length_and_section(
+    tmp_path: Path, protocol: str, stated: dict[str, str], asked: tuple[str, ...]
+) -> None:
+    (tmp_path / "x.csv").write_text(PULLED, encoding="utf-8")
+    known = dict.fromkeys(("type", "spool", "sample"), "1") | stated
+    test = infer_test(tmp_path, {"protocol": protocol} | known)
+    assert test.open == asked
+    data = parse_yaml(write_inferred_sheet(test).path.read_text(encoding="utf-8"), "").data
+    assert isinstance(data, Mapping)
+    sizes = data["specimen"]
+    assert sizes.get("section", {}) == {
+        **({"area": None} if "section.area" in asked else {}),
+        **({"outer_diameter": "5 mm"} if "section.outer_diameter" in stated else {}),
+    }
+
+
 def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     given = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
     seen = infer_test(wire, given)
@@ -240,6 +279,7 @@ EXPORTS: tuple[tuple[str, Mapping[str, object]], ...] = (
     ("take.csv", {}),
     ("x.csv", CONTROLDESK),
     ("x.csv", BLUEHILL),
+    ("x.csv", {"Gauge length": "25 mm", "Original cross-section": "19.66 mm²"}),
     ("x.csv", {"Operator": "<None>", "Test Run": "A2-085-1"}),
 )
 FOLDERS = (
@@ -278,6 +318,9 @@ def test_contradictory_facts_are_left_out() -> None:
     assert "jk in a.mat, vl in take.csv" in contradictions["operator"]
 
 
+PULLED = "Time;Crosshead separation;Load;Extensometer\n(s);(mm);(kN);(%)\n" + "".join(
+    f"{0.1 * i:.1f};{0.1 * i:.1f};{0.2 * i:.1f};{0.01 * i:.2f}\n" for i in range(20)
+)
 TIME: Floats = np.linspace(0.0, 120.0, 1201)
 
 
@@ -343,7 +386,7 @@ def test_the_protocol_that_fits(
     matching = partial(match_protocols, names=called, length=length, siblings=siblings)
     (match,) = matching(dict(exports), protocols)
     assert match.protocol.name == fitted
-    assert match.faults == ()
+    assert match.fits
     assert sorted(sum(match.files.values(), ())) == sorted(path.name for path, _ in exports)
 
 

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
 from labpipe.report.figure_page import draw_page, style
-from labpipe.report.page_tables import Cell, Table
 from labpipe.report.plot_records import Page
+from labpipe.report.table_records import Cell, Table, Value
 
 MAX_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001
@@ -80,13 +80,20 @@ def without_digits(text: str) -> str:
     return NUMBER.sub("#", text)
 
 
-def _cell_words(cell: Cell) -> str:
+def cell_text(value: Value) -> str:
+    """First line of a cell."""
+    return value.text if isinstance(value, Cell) else str(value)
+
+
+def _cell_words(cell: Value) -> str:
+    if not isinstance(cell, Cell):
+        return cell_text(cell)
     return " ".join(filter(None, (cell.text, cell.mark, f"({cell.small})" if cell.small else "")))
 
 
 def table_words(table: Table) -> Iterator[str]:
     """Caption, heads, rows and notes of a table; a line each."""
-    yield f"[{table.caption}]"
+    yield f"[{table.title}]"
     yield " | ".join(table.heads)
     yield from (" | ".join(map(_cell_words, row)) for row in table.rows)
     yield from (f"note: {note}" for note in table.notes)

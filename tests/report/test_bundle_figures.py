@@ -12,25 +12,21 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
-from labpipe.report.bundle_figures import (
-    has_bundles,
-    make_bounds_table,
-    make_bundle_page,
-    make_loop_page,
-)
 from labpipe.report.harness_figures import (
     DrawnHarness,
     DrawnMark,
     DrawnShape,
     DrawnSweep,
+    make_bundle_page,
     make_harness_page,
+    make_loop_page,
     make_sweep_page,
     make_view,
 )
+from labpipe.report.page_tables import make_bounds_table
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
 from tests.builders.bundles import bundle, example_wires
-from tests.builders.campaigns import build_campaign
 from tests.report.figure_words import all_words, table_words
 
 MIXED = compute_bundle_model(
@@ -116,8 +112,6 @@ def test_table_of_places(approved: Approve) -> None:
     assert table is not None
     approved(table_words(table))
     assert make_bounds_table(campaign) is None
-    assert has_bundles(campaign)
-    assert not has_bundles(build_campaign())
 
 
 def test_words(approved: Approve) -> None:

@@ -23,11 +23,11 @@ from labpipe.report.calibration_summary import (
     BentShape,
     CalibrationReport,
     describe_calibration,
+    make_tables,
     write_parameter,
 )
-from labpipe.report.calibration_workbook import make_sheets
 from labpipe.report.figure_page import draw_page, style
-from labpipe.report.workbook_file import Sheet
+from labpipe.report.table_records import Table
 from tests.approved import Approve
 from tests.builders.external_curves import external_comparison, third_group, unmodelled, untested
 from tests.report.builders_calibrations import (
@@ -125,12 +125,12 @@ NOT_IN_SHEET = replace(
 )
 
 
-def rows_of(sheet: Sheet) -> list[dict[str, Any]]:
-    return [dict(zip(sheet.heads, row, strict=True)) for row in sheet.rows]
+def rows_of(table: Table) -> list[dict[str, Any]]:
+    return [dict(zip(table.heads, row, strict=True)) for row in table.rows]
 
 
 def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
-    return rows_of(next(sheet for sheet in make_sheets(own) if sheet.name == name))
+    return rows_of(next(table for table in make_tables(own) if table.title == name))
 
 
 def holds(row: dict[str, Any], expected: dict[str, object]) -> None:
@@ -219,8 +219,8 @@ def test_a_row_for_each_solution(approved: Approve) -> None:
 
 
 def test_sheets_and_their_rows() -> None:
-    sheets = make_sheets(report())
-    assert [sheet.name for sheet in sheets] == [
+    sheets = make_tables(report())
+    assert [sheet.title for sheet in sheets] == [
         "summary", "solutions", "fit", "agreement", "curves", "forces", "notes",
     ]  # fmt: skip
     numbers = {row["number"]: row["value"] for row in rows(report(), "fit")}
@@ -230,5 +230,5 @@ def test_sheets_and_their_rows() -> None:
     assert curves[0]["factor of the sample"] == usual().curves[0].sample_factor
     forces = sheets[-2]
     assert [chart.title for chart in forces.charts][:2] == ["A2, 85 mm", "A2, 120 mm"]
-    first, last = forces.charts[1].lines[0].rows
+    first, last = next(iter(forces.charts[1].lines.values()))
     assert {row[2] for row in forces.rows[first : last + 1]} == {"mean of the samples"}

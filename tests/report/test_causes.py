@@ -17,6 +17,7 @@ from labpipe.report.page_tables import make_note_table
 from labpipe.statistics import groups
 from tests.builders.bundle_campaigns import bundle_sample
 from tests.builders.campaigns import build_group, build_sample, troubled_samples
+from tests.report.figure_words import cell_text
 
 
 def warning(code: str, where: str, message: str = "odd", *tests: str) -> QualityNote:
@@ -128,7 +129,7 @@ def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
     assert (note.code, note.subject, note.effect) == ("gap_left", "2 tests of A", None)
     table = make_note_table(campaign)
     assert table is not None
-    assert [cell.text for cell in table.rows[0]] == ["No position, 30 frames.", "2", "2 tests of A"]
+    assert list(map(cell_text, table.rows[0])) == ["No position, 30 frames.", "2", "2 tests of A"]
     assert make_note_table(campaign_of()) is None
 
 

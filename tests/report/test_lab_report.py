@@ -19,16 +19,14 @@ from labpipe.errors import UsageError
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
+from labpipe.report.html_pages import read_logo, render_test
 from labpipe.report.lab_report import (
-    Extras,
     Letterhead,
-    read_logo,
     read_page_script,
     render_page,
     write_page_data,
     write_report,
 )
-from labpipe.report.single_test import render_test
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
@@ -69,8 +67,8 @@ class Outline(HTMLParser):
 
 
 def test_files_and_pages_of_tests_beside_them(tmp_path: Path) -> None:
-    extras = Extras(test_pages={"tests/tt-s1a.html": "<p>one</p>"})
-    files = write_report(build_campaign(), tmp_path, extras)
+    pages = {"tests/tt-s1a.html": "<p>one</p>"}
+    files = write_report(build_campaign(), tmp_path, test_pages=pages)
     assert [path.name for path in files] == ["report.html", "tables.xlsx", "tt-s1a.html"]
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(files)
     assert files[2].read_text(encoding="utf-8") == "<p>one</p>"

@@ -14,11 +14,12 @@ from labpipe.records.group import Campaign, Group, LotRule
 from labpipe.records.result import Result
 from labpipe.report.group_plots import make_file_plots
 from labpipe.report.lab_report import render_page
-from labpipe.report.lot_tables import make_lot_table, make_verdict_table
+from labpipe.report.page_tables import make_lot_table, make_verdict_table
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import is_main
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_lot
 from tests.builders.campaigns import build_group, six_samples
+from tests.report.figure_words import cell_text
 
 LIMIT = 100.0
 SEPARATIONS = ("slip", "slip", "contact broken outside", "slip", "", "slip")
@@ -48,7 +49,7 @@ def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     campaign = Campaign("S", (lot,))
     table = make_lot_table(campaign, ["crimps"])
     assert table is not None
-    words = [cell.text for cell in table.rows[0]]
+    words = list(map(cell_text, table.rows[0]))
     assert words[:2] == ["crimps", "PASS"]
     assert words[3] == "100.0 N"
     assert words[-2:] == ["6", "slip 4, contact broken outside 1, not stated 1"]
@@ -56,8 +57,8 @@ def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     assert page.index('<section id="lots">') < page.index('<section id="key-numbers">')
     verdicts = make_verdict_table(lot)
     assert verdicts is not None
-    assert [cell.text for cell in verdicts.rows[0]][1:3] == ["pass", "pass"]
-    assert verdicts.rows[4][-1].text == "not stated"
+    assert list(map(cell_text, verdicts.rows[0][1:3])) == ["pass", "pass"]
+    assert verdicts.rows[4][-1] == "not stated"
     assert make_lot_table(Campaign("S", (replace(lot, lot=None),)), ["crimps"]) is None
 
 

@@ -14,8 +14,9 @@ from labpipe.records.arrays import Floats
 from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
+from labpipe.report.html_pages import fill_template
 from labpipe.report.issues import find_causes
-from labpipe.report.lab_report import describe_campaign, fill_template, find_open_decisions
+from labpipe.report.lab_report import describe_campaign, find_open_decisions
 from labpipe.report.page_facts import (
     PageTests,
     compute_report_id,

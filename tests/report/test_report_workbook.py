@@ -23,16 +23,15 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 from labpipe.report.page_facts import compute_report_id
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.wording import find_display_unit
-from labpipe.report.workbook_file import (
-    About,
+from labpipe.report.table_records import (
+    Cell,
     Chart,
-    Line,
     NumberCell,
-    Sheet,
+    Table,
     make_unique_heads,
-    save_book,
+    save_tables,
 )
+from labpipe.report.wording import find_display_unit
 from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
@@ -98,11 +97,13 @@ def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
     assert median["scale of the force* (%)"] == median["noise (%)"] == pytest.approx(0.5)
 
 
-ABOUT = About("Synthetic & odd", ("How to read it.",), "Synthetic & odd  ·  report 7")
+def save(path: Path, *tables: Table) -> None:
+    title = "Synthetic & odd"
+    save_tables(tables, path, book="report", title=title, footer=f"{title}  ·  report 7")
 
 
-def saved_sheets(folder: Path, *sheets: Sheet) -> Workbook:
-    save_book(ABOUT, sheets, folder / "book.xlsx")
+def saved_tables(folder: Path, *tables: Table) -> Workbook:
+    save(folder / "book.xlsx", *tables)
     return load_workbook(folder / "book.xlsx")
 
 
@@ -113,9 +114,9 @@ def part(folder: Path, name: str) -> str:
 
 def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> None:
     rows: list[Any] = [(NumberCell(52.2841, "0.0"), 12.3456789), ("b", math.nan), (None, 0.1)]
-    sheet = Sheet("one", ("name", "force (N)"), rows, 1, question="How hard?")
-    book = saved_sheets(tmp_path, sheet, Sheet("bare", ("a", "A"), []))
-    page, bare = book["one"], book["bare"]
+    sheet = Table("tests", ("name", "force (N)"), rows)
+    book = saved_tables(tmp_path, sheet, Table("bare", ("a", "A"), []))
+    page, bare = book["tests"], book["bare"]
     (filtered,) = page.tables.values()
     assert (filtered.ref, filtered.autoFilter.ref) == ("A1:B4", "A1:B4")
     assert (page.freeze_panes, page["A1"].font.bold) == ("B2", True)
@@ -132,8 +133,8 @@ def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> 
 def test_charts_take_their_numbers_from_cells(tmp_path: Path) -> None:
     """Words of a chart are no formulas."""
     rows = [("A", 1.0, 2.0), ("B", 3.0, 4.0)]
-    chart = Chart("=1+1", "=A1", "=B1", [Line("=1+1", (0, 1), 1, 2)], is_log=True)
-    saved_sheets(tmp_path, Sheet("one", ("name", "x", "y"), rows, charts=[chart, chart]))
+    chart = Chart("=1+1", "=A1", "=B1", {"=1+1": (0, 1)}, is_log=True)
+    saved_tables(tmp_path, Table("one", ("name", "=A1", "=B1"), rows, charts=[chart, chart]))
     first = part(tmp_path, "xl/charts/chart1.xml")
     assert set(re.findall("<c:f>(.*?)</c:f>", first)) == {"one!$B$2:$B$3", "one!$C$2:$C$3"}
     assert first.count("=1+1") == 2
@@ -143,9 +144,8 @@ def test_charts_take_their_numbers_from_cells(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["=1+1", "#N/A", "+2", "@SUM(A1)", "a\x07b"])
 def test_text_stays_text_also_in_a_link(name: str, tmp_path: Path) -> None:
-    rows: list[Any] = [(name, name), ("plain", "x" * 40_000)]
-    sheet = Sheet("one", ("to", "b"), rows, links={"plain": "'one'!A1", "none": "'one'!B1"})
-    page = saved_sheets(tmp_path, sheet)["one"]
+    rows: list[Any] = [(name, name), (Cell("plain", link="'one'!A1"), "x" * 40_000)]
+    page = saved_tables(tmp_path, Table("one", ("to", "b"), rows))["one"]
     assert (page["A2"].value, page["A2"].data_type) == (name.replace("\x07", "\ufffd"), "s")
     assert page["A2"].hyperlink is None
     assert page["A3"].hyperlink.location == "'one'!A1"
@@ -155,10 +155,10 @@ def test_text_stays_text_also_in_a_link(name: str, tmp_path: Path) -> None:
 
 def test_the_same_sheets_give_the_same_bytes_or_a_refusal(tmp_path: Path) -> None:
     for name in ("1", "2"):
-        save_book(ABOUT, [Sheet("one", ("a",), [(1.0,)])], tmp_path / name)
+        save(tmp_path / name, Table("one", ("a",), [(1.0,)]))
     assert (tmp_path / "1").read_bytes() == (tmp_path / "2").read_bytes()
     with pytest.raises(StoreError, match="expected room and permission to write a workbook, found"):
-        save_book(ABOUT, [], tmp_path)
+        save(tmp_path)
 
 
 def sheet_words(book: Workbook, name: str, most: int = 12) -> Iterator[str]:
@@ -174,7 +174,7 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
     for sheet in book.worksheets[1:]:
         assert sheet.freeze_panes in {"B2", "C2"}
         assert (len(sheet.tables), sheet.page_setup.orientation) == (1, "landscape")
-    names = ["means", "tests", "results", "comparisons", "needs a look", "curves"]
+    names = ["key numbers", "means", "tests", "results", "comparisons", "needs a look", "curves"]
     name, ends = bundles.groups[0].name, Interval(0.0058, 0.0062)
     place = BoundedStiffness(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
     lacking = BoundedStiffness(
@@ -183,8 +183,9 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
     other = saved(replace(bundles, bounded_stiffnesses=(place, lacking)), tmp_path)
     approved([
         *(line for name in names for line in sheet_words(book, name)),
-        *sheet_words(other, "comparisons"), *sheet_words(other, "slipping and sticking"),
-        *(str(cell.value) for cell in book["read me"]["A"][-8:]),
+        *sheet_words(other, "answers"), *sheet_words(other, "comparisons"),
+        *sheet_words(other, "slipping and sticking"),
+        *(str(cell.value) for cell in book["read me"]["A"][-9:]),
     ])  # fmt: skip
     rows = table(other, "comparisons")
     assert len(rows) == 28 * 2

@@ -16,7 +16,7 @@ from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_workbook import save_calibration_workbook
+from labpipe.report.calibration_summary import save_calibration_workbook
 from labpipe.report.figure_page import encode_figure, save_pages, style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report

@@ -10,6 +10,15 @@ from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
+from labpipe.report.table_records import (
+    NumberCell,
+    choose_number_format,
+    find_column_place,
+    format_in_column,
+    make_interval_cells,
+    make_number_cell,
+    make_percent_cell,
+)
 from labpipe.report.wording import (
     find_display_unit,
     is_main,
@@ -21,15 +30,6 @@ from labpipe.report.wording import (
     write_mean,
     write_number,
     write_with_interval,
-)
-from labpipe.report.workbook_file import (
-    NumberCell,
-    choose_number_format,
-    find_column_place,
-    format_in_column,
-    make_interval_cells,
-    make_number_cell,
-    make_percent_cell,
 )
 from labpipe.results import KINDS
 

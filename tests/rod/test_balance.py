@@ -9,10 +9,10 @@ import pytest
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import Band
+from labpipe.mechanics.rod.bands import Fields, compute_band, respond
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
 from labpipe.mechanics.rod.input_distributions import build_stated_distribution, join_distributions
 from labpipe.mechanics.rod.line import Line, Section
-from labpipe.mechanics.rod.response import Fields, compute_field_band, respond
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, skew
 from labpipe.mechanics.rod.supports import split_supports
 from labpipe.records.arrays import Floats
@@ -199,7 +199,7 @@ def straight(inputs: Mapping[str, float]) -> Fields:
 def test_a_straight_line_has_the_band_of_its_inputs() -> None:
     response = respond(straight, BELIEF)
     assert response is not None
-    band = compute_field_band([response], "sum")
+    band = compute_band([response], "sum")
     assert band.value.tolist() == [0.0, 0.0]
     assert band.upper == pytest.approx([1.96 * 0.5, 1.96 * 0.6], rel=0.04)
     assert band.lower == pytest.approx([-1.96 * 0.5, -1.96 * 0.6], rel=0.04)
@@ -225,7 +225,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
         lambda inputs: {"y": np.array(answer(inputs["a"]))}, build_stated_distribution("a", 0.3)
     )
     assert response is not None
-    band = compute_field_band([response], "y")
+    band = compute_band([response], "y")
     assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
 
 
@@ -249,8 +249,8 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
     response = respond(partly, BELIEF)
     assert response is not None
     assert (response.one_sided, response.silent) == (("a",), ("b",))
-    assert compute_field_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
-    assert np.ptp(compute_field_band([response], "one").upper) == 0.0
+    assert compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
+    assert np.ptp(compute_band([response], "one").upper) == 0.0
 
 
 def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:

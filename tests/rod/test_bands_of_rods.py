@@ -8,7 +8,7 @@ import pytest
 from scipy.special import stdtrit
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.bands import compute_line_curvatures, predict_line_bands
+from labpipe.mechanics.rod.bands import predict_line_bands
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
@@ -56,7 +56,7 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
 
 @pytest.mark.slow
 def test_bands_hold_as_many_draws_as_they_say() -> None:
-    bands = predict_line_bands(pushed, [BELIEF], steps=(4, -1))
+    bands = predict_line_bands([pushed], [BELIEF], steps=(4, -1))
     assert bands is not None
     assert not bands.notes
     held, free = bands.states
@@ -65,7 +65,7 @@ def test_bands_hold_as_many_draws_as_they_say() -> None:
     inside = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
     assert inside.mean() >= 0.85
     most = np.array(
-        [np.linalg.norm(compute_line_curvatures(path.states[4]), axis=-1).max() for path in paths]
+        [np.linalg.norm(path.states[4].curvature_vectors, axis=-1).max() for path in paths]
     )
     radius = held.smallest_bend_radius
     assert np.mean((1.0 / most > radius.lower) & (1.0 / most < radius.upper)) >= 0.85
@@ -100,20 +100,20 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
         return replace(pushed(inputs), snapped=(0, 3) if inputs["law_factor"] < 0.0 else (0,))
 
     for solve, code in ((torn, "one_sided"), (jumping, "jumps")):
-        bands = predict_line_bands(solve, [build_stated_distribution("law_factor", 0.05)])
+        bands = predict_line_bands([solve], [build_stated_distribution("law_factor", 0.05)])
         assert bands is not None
         assert [note.code for note in bands.notes] == [code]
     assert (
-        predict_line_bands(torn, [build_stated_distribution("law_factor", 0.05, centre=0.2)])
+        predict_line_bands([torn], [build_stated_distribution("law_factor", 0.05, centre=0.2)])
         is None
     )
     with pytest.raises(ValueError, match="at least one"):
-        predict_line_bands(pushed, [])
+        predict_line_bands([], [])
 
 
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
     bands = predict_line_bands(
-        pushed, [build_stated_distribution("law_factor", 0.05)], tested_curvature=2.0
+        [pushed], [build_stated_distribution("law_factor", 0.05)], tested_curvature=2.0
     )
     assert bands is not None
     assert [note.code for note in bands.notes] == ["beyond_tested"]

@@ -7,13 +7,18 @@ import pytest
 
 from labpipe.mechanics.law.sliders import make_linear_law
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load, Plane
-from labpipe.mechanics.rod.contacts import (
+from labpipe.mechanics.rod.boundaries import (
+    Boundary,
+    Gravity,
+    Held,
+    Load,
+    Plane,
     evaluate_curve,
     find_nearest_place,
     hold_in_ring,
     touch_plane,
 )
+from labpipe.mechanics.rod.equilibrium import StabilityCheck
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.rotations import (
     conjugate,
@@ -22,7 +27,6 @@ from labpipe.mechanics.rod.rotations import (
     to_matrices,
     to_rotation_vectors,
 )
-from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.statics import RodSettings, follow
 from labpipe.mechanics.rod.supports import Grip, split_supports
 from labpipe.mechanics.studies.harness_numbers import compute_residual_curvature

@@ -21,15 +21,17 @@ from labpipe.mechanics.law.sliders import (
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_numbers import (
+from labpipe.mechanics.studies.harness_doubts import (
     bound_residual_curvature,
     check_unloading,
-    compute_released_curvature,
-    compute_residual_curvature,
     measure_unbending,
 )
-from labpipe.mechanics.studies.harness_section import Material, read_material
+from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
+from labpipe.mechanics.studies.harness_material import Material, read_material
+from labpipe.mechanics.studies.harness_numbers import (
+    compute_released_curvature,
+    compute_residual_curvature,
+)
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.protocol.harness_file import HarnessFile
@@ -66,7 +68,7 @@ def held(line: PreparedLine, name: str) -> rod.Held:
 def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
     prepared = line_of(tmp_path, arch(steps=4))
     right = held(prepared, "right")
-    assert prepared.nodes == {"left": 0, "right": 16}
+    assert [held(prepared, name).node for name in ("left", "right")] == [0, 16]
     share = np.linspace(0.0, 1.0, 5)[:, None]
     wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
     assert right.position == pytest.approx(wanted, abs=1e-15)
@@ -80,12 +82,13 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
 def test_every_named_place_is_a_node(tmp_path: Path) -> None:
     load = "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N], by: 4}\nsteps:"
     prepared = line_of(tmp_path, arch().replace("steps:", load))
-    node, line = prepared.nodes["weight"], prepared.line
+    line = prepared.line
+    (weight,) = (edge for edge in prepared.boundaries if isinstance(edge, rod.Load))
+    node, force = weight.node, weight.force
     assert line.stations[node] == pytest.approx(0.077, abs=1e-12)
     assert line.stations[-1] == pytest.approx(0.2, abs=1e-12)
     assert line.lengths[:node] == pytest.approx(np.full(node, 0.077 / node))
     assert line.lengths.max() < 1.3 * line.lengths.min()
-    (force,) = (edge.force for edge in prepared.boundaries if isinstance(edge, rod.Load))
     assert force[:, 2] == pytest.approx([0, -0.25, -0.5, -0.75, -1, -1, -1, -1, -1])
 
 
@@ -307,9 +310,9 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
 
     A tenth of its bend by the rule, nearly all of it if nothing slid back.
     """
-    _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
-    law = prepared.line.section.law
-    doubt = check_unloading(path, prepared)
+    _, _, path = followed(SLACK, isotropic_share=0.0)
+    law = path.line.section.law
+    doubt = check_unloading(path)
     assert doubt is not None
     assert (
         "85 mm from the start the residual curvature is 1.49 1/m by the rule"

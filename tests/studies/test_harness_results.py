@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -9,28 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.mechanics.rod.bands import Band, StateBands
 from labpipe.mechanics.rod.path import Reason as RodReason
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_doubts import (
+    check_elements,
+    check_jumps,
+    check_share,
+    check_unloading,
+    find_reasons,
+)
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
     Doubt,
     Number,
     build_results,
-    check_elements,
-    check_jumps,
-    check_share,
-    check_unloading,
     collect_fields,
     compute_curvature,
     compute_numbers,
     compute_radius,
-    evaluate_number,
+    evaluate_numbers,
     find_bend_limit,
-    find_reasons,
     find_sharpest_bend,
-    list_numbers,
+    list_releases,
 )
 from labpipe.mechanics.studies.harness_solution import FollowedHarness
 from labpipe.mechanics.studies.harness_study import (
@@ -55,13 +56,13 @@ MEMORY = {"energy_lost", "kept_curvature"}
 SHAPE = {"smallest_bend_radius", "lowest_point"}
 
 
-def by_name(path: RodPath, prepared: PreparedLine) -> dict[str, Number]:
-    return {number.name: number for number in compute_numbers(path, prepared)}
+def by_name(path: RodPath) -> dict[str, Number]:
+    return {number.name: number for number in compute_numbers(path)}
 
 
-def doubtful_of(path: RodPath, prepared: PreparedLine, doubt: Doubt | None) -> set[str]:
+def doubtful_of(path: RodPath, doubt: Doubt | None) -> set[str]:
     doubts = () if doubt is None else (doubt,)
-    results = build_results(compute_numbers(path, prepared), (), {}, doubts)
+    results = build_results(compute_numbers(path), (), {}, doubts)
     return {result.name for result in results if result.status is Status.DOUBTFUL}
 
 
@@ -70,8 +71,8 @@ def test_a_heavy_cantilever() -> None:
 
     The lowest point is along gravity: the same cantilever, pulled to the side, and without weight.
     """
-    _, _, prepared, path = followed(ALONE)
-    numbers = by_name(path, prepared)
+    _, _, path = followed(ALONE)
+    numbers = by_name(path)
     weight = 0.007 * 9.80665
     moment = weight * 0.1**2 / 2.0
     assert numbers["force.bench"].value == pytest.approx(weight * 0.1, rel=1e-6)
@@ -83,13 +84,13 @@ def test_a_heavy_cantilever() -> None:
     assert numbers["lowest_point"].remark == "100 mm from the start"
     assert numbers["kept_curvature"].value == 0.0
     assert not any(name.startswith("springback") for name in numbers)
-    assert check_unloading(path, prepared) is None, "a spring"
-    _, _, prepared, path = followed(ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n")
-    assert by_name(path, prepared)["lowest_point"].value == pytest.approx(down, rel=1e-9)
+    assert check_unloading(path) is None, "a spring"
+    _, _, path = followed(ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n")
+    assert by_name(path)["lowest_point"].value == pytest.approx(down, rel=1e-9)
     assert path.last.positions[-1, 1] == pytest.approx(-down, rel=1e-9)
-    _, _, prepared, path = followed(ALONE + WEIGHTLESS)
-    assert by_name(path, prepared)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
-    radius, *_ = build_results(compute_numbers(path, prepared), (), {})
+    _, _, path = followed(ALONE + WEIGHTLESS)
+    assert by_name(path)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
+    radius, *_ = build_results(compute_numbers(path), (), {})
     assert (radius.name, radius.value, radius.codes) == (
         "smallest_bend_radius",
         None,
@@ -99,12 +100,12 @@ def test_a_heavy_cantilever() -> None:
 
 
 def test_reasons_say_places_and_not_nodes() -> None:
-    _, material, prepared, path = followed(ALONE)
+    _, material, path = followed(ALONE)
     reason = RodReason.of(
         "mechanics.rod.too_short", step=1, place=0, other=6, length=0.05, distance=0.1
     )
     assert "between node 0 and node 6" in reason.sentence
-    (said,) = find_reasons(replace(path, reasons=(reason,)), prepared.line, material)
+    (said,) = find_reasons(replace(path, reasons=(reason,)), material)
     assert said.message.startswith(
         "step 1: between 0 mm from the start and 50 mm from the start the line is 0.05 m long"
     )
@@ -117,42 +118,42 @@ def test_elements_that_turn_far_are_too_long(stiffness: float, elements: int, to
     """A limp cantilever: where nothing is doubtful its bend radius is that of 100 elements."""
     text = ALONE.replace("bending_stiffness: 150", f"bending_stiffness: {stiffness}")
 
-    def at(count: int) -> tuple[PreparedLine, RodPath, float]:
-        _, _, prepared, path = followed(text.replace("elements: 12", f"elements: {count}"))
-        return prepared, path, by_name(path, prepared)["smallest_bend_radius"].value
+    def at(count: int) -> tuple[RodPath, float]:
+        _, _, path = followed(text.replace("elements: 12", f"elements: {count}"))
+        return path, by_name(path)["smallest_bend_radius"].value
 
-    prepared, path, radius = at(elements)
-    doubt = check_elements(path, prepared.line)
+    path, radius = at(elements)
+    doubt = check_elements(path)
     assert (doubt is not None) is bool(touched)
     if doubt:
         assert doubt.reason.code == "coarse_elements"
-        assert doubtful_of(path, prepared, doubt) >= {"smallest_bend_radius", "moment.bench"}
-        assert ("lowest_point" in doubtful_of(path, prepared, doubt)) is (touched == "all")
+        assert doubtful_of(path, doubt) >= {"smallest_bend_radius", "moment.bench"}
+        assert ("lowest_point" in doubtful_of(path, doubt)) is (touched == "all")
     while doubt is not None:
         elements = int(doubt.reason.message.split(": take ")[1].split()[0]) + 1
-        prepared, path, radius = at(elements)
-        doubt = check_elements(path, prepared.line)
+        path, radius = at(elements)
+        doubt = check_elements(path)
     assert elements < 60
-    assert radius == pytest.approx(at(100)[2], rel=0.01)
+    assert radius == pytest.approx(at(100)[1], rel=0.01)
 
 
 def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     """1 of 4 J in a jump in step 2: what remembers is doubtful, and shape where it was let go."""
-    _, _, prepared, path = followed(ALONE)
+    _, _, path = followed(ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
     jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
-    doubt = check_jumps(jumped, prepared)
+    doubt = check_jumps(jumped)
     assert doubt is not None
     assert doubt.reason.code == "jumped"
     assert doubt.reason.message.startswith("step 2: the line jumped")
     assert "25 % of the energy" in doubt.reason.message
-    assert doubtful_of(jumped, prepared, doubt) == MEMORY | {"moment.bench"}
-    assert check_jumps(replace(jumped, lost_in_jumps=0.2 * fallen), prepared) is None, "a twentieth"
+    assert doubtful_of(jumped, doubt) == MEMORY | {"moment.bench"}
+    assert check_jumps(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
     without_memory = replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)
-    assert check_jumps(without_memory, prepared) is None
-    _, _, prepared, path = followed(pushed())
+    assert check_jumps(without_memory) is None
+    _, _, path = followed(pushed())
     shape = SHAPE | {"springback.gripper", "moment.bench"}
-    assert doubtful_of(path, prepared, check_jumps(path, prepared)) == MEMORY | shape
+    assert doubtful_of(path, check_jumps(path)) == MEMORY | shape
 
 
 def test_masings_rule_is_an_assumption() -> None:
@@ -161,25 +162,25 @@ def test_masings_rule_is_an_assumption() -> None:
     So do forces of one that is held and was unbent: in the example of slack the wire is bent
     elsewhere and more sharply on the way.
     """
-    _, _, prepared, path = followed(pushed(), isotropic_share=0.0)
-    doubt = check_unloading(path, prepared)
+    _, _, path = followed(pushed(), isotropic_share=0.0)
+    doubt = check_unloading(path)
     assert doubt is not None
     assert doubt.reason.code == "unloading_assumed"
-    assert doubtful_of(path, prepared, doubt) == MEMORY | SHAPE | {"springback.gripper"}
-    _, _, prepared, path = followed(SLACK, isotropic_share=0.0)
+    assert doubtful_of(path, doubt) == MEMORY | SHAPE | {"springback.gripper"}
+    _, _, path = followed(SLACK, isotropic_share=0.0)
     held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
-    assert doubtful_of(path, prepared, check_unloading(path, prepared)) == MEMORY | held
+    assert doubtful_of(path, check_unloading(path)) == MEMORY | held
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
-    assert doubtful_of(path, prepared, check_unloading(first, prepared)) == MEMORY, "not unbent yet"
+    assert doubtful_of(path, check_unloading(first)) == MEMORY, "not unbent yet"
 
 
 def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
     """With more isotropic hardening the line springs back less; the energy balance holds."""
     radii = []
     for share in (0.0, 0.35, 1.0):
-        _, _, prepared, path = followed(pushed(), isotropic_share=share)
-        radii.append(by_name(path, prepared)["smallest_bend_radius"].value)
-        assert (check_unloading(path, prepared) is None) == (share > 0.0)
+        _, _, path = followed(pushed(), isotropic_share=share)
+        radii.append(by_name(path)["smallest_bend_radius"].value)
+        assert (check_unloading(path) is None) == (share > 0.0)
         before = slice(0, path.snapped[0] if path.snapped else None)
         left = (path.work - path.stored - path.lost)[before]
         assert np.abs(left).max() <= 0.02 * path.work.max()
@@ -194,9 +195,10 @@ def test_a_wide_interval_over_the_share_is_doubtful(upper: float, *, wide: bool)
 
 
 def test_what_a_gripper_leaves() -> None:
-    _, _, prepared, path = followed(pushed())
-    numbers = by_name(path, prepared)
-    node = prepared.nodes["gripper"]
+    _, _, path = followed(pushed())
+    numbers = by_name(path)
+    ((gripper, _),) = list_releases(path)
+    node = gripper.node
     moved = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
     assert numbers["springback.gripper"].value == pytest.approx(moved)
     assert "step 8" in numbers["springback.gripper"].remark
@@ -211,12 +213,13 @@ def test_what_a_gripper_leaves() -> None:
 
 
 def test_numbers_are_those_of_the_line() -> None:
-    _, _, prepared, path = followed(pushed())
-    fields = collect_fields(path, prepared)
-    numbers = {number.name: number.value for number in compute_numbers(path, prepared)}
-    assert set(list_numbers(fields)) == set(numbers)
+    _, _, path = followed(pushed())
+    fields = collect_fields(path)
+    numbers = {number.name: number.value for number in compute_numbers(path)}
+    responses = evaluate_numbers(fields.__getitem__, path)
+    assert list(responses) == list(numbers)
     for name, value in numbers.items():
-        response = float(evaluate_number(name, fields.__getitem__, prepared, len(path.states) - 1))
+        response = float(responses[name])
         assert (1.0 / response if name in (RADIUS, RADIUS_ON_PATH) else response) == pytest.approx(
             value
         )
@@ -226,19 +229,17 @@ def test_curvature_at_rest_counts_in_the_radius() -> None:
     """A curled line that nothing bends is as round as its spool."""
     curl = "line: {length: 100 mm, elements: 12, spool: {curvature: 8 1/m}, section: "
     text = ALONE.replace("line: {length: 100 mm, elements: 12, section: ", curl)
-    _, _, prepared, path = followed(text + WEIGHTLESS)
-    assert compute_curvature(path.last, prepared.line)[1:-1] == pytest.approx(
-        np.full(11, 8.0), rel=1e-6
-    )
-    assert find_sharpest_bend(path, prepared.line, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
+    _, _, path = followed(text + WEIGHTLESS)
+    assert compute_curvature(path.last)[1:-1] == pytest.approx(np.full(11, 8.0), rel=1e-6)
+    assert find_sharpest_bend(path, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
 
 
 def test_beyond_what_backs_the_law() -> None:
-    _, material, prepared, path = followed(NAMED)
-    assert find_reasons(path, prepared.line, material) == ()
+    _, material, path = followed(NAMED)
+    assert find_reasons(path, material) == ()
     most = max(float(state.bendings.max()) for state in path.states)
     half = replace(material, limit=0.5 * most)
-    (reason,) = find_reasons(path, prepared.line, half)
+    (reason,) = find_reasons(path, half)
     assert reason.code == "beyond_backed"
     message = (
         f"the line is bent to {most:.4g} 1/m, its law is supported up to {most / 2:.4g} 1/m by "
@@ -251,7 +252,7 @@ def test_beyond_what_backs_the_law() -> None:
             RodReason("mechanics.rod.beyond_law", 3, {"place": 0}, {"curvature": 2.0, "last": 1.0}),
         ),
     )
-    assert [reason.code for reason in find_reasons(beyond, prepared.line, half)] == ["beyond_law"]
+    assert [reason.code for reason in find_reasons(beyond, half)] == ["beyond_law"]
 
 
 def test_a_wire_that_is_pulled_beyond_its_copper() -> None:
@@ -259,12 +260,12 @@ def test_a_wire_that_is_pulled_beyond_its_copper() -> None:
     load = "  - {kind: load, name: pull, at: end, force: [100 N, 0 N, 0 N]}\nsteps: 2"
     text = ALONE.replace("steps: 2", load).replace(STIFFNESS, "{wire: A2}")
     for pull, codes in (("100 N, ", ["beyond_stretch"]), ("20 N, ", [])):
-        _, material, prepared, path = followed(text.replace("100 N, ", pull))
-        assert [reason.code for reason in find_reasons(path, prepared.line, material)] == codes
+        _, material, path = followed(text.replace("100 N, ", pull))
+        assert [reason.code for reason in find_reasons(path, material)] == codes
 
 
 def test_the_allowed_radius_is_stated_or_assumed() -> None:
-    harness, material, _, _ = followed(NAMED)
+    harness, material, _ = followed(NAMED)
     assumed = find_bend_limit(harness, material)
     assert assumed.radius == pytest.approx(0.01)
     assert assumed.source == "assumed: 5 times the outer diameter of 2 mm"
@@ -281,10 +282,18 @@ def column(table: list[dict[str, str]], name: str) -> Floats:
     return np.array([float(row[name]) for row in table])
 
 
+def flat_bands(lower: float, upper: float) -> StateBands:
+    """Bands of the last step of `NAMED` with the same ends everywhere."""
+    nodes, number, edges = (
+        Band(*(np.full(shape, end) for end in (lower, lower, upper)))
+        for shape in ((17, 3), (17,), (3, 3))
+    )
+    return StateBands(8, nodes, number, number, edges, edges, {})
+
+
 def test_the_shape_has_a_row_for_each_node() -> None:
-    _, _, prepared, path = followed(NAMED)
-    band = np.full((17, 4), 1.0), np.full((17, 4), 2.0)
-    table = rows(format_shape(path, prepared.line, STEPS, {8: band}))
+    _, _, path = followed(NAMED)
+    table = rows(format_shape(path, STEPS, {8: flat_bands(1.0, 2.0)}))
     assert [int(row["step"]) for row in table] == [4] * 17 + [8] * 17
     last = table[17:]
     places = np.column_stack([column(last, f"{axis} [m]") for axis in "xyz"])
@@ -299,9 +308,9 @@ def test_the_shape_has_a_row_for_each_node() -> None:
 
 def test_moments_and_tension_are_those_of_the_forces() -> None:
     """EI times the curvature is the bending moment; the pull of the clip is that in the line."""
-    _, _, prepared, path = followed(NAMED)
-    columns = compute_columns(path.last, prepared.line)
-    stiffness = prepared.line.section.law.stiffness
+    _, _, path = followed(NAMED)
+    columns = compute_columns(path.last, path.line)
+    stiffness = path.line.section.law.stiffness
     moment, curvature = columns["bending_moment [N*m]"], columns["curvature [1/m]"]
     assert moment[1:-1] == pytest.approx(stiffness * curvature[1:-1], rel=0.01)
     pull = -path.last.reaction_forces[0]
@@ -310,9 +319,8 @@ def test_moments_and_tension_are_those_of_the_forces() -> None:
 
 
 def test_forces_of_every_step_in_balance() -> None:
-    _, _, prepared, path = followed(NAMED)
-    bands: Mapping[int, tuple[Floats, Floats]] = {8: (np.full((3, 3), -9.0), np.full((3, 3), 9.0))}
-    table = rows(format_forces(path, prepared, bands))
+    _, _, path = followed(NAMED)
+    table = rows(format_forces(path, {8: flat_bands(-9.0, 9.0)}))
     assert len(table) == 9 * 2
     last = table[-2:]
     assert [row["boundary"] for row in last] == ['le"ft, one', "right"]
@@ -324,8 +332,8 @@ def test_forces_of_every_step_in_balance() -> None:
 
 
 def test_the_vtk_is_a_line_for_each_step() -> None:
-    _, _, prepared, path = followed(NAMED)
-    lines = format_vtk(path, prepared.line, STEPS, "a line, 2 µm").splitlines()
+    _, _, path = followed(NAMED)
+    lines = format_vtk(path, STEPS, "a line, 2 µm").splitlines()
     head = ["# vtk DataFile Version 3.0", "a line, 2 ?m", "ASCII", "DATASET POLYDATA"]
     assert lines[:5] == [*head, "POINTS 34 double"]
     points = np.array([list(map(float, line.split())) for line in lines[5:39]])
@@ -335,7 +343,7 @@ def test_the_vtk_is_a_line_for_each_step() -> None:
     scalars = ["CELL_DATA 2", "SCALARS step double 1", "LOOKUP_TABLE default", "4", "8"]
     assert lines[42:48] == [*scalars, "POINT_DATA 34"]
     at = lines.index("SCALARS curvature double 1") + 2
-    curvature = compute_columns(path.last, prepared.line)["curvature [1/m]"]
+    curvature = compute_columns(path.last, path.line)["curvature [1/m]"]
     assert list(map(float, lines[at + 17 : at + 34])) == pytest.approx(curvature.tolist(), rel=1e-8)
     assert not any(word in line for line in lines[48:] for word in ("inf", "nan"))
 
@@ -356,7 +364,8 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     drawn = build_drawn_harness(result)
     marks = {mark.name: mark for mark in drawn.marks}
     assert list(marks) == ["bench", "gripper", "thread", "weight"]
-    node = result.prepared.nodes["gripper"]
+    ((gripper, _),) = list_releases(result.path)
+    node = gripper.node
     assert marks["gripper"].position == pytest.approx(result.path.last.positions[node])
     assert (marks["gripper"].is_holding, marks["bench"].is_holding) == (False, True)
     assert marks["gripper"].path[-1] == pytest.approx([0.06, 0.0, 0.045])

@@ -13,9 +13,10 @@ import pytest
 from scipy.stats import rice
 
 from labpipe.errors import LabpipeError, ProcessingError
+from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, prepare_line
-from labpipe.mechanics.studies.harness_section import read_material
+from labpipe.mechanics.studies.harness_material import read_material
 from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     HarnessBands,
@@ -78,9 +79,7 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     assert summary["line"]["of"] == "A2"
     assert summary["bend_radius"]["assumed"]
     assert summary["bend_radius"]["kept"]
-    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(
-        done.prepared.line.stations
-    )
+    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(done.path.line.stations)
     assert ET.fromstring((out / "line.mujoco.xml").read_text(encoding="utf-8")).tag == "mujoco"
     follow_harness(file, out=again, png=True)
     assert contents(again) == contents(out)
@@ -182,7 +181,7 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert result.sharpest.radius <= result.results[0].value
     assert not (tmp_path / "out").exists(), "nothing is written here"
     longer = solve_sweep_length(result, 0.25)
-    assert longer.prepared.line.length == pytest.approx(0.25)
+    assert longer.path.line.length == pytest.approx(0.25)
     assert (longer.harness.line.length, longer.bands) == (0.25, None)
     assert longer.sharpest.radius <= longer.bend.radius
     assert longer.bend.step == 8
@@ -205,7 +204,7 @@ def test_one_beyond_its_law_is_doubtful_with_all_its_numbers(tmp_path: Path) -> 
         assert numbers == {Status.DOUBTFUL}
     coarse = arch().replace("elements: 16", "elements: 6").replace("180 mm, 0 mm", "90 mm, 30 mm")
     result = run(tmp_path, coarse)
-    radius, length = result.results[0], solve_sweep_length(result, result.prepared.line.length)
+    radius, length = result.results[0], solve_sweep_length(result, result.path.line.length)
     assert radius.status is Status.DOUBTFUL
     assert length.status is Status.DOUBTFUL, "a length of a sweep has all doubts of its numbers"
     codes = {reason.code for reason in length.reasons}
@@ -248,11 +247,11 @@ def bands(
     material = read_material(harness, file)
     count = 0
 
-    def follow_line(number: int, inputs: Inputs):  # type: ignore[no-untyped-def]
+    def follow_line(number: int, inputs: Inputs) -> RodPath:
         nonlocal count
         count += 1
         prepared = prepare_line(harness, material.sections[number](inputs), inputs)
-        return follow(prepared.line, prepared.boundaries, steps=harness.steps), prepared
+        return follow(*prepared, steps=harness.steps)
 
     return predict_bands(follow_line, material, (4, 8)), count
 

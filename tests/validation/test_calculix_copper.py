@@ -15,8 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.mechanics.law.growing_slider import grow_from
-from labpipe.mechanics.law.sliders import SliderLaw, make_unbent_rests, share_hardening, slide
+from labpipe.mechanics.law.sliders import (
+    SliderLaw,
+    grow_from,
+    make_unbent_rests,
+    share_hardening,
+    slide,
+)
 from labpipe.records.arrays import Floats
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")

@@ -1,7 +1,7 @@
 """Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
 CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter and
-of the elastic-plastic material of `law.equivalent_material`. One end is clamped; the other is
+of the elastic-plastic material of `law.loss_card`. One end is clamped; the other is
 displaced sideways. Beam elements of CalculiX are not accurate enough: the program expands each into
 one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element"), whose
 four integration points sample only one strain on each side of the neutral plane. A circular beam is
@@ -31,7 +31,7 @@ from labpipe.mechanics.decks.deck_law import (
     shorten_name,
 )
 from labpipe.mechanics.decks.unloading import Release, release_elastically
-from labpipe.mechanics.law.equivalent_material import EquivalentMaterial, fit_equivalent_material
+from labpipe.mechanics.law.loss_card import EquivalentMaterial, fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
 from labpipe.records.wire import WireTable

@@ -13,9 +13,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.sliders import (
+    GrowingSlider,
     SliderLaw,
     bend_to_moment,
     make_unbent_rests,

@@ -13,6 +13,18 @@ In three dimensions curvature and moment are vectors across the wire, and a slid
 it sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
 Curvatures are in 1/m, moments in N m.
 
+A slider whose limit grows: isotropic hardening of copper (PHYSICS 13).
+
+Annealed copper hardens isotropically and kinematically. A share m of the moment of its strands, the
+*isotropic share*, has a limit that grows with the curvature that has slid; the other share follows
+Masing's rule. First loading is the same for every m, only what follows a reversal changes.
+
+With the moment M of the strands at a curvature of first loading, the slider has the stiffness
+S = m EI of the strands, the curvature q = kappa - M / EI that has slid, and the limit L(q) = m M, a
+polygon. It sticks while |S (kappa - p)| is at most L(q); else its rest p follows the curvature by
+as much as q grows. The limit does not saturate as that of real copper does: the law holds for about
+three cycles.
+
 Scalar sliders in a few directions in place of vector sliders, for programs without them.
 
 D directions across the wire, at 180 / D degrees from each other, each with the same spring and
@@ -20,24 +32,23 @@ sliders on its component of the curvature. Such a spring is isotropic from D = 2
 not: they slide earlier along one of the directions than in between. With one slider that slides at
 kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each direction carry K kappa_j on
 average once all slide (PHYSICS 11). Before that they carry less, so that several sliders are fitted
-together to the moment of the vector sliders.
-
-Nodes of a chain may have their directions turned from one to the next (`TURNS`): their
-errors cancel, and four of them together are nearly isotropic.
+together to the moment of the vector sliders. Nodes of a chain may have their directions turned from
+one to the next (`TURNS`): their errors cancel, and four of them together are nearly isotropic.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Annotated
 
 import numpy as np
 from scipy.optimize import nnls
 
-from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.plays import (
     PlayLaw,
+    Response,
     make_polygon_law,
     require,
     require_not_negative,
@@ -49,6 +60,147 @@ from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliderResponse:
+    """Response of sliders to a curvature at each station.
+
+    Parameters
+    ----------
+    moment : N m, shape (stations,), or (stations, 2) of vectors
+    stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
+        with the step just made
+    rests : 1/m, shape (stations, n), or (stations, n, 2): the history after the step. Of each
+        slider its rest curvature; then of each growing slider its rest curvature, and the curvature
+        that has slid (of a vector the first component)
+    """
+
+    moment: Floats
+    stiffness: Floats
+    rests: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class GrowingSlider(ArrayRecord):
+    """A slider whose limit grows with the curvature that has slid.
+
+    Parameters
+    ----------
+    stiffness : S while it sticks, N m^2
+    slid : shape (corners,), q, 1/m, from 0, increasing
+    limits : shape (corners,), L(q), N m, positive, not decreasing; the last slope continues
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    stiffness: float
+    slid: Annotated[Floats, "corners"]
+    limits: Annotated[Floats, "corners"]
+
+    def __post_init__(self) -> None:
+        ArrayRecord.__post_init__(self)
+        require_positive("stiffness", self.stiffness)
+        rises = len(self.slid) >= 2 and self.slid[0] == 0.0 and np.all(np.diff(self.slid) > 0.0)
+        require("slid", self.slid.tolist(), "from zero and increasing", holds=bool(rises))
+        grows = self.limits[0] > 0.0 and bool(np.all(np.diff(self.limits) >= 0.0))
+        require("limits", self.limits.tolist(), "positive and not decreasing", holds=grows)
+
+    @cached_property
+    def _growth(self) -> tuple[Floats, Floats]:
+        """Return L(q) + S q at the corners, N m, and the slopes of q over it, 1/(N m^2)."""
+        sums = self.limits + self.stiffness * self.slid
+        return sums, np.diff(self.slid) / np.diff(sums)
+
+    def scaled(self, factor: float) -> GrowingSlider:
+        """Return the slider with moments multiplied by a positive factor."""
+        return GrowingSlider(factor * self.stiffness, self.slid, factor * self.limits)
+
+    def limit_after(self, slid: Floats) -> Floats:
+        """Return the limit after a curvature of any shape has slid, N m."""
+        part = np.minimum(self.slid.searchsorted(slid, side="right") - 1, len(self.slid) - 2)
+        slopes = np.diff(self.limits) / np.diff(self.slid)
+        return np.asarray(self.limits[part] + slopes[part] * (slid - self.slid[part]))
+
+    def first_loading(self, curvature: Floats) -> Floats:
+        """Return the moment of first loading at curvatures of any shape, not negative, N m."""
+        moment = self.stiffness * curvature
+        grown, _ = self._grow(moment, np.zeros_like(moment))
+        return np.asarray(moment - self.stiffness * grown)
+
+    def slide(self, curvature: Floats, history: Floats) -> SliderResponse:
+        """Compute the step to new curvatures in one plane.
+
+        Parameters
+        ----------
+        curvature : shape (stations,), 1/m
+        history : shape (stations, 2), 1/m: p and q
+        """
+        rest, slid = history.T
+        trial = self.stiffness * (curvature - rest)
+        grown, tangent = self._grow(np.abs(trial), slid)
+        rest = rest + np.copysign(grown, trial)
+        history = np.stack([rest, slid + grown], axis=1)
+        return SliderResponse(self.stiffness * (curvature - rest), tangent, history)
+
+    def slide_vector(self, curvature: Floats, history: Floats) -> SliderResponse:
+        """Compute the step to new curvature vectors, each along a straight line.
+
+        Parameters
+        ----------
+        curvature : shape (stations, 2), 1/m
+        history : shape (stations, 2, 2), 1/m: p, and q as the first component
+        """
+        rest, slid = history[:, 0], history[:, 1, 0]
+        trial = self.stiffness * (curvature - rest)
+        size = np.sqrt(np.vecdot(trial, trial))
+        grown, tangent = self._grow(size, slid)
+        safe = np.where(size > 0.0, size, 1.0)
+        along = trial / safe[:, None]
+        across = self.stiffness * (1.0 - self.stiffness * grown / safe)
+        derivative = across[:, None, None] * np.eye(2)
+        derivative += (tangent - across)[:, None, None] * along[:, :, None] * along[:, None, :]
+        rest = rest + grown[:, None] * along
+        history = np.stack([rest, np.stack([slid + grown, np.zeros_like(slid)], axis=1)], axis=1)
+        return SliderResponse(self.stiffness * (curvature - rest), derivative, history)
+
+    def _grow(self, size: Floats, slid: Floats) -> tuple[Floats, Floats]:
+        """Return how far q grows under a trial moment, and the stiffness along it.
+
+        It slides where L(q) + S q of the new q exceeds that of the old; with L = g - S q,
+        dM = S (1 - S dq/dg) d(kappa).
+        """
+        sums, slopes = self._growth
+        total = size + self.stiffness * slid
+        part = np.clip(sums.searchsorted(total, side="right") - 1, 0, len(slopes) - 1)
+        slope = slopes[part]
+        grown = np.maximum(self.slid[part] + slope * (total - sums[part]) - slid, 0.0)
+        tangent = self.stiffness * np.where(grown > 0.0, 1.0 - self.stiffness * slope, 1.0)
+        return grown, tangent
+
+
+def grow_from(curvature: Floats, moment: Floats, share: float) -> GrowingSlider:
+    """Make the growing slider of the isotropic share of the strands' first loading.
+
+    Parameters
+    ----------
+    curvature, moment : shape (n,), 1/m and N m, positive, of the strands about their own axes
+    share : m, above 0 and at most 1
+
+    Raises
+    ------
+    ValueError
+        If the share or the curve is out of its range.
+    """
+    require("share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
+    stiffness = float(moment[0] / curvature[0])
+    slid = np.maximum.accumulate(np.append(0.0, (curvature - moment / stiffness)[1:]))
+    rises = np.diff(slid, prepend=-1.0) > 1e-12 * slid[-1]
+    limits = share * np.maximum.accumulate(moment)
+    return GrowingSlider(share * stiffness, slid[rises], limits[rises])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +237,8 @@ class SliderLaw(ArrayRecord):
         are_valid = bool(np.all((self.stiffnesses > 0.0) & np.isfinite(self.stiffnesses)))
         require("stiffnesses", self.stiffnesses.tolist(), "finite and > 0", holds=are_valid)
         require_rising("slip_curvatures", self.slip_curvatures)
-        _require_range(self.first, self.last)
+        spans = 0.0 <= self.first < self.last < np.inf
+        require("range", (self.first, self.last), ">= 0 and increasing", holds=spans)
 
     @property
     def history_size(self) -> int:
@@ -141,25 +294,6 @@ class PresentSliders:
 
     stiffnesses: Floats
     slip_curvatures: Floats
-    rests: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SliderResponse:
-    """Response of sliders to a curvature at each station.
-
-    Parameters
-    ----------
-    moment : N m, shape (stations,), or (stations, 2) of vectors
-    stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
-        with the step just made
-    rests : 1/m, shape (stations, n), or (stations, n, 2): the history after the step. Of each
-        slider its rest curvature; then of each growing slider its rest curvature, and the curvature
-        that has slid (of a vector the first component)
-    """
-
-    moment: Floats
-    stiffness: Floats
     rests: Floats
 
 
@@ -219,15 +353,29 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     slider_curvature = np.clip(trial_curvature, -law.slip_curvatures, law.slip_curvatures)
     moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
     stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
-    if not law.growing:
-        return SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
-    new_rests = [curvature[:, None] - slider_curvature]
-    for number, slider in enumerate(law.growing, start=1):
-        rest_curvature, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
-        step = slider.slide(curvature, rest_curvature, slid)
-        moment, stiffness = moment + step.moment, stiffness + step.stiffness
-        new_rests.append(np.column_stack([step.rest, step.slid]))
-    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+    response = SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
+    steps = [slider.slide(curvature, own) for slider, own in _growing_histories(law, rests)]
+    return _add_steps(response, steps)
+
+
+def _growing_histories(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
+    """Yield the growing sliders with their own part of the history."""
+    for start, slider in zip(
+        range(len(law.stiffnesses), law.history_size, 2), law.growing, strict=True
+    ):
+        yield slider, rests[:, start : start + 2]
+
+
+def _add_steps(response: SliderResponse, steps: list[SliderResponse]) -> SliderResponse:
+    """Add the responses of growing sliders to that of the others."""
+    if not steps:
+        return response
+    parts = [response, *steps]
+    moment, stiffness = (
+        sum(getattr(part, name) for part in parts) for name in ("moment", "stiffness")
+    )
+    rests = np.concatenate([part.rests for part in parts], axis=1)
+    return SliderResponse(np.asarray(moment), np.asarray(stiffness), rests)
 
 
 def bend_to_moment(
@@ -292,14 +440,9 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     weights = law.stiffnesses * shrunk
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
-    new_rests = [curvature[:, None, :] - slider_curvature]
-    for number, slider in enumerate(law.growing, start=1):
-        rest_curvature, slid = rests[:, count + 2 * number - 2], rests[:, count + 2 * number - 1]
-        step = slider.slide_vector(curvature, rest_curvature, slid[:, 0])
-        moment, stiffness = moment + step.moment, stiffness + step.stiffness
-        grown = np.column_stack([step.slid, np.zeros_like(step.slid)])
-        new_rests.append(np.stack([step.rest, grown], axis=1))
-    return SliderResponse(moment, stiffness, np.concatenate(new_rests, axis=1))
+    response = SliderResponse(moment, stiffness, curvature[:, None, :] - slider_curvature)
+    steps = [slider.slide_vector(curvature, own) for slider, own in _growing_histories(law, rests)]
+    return _add_steps(response, steps)
 
 
 def convert_to_plays(law: SliderLaw) -> PlayLaw:
@@ -318,14 +461,7 @@ def convert_to_plays(law: SliderLaw) -> PlayLaw:
     return make_polygon_law(corners, compute_slider_moment(law, corners))
 
 
-def fit_sliders(
-    curvature: Floats,
-    moment: Floats,
-    n_sliders: int,
-    *,
-    first: float = 0.0,
-    last: float = np.inf,
-) -> SliderLaw:
+def fit_sliders(curvature: Floats, moment: Floats, n_sliders: int) -> SliderLaw:
     """Fit sliders to the points of a first loading, with the smallest largest error.
 
     Parameters
@@ -333,13 +469,12 @@ def fit_sliders(
     curvature : shape (n,), 1/m, from 0, increasing
     moment : shape (n,), N m, from 0, increasing, concave
     n_sliders : largest number; fewer where the law has fewer corners
-    first, last : 1/m, range in which the error counts; by default that of the points
 
     Raises
     ------
     ValueError
-        If the range is empty or outside of the points; if the law softens, or stiffens by more than
-        1 % of its moment (the message states the curvature).
+        If the law softens, or stiffens by more than 1 % of its moment (the message states the
+        curvature).
 
     Notes
     -----
@@ -348,69 +483,19 @@ def fit_sliders(
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
     grid of kappa_j, thinned out afterwards, has a larger error.
     """
-    require(
-        "n_sliders",
-        n_sliders,
-        f"from 1 to {MAX_SLIDERS}",
-        holds=1 <= n_sliders <= MAX_SLIDERS,
-    )
-    return _fit(*cut_to_range(curvature, moment, first, last), n_sliders)
-
-
-def _require_range(first: float, last: float) -> None:
-    require("range", (first, last), ">= 0 and increasing", holds=0.0 <= first < last < np.inf)
-
-
-def cut_to_range(
-    curvature: Floats, moment: Floats, first: float, last: float
-) -> tuple[Floats, Floats, float]:
-    """Return the points of a law inside a range, with zero before them.
-
-    Parameters
-    ----------
-    curvature, moment, first, last : as for `fit_sliders`
-
-    Returns
-    -------
-    Curvatures, 1/m, and moments, N m: zero, the start of the range, the points inside, its end; and
-    the start of the range, 1/m.
-
-    Raises
-    ------
-    ValueError
-        As `fit_sliders`.
-    """
-    if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
-        message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: expected equal numbers, "
-            "from zero"
-        )
-        raise ValueError(message)
-    end = float(min(last, curvature[-1]))
-    start = float(max(first, curvature[1]))
-    if np.isfinite(last) and last > curvature[-1] * (1.0 + 1e-9):
-        message = f"last={last:.6g} 1/m: the law ends at {curvature[-1]:.6g} 1/m"
-        raise ValueError(message)
-    _require_range(start, end)
-    inside = (curvature > start) & (curvature < end)
-    x = np.concatenate([[0.0, start], curvature[inside], [end]])
-    y = np.interp(x, curvature, moment)
-    if np.all(np.diff(y) > 0.0):  # `thin` refuses a law that softens
-        require_concave(x, y, find_hull(x, y))
-    return x, y, start
-
-
-def _fit(x: Floats, y: Floats, start: float, n_sliders: int) -> SliderLaw:
-    chords = thin(x, y, max_points=n_sliders + 2)
-    shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
+    is_allowed = 1 <= n_sliders <= MAX_SLIDERS
+    require("n_sliders", n_sliders, f"from 1 to {MAX_SLIDERS}", holds=is_allowed)
+    chords = thin(curvature, moment, max_points=n_sliders + 2)
+    require_concave(curvature, moment, find_hull(curvature, moment))
+    shares = np.interp(curvature[1:], chords.curvature, chords.moment) / moment[1:]
     scale = 2.0 / (float(shares.max()) + float(shares.min()))
     slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
     return SliderLaw(
         stiffness=float(slopes[-1]),
         stiffnesses=-np.diff(slopes),
         slip_curvatures=chords.curvature[1:-1],
-        first=start,
-        last=float(x[-1]),
+        first=float(curvature[1]),
+        last=float(curvature[-1]),
         error=float(np.max(np.abs(scale * shares - 1.0))),
     )
 
@@ -430,6 +515,91 @@ def make_linear_law(stiffness: float, last: float) -> SliderLaw:
 def compute_slip_moments(law: SliderLaw) -> Vector:
     """Return the moments at which the sliders slide, K_j kappa_j, N m."""
     return np.asarray(law.stiffnesses * law.slip_curvatures)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MixedLaw(PlayLaw):
+    """A law of a wire with partly isotropic hardening, which computes curvature from moment.
+
+    Its plays are those of first loading, which state the stiffness and the range.
+
+    Parameters
+    ----------
+    sliders : law with the same first loading, which computes all responses
+    """
+
+    sliders: SliderLaw = field(kw_only=True, repr=False)
+
+    def make_unbent_history(self, n_stations: int) -> Floats:
+        """Return the history of a wire that was never bent, 1/m.
+
+        Parameters
+        ----------
+        n_stations : number of stations along the wire
+
+        Returns
+        -------
+        Shape (stations, 1 + n): the curvature, then the history of the sliders, see
+        `SliderResponse`.
+        """
+        slider_history = make_unbent_rests(self.sliders, n_stations)
+        return np.concatenate([np.zeros((n_stations, 1)), slider_history], axis=1)
+
+    def respond(self, moment: Floats, history: Floats) -> Response:
+        """Compute the curvatures under new moments.
+
+        Parameters
+        ----------
+        moment : shape (stations,), N m; each is reached monotonically
+        history : shape (stations, 1 + n), 1/m, from the last step or `make_unbent_history`
+
+        Returns
+        -------
+        The response; its `plays` are the new history, shape (stations, 1 + n), 1/m. A moment of NaN
+        gives NaN at its station.
+        """
+        curvature, response = bend_to_moment(self.sliders, moment, history[:, 0], history[:, 1:])
+        new_history = np.concatenate([curvature[:, None], response.rests], axis=1)
+        return Response(curvature, 1.0 / response.stiffness, new_history)
+
+
+def make_mixed_law(
+    plays: PlayLaw, curvature: Floats, strand_moment: Floats, isotropic_share: float
+) -> MixedLaw:
+    """Make the law of a wire whose strands harden partly isotropically.
+
+    Parameters
+    ----------
+    plays : law of the wire on first loading
+    curvature : shape (n,), 1/m, positive and increasing: first the curvatures at the half-widths
+        of `plays` and at its largest moment, then larger ones that the strands reach in loops
+    strand_moment : shape (n,), N m, moment of the strands about their own axes
+    isotropic_share : share of that moment that hardens isotropically, above 0 and at most 1
+
+    Raises
+    ------
+    ValueError
+        If the share is outside its range.
+    """
+    moment = np.append(plays.half_widths, plays.largest_moment)
+    corners = curvature[: len(moment)]
+    growing_slider = grow_from(curvature, strand_moment, isotropic_share)
+    masing_moment = moment - growing_slider.first_loading(corners)
+    slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
+    slope_drops = -np.diff(np.minimum.accumulate(slopes))
+    has_slider = slope_drops > 0.0
+    sliders = SliderLaw(
+        max(float(slopes.min()), 0.0),  # nothing but rounding remains of a bare solid wire
+        slope_drops[has_slider],
+        corners[:-1][has_slider],
+        0.0,
+        float(corners[-1]),
+        growing=(growing_slider,),
+    )
+    return MixedLaw(
+        *(plays.stiffness, plays.half_widths, plays.compliances, plays.largest_moment),
+        sliders=sliders,
+    )
 
 
 MAX_SCALAR_SLIDERS = 16

@@ -25,10 +25,9 @@ from labpipe.mechanics.rod.banded import (
     number_unknowns,
     split_unknowns,
 )
-from labpipe.mechanics.rod.boundaries import Plane
-from labpipe.mechanics.rod.cells import BentCells, bend_cells
-from labpipe.mechanics.rod.contacts import (
+from labpipe.mechanics.rod.boundaries import (
     ContactForces,
+    Plane,
     RingContact,
     hold_in_ring,
     pull_strings,
@@ -46,8 +45,10 @@ from labpipe.mechanics.rod.rotations import (
     unit,
 )
 from labpipe.mechanics.rod.supports import (
+    BentCells,
     Directions,
     Supports,
+    bend_cells,
     compute_clamp_directions,
     compute_directions,
 )

@@ -1,4 +1,11 @@
-"""Predicted 95 % bands of a line: shape, curvature, smallest bend radius, forces.
+"""Response of a line to its uncertain inputs, and pointwise 95 % bands.
+
+The whole path is solved at the best inputs, and once to each side of every cause, at the distance
+that covers 95 % of the draws of that cause. The response to a cause is the parabola through these
+three solutions, continued linearly; the effects of the causes are added. Therefore the response to
+a dominant cause is exact at the ends of its band. Thousands of draws then cost two matrix products.
+Quantiles of Student's t, of its mixtures, and of largest values along the line need no further
+approximation.
 
 Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines, a whole
 shape in fewer. The band of the smallest bend radius is that of the minimum along the line, which
@@ -7,31 +14,178 @@ may be at another node in each draw.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
 from labpipe.mechanics.rod.input_distributions import InputDistribution
-from labpipe.mechanics.rod.path import RodPath, RodState
-from labpipe.mechanics.rod.response import (
-    Band,
-    Fields,
-    Response,
-    compute_band,
-    compute_field_band,
-    respond,
-)
-from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
+from labpipe.mechanics.rod.path import RodPath
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
 
-Solve = Callable[[Mapping[str, float]], RodPath]
-"""Function that builds a line and its boundaries from named inputs, and solves its path."""
+Fields = Mapping[str, Floats]
+"""Fields of a line, by name; arrays of any shape."""
+TAIL = 0.025
+"""Probability outside a band, on each side."""
 
-_PLAIN_FIELDS = ("positions", "reaction_forces", "reaction_moments")
-_CURVATURE_FIELD = "curvature"
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Response of a line to the causes of a distribution.
+
+    Parameters
+    ----------
+    distribution : of its inputs
+    value : fields at the best inputs, by name
+    reach : shape (causes,), range of the parabolas, in steps of each cause
+    slopes, bends : by name, shape (causes, ...); within reach, an amount x of a cause changes the
+        value by slope x + bend x^2
+    one_sided : causes without an equilibrium on one side; the other side is used for both
+    silent : causes without an equilibrium on either side; they have no effect on the band
+    """
+
+    distribution: InputDistribution
+    value: Fields
+    reach: Floats
+    slopes: Fields
+    bends: Fields
+    one_sided: tuple[str, ...] = ()
+    silent: tuple[str, ...] = ()
+
+    def drawn(self, name: str) -> Floats:
+        """Return draws of a field, shape (draws, ...)."""
+        value = self.value[name]
+        changes = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
+        return np.asarray(value + changes.reshape(len(changes), *value.shape))
+
+    def _moved(self, name: str, which: Flags) -> Floats:
+        """Return the change of a field by some of the causes, shape (draws, numbers)."""
+        amounts, max_amounts = self.distribution.amounts[:, which], self.reach[which]
+        within = np.clip(amounts, -max_amounts, max_amounts)
+        squares = within * (2.0 * amounts - within)  # linear beyond the reach
+        flat = (len(self.distribution.causes), self.value[name].size)
+        slopes, bends = (slope[name].reshape(flat)[which] for slope in (self.slopes, self.bends))
+        return np.asarray(amounts @ slopes + squares @ bends)
+
+    def shares(self, name: str) -> dict[str, float]:
+        """Return the share of each cause in the variance of a field, summed over its numbers.
+
+        All steps of a cause count together. The mapping is empty if the field is constant. The
+        variance is that of the central 68 % of the draws, robust to heavy tails.
+        """
+        causes, variances = np.array(self.distribution.causes), {}
+        for cause in dict.fromkeys(self.distribution.causes):
+            ends = np.quantile(self._moved(name, causes == cause), [0.15866, 0.84134], axis=0)
+            variances[cause] = float(np.nansum((0.5 * (ends[1] - ends[0])) ** 2))
+        total = sum(variances.values())
+        if not total > 0.0:
+            return {}
+        return {cause: variance / total for cause, variance in variances.items()}
+
+
+def respond(
+    solve: Callable[[Mapping[str, float]], Fields | None], distribution: InputDistribution
+) -> Response | None:
+    """Solve a line at the best inputs and to both sides of every cause.
+
+    Parameters
+    ----------
+    solve : returns the fields of a line for some inputs, None without an equilibrium; called
+        1 + 2 x causes times
+    distribution : of its inputs
+
+    Returns
+    -------
+    The response; None if the line has no equilibrium at the best inputs.
+    """
+    # of a cause; closer solutions differ by little more than the error of the solver
+    min_steps = 0.1
+    max_steps = 2.0  # ends of long tails are not evaluated
+    value = solve(distribution.inputs())
+    if value is None:
+        return None
+    reach = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    reach = np.clip(reach, min_steps, max_steps)
+    pairs = [
+        [solve(distribution.inputs(sign * step)) for sign in (1, -1)] for step in np.diag(reach)
+    ]
+    slopes, bends = {}, {}
+    for name, best in value.items():
+        slopes[name], bends[name] = (np.zeros((len(reach), *best.shape)) for _ in range(2))
+        for cause, ((ahead, behind), distance) in enumerate(zip(pairs, reach, strict=True)):
+            sides = [] if ahead is None else [ahead[name] - best]
+            sides += [] if behind is None else [best - behind[name]]
+            if sides:  # with one side alone the parabola is a straight line
+                slopes[name][cause] = 0.5 * (sides[0] + sides[-1]) / distance
+                bends[name][cause] = 0.5 * (sides[0] - sides[-1]) / distance**2
+    unsolved = [sum(side is None for side in pair) for pair in pairs]
+    one_sided, silent = (
+        tuple(dict.fromkeys(np.array(distribution.causes)[np.array(unsolved) == count].tolist()))
+        for count in (1, 2)
+    )
+    return Response(distribution, value, reach, slopes, bends, one_sided, silent)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """A number or an array with its pointwise 95 % band.
+
+    Parameters
+    ----------
+    value : at the best inputs of the best distribution
+    lower, upper : ends of the band, of the same shape
+    """
+
+    value: Floats
+    lower: Floats
+    upper: Floats
+
+
+def compute_band(
+    responses: Sequence[Response],
+    name: str,
+    measure: Callable[[Floats], Floats] = np.asarray,
+) -> Band:
+    """Compute the pointwise 95 % band of a field over all distributions.
+
+    Parameters
+    ----------
+    responses : one for each solution of a calibration, the best first
+    name : of the field
+    measure : number computed from the field, whose leading axis may be that of the draws
+
+    Returns
+    -------
+    The band, see `join_draws`.
+    """
+    return join_draws(
+        (measure(response.value[name]), measure(response.drawn(name))) for response in responses
+    )
+
+
+def join_draws(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
+    """Join draws of several distributions in one pointwise 95 % band.
+
+    Parameters
+    ----------
+    values_and_draws : of each distribution, the best first: shapes (...) and (draws, ...)
+
+    Returns
+    -------
+    The band from the lowest to the highest end of the bands of all distributions. Each of these
+    includes its value.
+    """
+    values, lows, highs = [], [], []
+    for value, drawn in values_and_draws:
+        low, high = np.quantile(drawn, [TAIL, 1.0 - TAIL], axis=0)
+        values.append(value)
+        lows.append(np.minimum(low, value))
+        highs.append(np.maximum(high, value))
+    return Band(values[0], np.min(lows, axis=0), np.max(highs, axis=0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,30 +222,37 @@ class LineBands:
     path : of the best inputs of the best distribution
     states : of the requested steps
     notes : what makes the bands doubtful
+    responses : one for each distribution
     """
 
     path: RodPath
     states: tuple[StateBands, ...]
-    notes: tuple[QualityNote, ...] = ()
+    notes: tuple[QualityNote, ...]
+    responses: tuple[Response, ...]
+
+
+Solve = Callable[[Mapping[str, float]], RodPath]
+"""Function that builds a line and its boundaries from named inputs, and solves its path."""
 
 
 def predict_line_bands(
-    solve: Solve | Sequence[Solve],
+    solves: Sequence[Solve],
     distributions: Sequence[InputDistribution],
     *,
     steps: Sequence[int] = (-1,),
     tested_curvature: float = np.inf,
+    collect: Callable[[RodPath], Fields] = lambda _: {},
 ) -> LineBands | None:
     """Predict a line with pointwise 95 % bands.
 
     Parameters
     ----------
-    solve : solves the line for some inputs; called 1 + 2 x causes times for each distribution. One
-        function for all distributions, or one for each, because the slip curvatures of a law are
-        chosen for its solution of the calibration
+    solves : solve the line for some inputs, one for each distribution, because the slip curvatures
+        of a law are chosen for its solution of the calibration; each is called 1 + 2 x causes times
     distributions : of the inputs, one for each solution of a calibration, the best first
     steps : with bands; negative numbers count from the last step
     tested_curvature : 1/m, largest curvature in the tests of the calibration
+    collect : returns further fields of a path, for `LineBands.responses`
 
     Returns
     -------
@@ -106,141 +267,100 @@ def predict_line_bands(
     """
     if not distributions:
         raise ValueError(format_sentence("mechanics.rod.no_distribution"))
-    solves = [solve] * len(distributions) if callable(solve) else solve
-    solvers = [_Solver(solve, steps) for solve, _ in zip(solves, distributions, strict=True)]
-    responses = [
-        respond(solver, distribution)
-        for solver, distribution in zip(solvers, distributions, strict=True)
-    ]
-    solved = [response for response in responses if response is not None]
-    if len(solved) < len(distributions):
-        return None
-    best = solvers[0].paths[0]
-    notes = [*_note_range(best, tested_curvature), *_note_sides(solved), *_note_jumps(solvers)]
-    step_numbers = [range(len(best.states))[step] for step in steps]
-    states = tuple(_compute_bands(solved, number, step) for number, step in enumerate(step_numbers))
-    return LineBands(best, states, tuple(notes))
+    paths: list[list[RodPath]] = [[] for _ in solves]
 
-
-class _Solver:
-    """Solver that returns the fields of a path, and stores the first path and all jumps."""
-
-    def __init__(self, solve: Solve, steps: Sequence[int]) -> None:
-        self.solve, self.steps = solve, tuple(steps)
-        self.paths: list[RodPath] = []
-        self.snapped: list[tuple[int, ...]] = []
-
-    def __call__(self, inputs: Mapping[str, float]) -> Fields | None:
-        path = self.solve(inputs)
+    def collect_fields(number: int, inputs: Mapping[str, float]) -> Fields | None:
+        path = solves[number](inputs)
         if path.status == "failed":
             return None
-        self.paths = self.paths or [path]
-        self.snapped.append(tuple(step for step in path.snapped if step > 0))
-        return dict(_collect_fields(path, self.steps))
+        paths[number].append(path)
+        return {**_collect_step_fields(path, steps), **collect(path)}
+
+    responses = []
+    for number, distribution in enumerate(distributions):
+        response = respond(partial(collect_fields, number), distribution)
+        if response is None:
+            return None
+        responses.append(response)
+    best = paths[0][0]
+    notes = (*_note_range(best, tested_curvature), *_note_sides(responses), *_note_jumps(paths))
+    step_numbers = [range(len(best.states))[step] for step in steps]
+    states = tuple(_compute_step_bands(responses, step) for step in step_numbers)
+    return LineBands(best, states, notes, tuple(responses))
 
 
-def _collect_fields(path: RodPath, steps: Sequence[int]) -> Iterator[tuple[str, Floats]]:
-    for number, step in enumerate(steps):
-        state = path.states[step]
-        for name in _PLAIN_FIELDS:
-            yield f"{name} {number}", np.asarray(getattr(state, name))
-        yield f"{_CURVATURE_FIELD} {number}", compute_line_curvatures(state)
+_STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_vectors")
 
 
-def compute_line_curvatures(state: RodState) -> Floats:
-    """Return the bending curvature vectors of the line, shape (n + 1, 2, 2), 1/m.
+def _collect_step_fields(path: RodPath, steps: Sequence[int]) -> dict[str, Floats]:
+    """Collect the fields of some steps, each by its name and the number of the step."""
+    numbers = [range(len(path.states))[step] for step in steps]
+    return {
+        f"{name} {step}": getattr(path.states[step], name)
+        for step in numbers
+        for name in _STEP_FIELDS
+    }
+
+
+def compute_node_curvature(vectors: Floats) -> Floats:
+    """Compute the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
 
     Parameters
     ----------
-    state : of the line
-
-    Notes
-    -----
-    The curvatures of a state do not include those at rest. The curvature at rest of an inner node
-    is computed as the turn between its elements over half their lengths, minus the mean curvature
-    of the state. The ends have that of their neighbours.
+    vectors : `RodState.curvature_vectors`, shape (..., n + 1, 2, 2)
     """
-    turned = to_rotation_vectors(multiply(conjugate(state.frames[:-1]), state.frames[1:]))
-    chords = np.linalg.norm(np.diff(state.positions, axis=0), axis=1) / (1.0 + state.stretches)
-    sides = np.stack([chords[:-1], chords[1:]], axis=1)
-    weights = sides / sides.sum(axis=1, keepdims=True)
-    inner = state.curvatures[1:-1]
-    mean = np.einsum("ns,nsx->nx", weights, inner)
-    at_rest = turned / (0.5 * sides.sum(axis=1, keepdims=True)) - mean
-    if len(at_rest):
-        at_rest = np.concatenate([at_rest[:1], at_rest, at_rest[-1:]])
-        return np.asarray((state.node_curvatures + at_rest[:, None, :])[:, :, :2])
-    return np.asarray(state.node_curvatures[:, :, :2])
-
-
-def _find_node_curvatures(vectors: Floats) -> Floats:
-    """Return the curvature at the nodes, shape (..., n + 1), the larger one of both sides."""
     return np.asarray(np.linalg.norm(vectors, axis=-1).max(axis=-1))
 
 
 def _find_smallest_radius(vectors: Floats) -> Floats:
-    peak = _find_node_curvatures(vectors).max(axis=-1)
+    peak = compute_node_curvature(vectors).max(axis=-1)
     return np.asarray(np.divide(1.0, peak, out=np.full_like(peak, np.inf), where=peak > 0.0))
 
 
-def _compute_bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
-    bands = {name: compute_field_band(responses, f"{name} {number}") for name in _PLAIN_FIELDS}
-    name = f"{_CURVATURE_FIELD} {number}"
-    curvature = compute_band(
-        responses, lambda response: _evaluate_draws(response, name, _find_node_curvatures)
-    )
-    radius = compute_band(
-        responses, lambda response: _evaluate_draws(response, name, _find_smallest_radius)
-    )
-    best = responses[0]
+def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
+    plain = {name: compute_band(responses, f"{name} {step}") for name in _STEP_FIELDS[:3]}
+    vectors = f"curvature_vectors {step}"
     shares = {
-        field: best.shares(f"{field} {number}") for field in ("positions", "reaction_forces")
-    } | {"smallest_bend_radius": best.shares(name)}
+        name: responses[0].shares(f"{name} {step}") for name in ("positions", "reaction_forces")
+    }
     return StateBands(
-        step=step, curvature=curvature, smallest_bend_radius=radius, shares=shares, **bands
+        step=step,
+        curvature=compute_band(responses, vectors, compute_node_curvature),
+        smallest_bend_radius=compute_band(responses, vectors, _find_smallest_radius),
+        shares=shares | {"smallest_bend_radius": responses[0].shares(vectors)},
+        **plain,
     )
-
-
-def _evaluate_draws(
-    response: Response, name: str, measure: Callable[[Floats], Floats]
-) -> tuple[Floats, Floats]:
-    return measure(response.value[name]), measure(response.drawn(name))
 
 
 def _note_range(path: RodPath, tested: float) -> Iterator[QualityNote]:
-    largest = np.array([state.bendings.max() for state in path.states])
-    if largest.max() <= tested:
-        return
-    step = int(np.argmax(largest))
-    node = int(np.argmax(path.states[step].bendings))
-    yield QualityNote.of(
-        "mechanics.rod.beyond_tested",
-        f"step {step}, node {node}",
-        step=step,
-        node=node,
-        curvature=largest[step],
-        tested=tested,
-    )
+    bendings = np.array([state.bendings for state in path.states])
+    step, node = divmod(int(np.argmax(bendings)), bendings.shape[1])
+    if bendings[step, node] > tested:
+        yield QualityNote.of(
+            "mechanics.rod.beyond_tested",
+            f"step {step}, node {node}",
+            step=step,
+            node=node,
+            curvature=bendings[step, node],
+            tested=tested,
+        )
 
 
 def _note_sides(responses: Sequence[Response]) -> Iterator[QualityNote]:
-    for code in ("one_sided", "silent"):
-        causes = dict.fromkeys(cause for response in responses for cause in getattr(response, code))
-        if causes:
-            names = ", ".join(causes)
+    for is_silent in (False, True):
+        causes = [r.silent if is_silent else r.one_sided for r in responses]
+        if names := ", ".join(dict.fromkeys(chain.from_iterable(causes))):
             yield QualityNote.of(
-                "mechanics.rod.one_sided" if code == "one_sided" else "mechanics.rod.silent",
+                "mechanics.rod.silent" if is_silent else "mechanics.rod.one_sided",
                 names,
                 causes=names,
             )
 
 
-def _note_jumps(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
+def _note_jumps(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
     """Note jumps that differ between inputs; step 0 does not count."""
-    differing = [
-        steps for solver in solvers for steps in solver.snapped if steps != solver.snapped[0]
-    ]
+    jumps = [[[step for step in path.snapped if step > 0] for path in group] for group in paths]
+    differing = [steps for group in jumps for steps in group if steps != group[0]]
     if differing:
-        steps = solvers[0].snapped[0], differing[0]
-        best_steps, other = (", ".join(map(str, step)) or "none" for step in steps)
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=best_steps, other=other)
+        best, other = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], differing[0]))
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other)

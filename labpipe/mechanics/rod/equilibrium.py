@@ -1,4 +1,14 @@
-"""Newton's method for the equilibrium of a line whose boundaries have moved."""
+"""Newton's method for the equilibrium of a line whose boundaries have moved, and its stability.
+
+An equilibrium under held nodes and dead loads is stable if the second variation of the energy is
+positive for all changes that satisfy the stretch conditions. An equivalent condition is that the
+tangent without their multipliers, but with a stiff penalty on these conditions, is positive
+definite, which a banded Cholesky factorisation decides. The penalty is 1e6 times the stiffness of
+the whole line. Modes softer than 3e-4 of that stiffness count as neutral; the error of critical
+loads is then about 1e-4. Sliders that slid in the step count as sliding on in the same direction.
+
+Of sliding friction, only the symmetric part of the tangent counts.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +16,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import lapack
 
 from labpipe.mechanics.rod.assembly import (
     ArtificialDrag,
@@ -15,7 +26,15 @@ from labpipe.mechanics.rod.assembly import (
     LineMemory,
     Shape,
 )
-from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
+from labpipe.mechanics.rod.banded import (
+    FORCE,
+    PER_ELEMENT,
+    STRETCH,
+    TURN,
+    join_unknowns,
+    list_block_entries,
+    split_unknowns,
+)
 from labpipe.mechanics.rod.rotations import (
     conjugate,
     from_rotation_vectors,
@@ -23,6 +42,7 @@ from labpipe.mechanics.rod.rotations import (
     to_rotation_vectors,
     unit,
 )
+from labpipe.records.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,3 +171,136 @@ def _is_balanced(
     return error < balance_tolerance or (
         relative_change < step_tolerance and error < rounded_balance
     )
+
+
+class StabilityCheck:
+    """Stability checks of a line with given supports; constant parts are computed once.
+
+    Parameters
+    ----------
+    assembly : the line with its supports
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        self._assembly = assembly
+        n, band = assembly.n, assembly.band
+        rows, columns = assembly.pattern
+        is_force = np.arange(assembly.places.total) % PER_ELEMENT >= FORCE
+        self._kept = np.flatnonzero(~(is_force[rows] | is_force[columns]))
+        pairs = [
+            *((rows[self._kept], columns[self._kept]),),
+            list_block_entries(
+                assembly.places.positions[:-1], FORCE, assembly.places.positions[:-1], FORCE
+            ),
+            list_block_entries(
+                assembly.places.positions[:-1], FORCE, assembly.places.positions[1:], 3
+            ),
+            list_block_entries(assembly.places.positions[1:], 3, assembly.places.positions[1:], 3),
+        ]
+        down, right = (_without_forces(np.concatenate(pair)) for pair in zip(*pairs, strict=True))
+        row, column = np.maximum(down, right), np.minimum(down, right)
+        self.size = FORCE * n + 3
+        self._deep = int(np.max(row - column)) + 1
+        self._at = self._deep * column + (row - column)
+        free = ~is_force
+        self._free = np.flatnonzero(free)
+        fixed = band.fixed[free]
+        scale = band.scale[free]
+        # off-diagonal entries come twice, except in the block between nodes
+        count = np.ones(len(row))
+        count[: len(self._kept)] = np.where(row == column, 1.0, 0.5)[: len(self._kept)]
+        element_block = slice(len(self._kept), len(self._kept) + n * FORCE * FORCE)
+        count[element_block] = np.where(row == column, 1.0, 0.5)[element_block]
+        last = slice(len(row) - 9 * n, len(row))
+        count[last] = np.where(row == column, 1.0, 0.5)[last]
+        self._weights = count * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
+        self._scale, self._fixed = scale, fixed
+        self._drag = assembly.drag[free] * scale**2
+        self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
+
+    def is_stable(self, balance: Balance, shape: Shape) -> bool:
+        """Return whether the overdamped line returns from every small perturbation."""
+        neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
+        return self._factors(balance, shape, neutral_share) is not None
+
+    def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
+        """Find the softest mode; None if none is found.
+
+        Parameters
+        ----------
+        balance, shape : of the line
+        push : shape (unknowns,), N and N m, load that selects among equally soft modes
+
+        Notes
+        -----
+        Inverse iteration. The mass is the drag of the nodes, which excludes pure twist. A small
+        asymmetric load is added to the push.
+        """
+        iterations = 6
+        random_share = 1e-3
+        drag = 1e-3
+        factors = self._factors(balance, shape, drag)
+        while factors is None and drag < 1e9:
+            drag *= 4.0
+            factors = self._factors(balance, shape, drag)
+        if factors is None:
+            return None
+        is_across = (np.arange(self.size) % FORCE >= TURN) & (
+            np.arange(self.size) % FORCE < TURN + 2
+        )
+        random_mode = np.cos(1.0 + 2.4 * np.arange(self.size)) * is_across
+        random_mode /= np.sqrt(np.sum(random_mode**2))
+        pushed = push[self._free] * self._scale * ~self._fixed
+        size = float(np.sqrt(np.sum(pushed**2)))
+        mode = random_mode * ~self._fixed
+        if size > 0.0:
+            mode = pushed / size + random_share * mode
+        for _ in range(iterations):
+            mode, _ = lapack.dpbtrs(factors, mode, lower=True)
+            mode = self._mass * mode
+            size = float(np.sqrt(np.sum(mode**2)))
+            if size == 0.0:
+                return None
+            mode /= size
+        mode, _ = lapack.dpbtrs(factors, mode, lower=True)
+        change = np.zeros(self._assembly.places.total)
+        change[self._free] = mode * self._scale
+        return change
+
+    def _factors(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
+        support_factor = 1e6
+        rounding_share = 1e-14
+        assembly = self._assembly
+        line = assembly.line
+        n = assembly.n
+        section = line.section
+        pull = float(np.max(np.abs(shape.forces)))
+        stiff = support_factor * max(section.law.first_stiffness / line.length**2, pull)
+        lengths = line.lengths * (1.0 + shape.stretches)
+        row = np.zeros((n, 3, FORCE + 3))
+        row[:, :, :3] = -np.eye(3)
+        row[:, :, 3] = -line.lengths[:, None] * balance.directions.along
+        row[:, :, 4:7] = -lengths[:, None, None] * balance.directions.by_turn
+        row[:, :, 7:] = np.eye(3)
+        stiffness = np.swapaxes(row, 1, 2) @ row * (stiff / line.lengths)[:, None, None]
+        values = np.concatenate(
+            [
+                balance.symmetric_values[self._kept],
+                stiffness[:, :FORCE, :FORCE].ravel(),
+                stiffness[:, :FORCE, FORCE:].ravel(),
+                stiffness[:, FORCE:, FORCE:].ravel(),
+            ]
+        )
+        weighted = values * self._weights
+        flat = np.bincount(self._at, weighted, minlength=self._deep * self.size)
+        diagonal = flat[:: self._deep]
+        diagonal += drag * self._drag + rounding_share * diagonal
+        diagonal[self._fixed] = 1.0
+        factors, failed = lapack.dpbtrf(
+            flat.reshape(self.size, self._deep).T, lower=True, overwrite_ab=True
+        )
+        return None if failed else np.asarray(factors)
+
+
+def _without_forces(places: Floats) -> Floats:
+    return np.asarray(FORCE * (places // PER_ELEMENT) + places % PER_ELEMENT)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
 from labpipe.mechanics.law.sliders import SliderLaw
@@ -160,7 +161,7 @@ def build_line(
     positions: Floats,
     section: Section,
     *,
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     is_formed: bool = False,
 ) -> Line:
     """Build a line without twist through points, which are its nodes.

@@ -8,6 +8,8 @@ from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
+from labpipe.mechanics.rod.boundaries import Boundary
+from labpipe.mechanics.rod.line import Line
 from labpipe.messages import find_code, format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
 
@@ -32,6 +34,8 @@ class RodState(ArrayRecord):
         in the mean frame, on both sides of every node. At a clamp they are the means over half an
         element
     node_curvatures : shape (n + 1, 2, 3), 1/m, as `curvatures`, but extrapolated to the clamps
+    curvature_vectors : shape (n + 1, 2, 2), 1/m, bending components of `node_curvatures` plus those
+        at rest
     rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders: the history
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
         included; zero for weight and moments
@@ -49,6 +53,7 @@ class RodState(ArrayRecord):
     moments: Annotated[Floats, "nodes", 2, 3]
     curvatures: Annotated[Floats, "nodes", 2, 3]
     node_curvatures: Annotated[Floats, "nodes", 2, 3]
+    curvature_vectors: Annotated[Floats, "nodes", 2, 2]
     rests: Annotated[Floats, "nodes", 2, "sliders", 2]
     reaction_forces: Annotated[Floats, "boundaries", 3]
     reaction_moments: Annotated[Floats, "boundaries", 3]
@@ -117,6 +122,8 @@ class RodPath(ArrayRecord):
 
     Parameters
     ----------
+    line : in its shape at rest
+    boundaries : of the line, in the order of the caller
     states : of the steps 0, 1, ...; fewer than requested if the path failed
     status : `failed` if a step has no equilibrium; `doubtful` if there is another reason, such as a
         curvature beyond the range of the law
@@ -131,6 +138,8 @@ class RodPath(ArrayRecord):
     lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
     """
 
+    line: Line
+    boundaries: tuple[Boundary, ...]
     states: tuple[RodState, ...]
     status: Status
     reasons: tuple[Reason, ...]

@@ -21,8 +21,9 @@ from labpipe.mechanics.rod.boundaries import (
     Plane,
     Ring,
     String,
+    evaluate_curve,
+    find_nearest_place,
 )
-from labpipe.mechanics.rod.contacts import evaluate_curve, find_nearest_place
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
     conjugate,

@@ -23,15 +23,19 @@ import numpy as np
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary, Plane
-from labpipe.mechanics.rod.equilibrium import Equilibrium, find_equilibrium
+from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import Reason, RodPath, RodState, Status
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule
-from labpipe.mechanics.rod.stability import StabilityCheck
 from labpipe.mechanics.rod.states import (
+    NoEquilibriumError,
     WalkState,
     build_state,
+    check_line,
+    check_planes,
+    check_reach,
+    check_rings,
     compute_lost_energy,
     compute_stored_energy,
     compute_work,
@@ -39,13 +43,6 @@ from labpipe.mechanics.rod.states import (
     split_sides,
 )
 from labpipe.mechanics.rod.supports import split_supports
-from labpipe.mechanics.rod.walk_errors import (
-    NoEquilibriumError,
-    check_line,
-    check_planes,
-    check_reach,
-    check_rings,
-)
 from labpipe.records.arrays import Floats
 
 
@@ -424,6 +421,8 @@ class _Walk:
         columns = np.array(self.energies).reshape(-1, 6).T
         status: Status = "doubtful" if self.reasons else "ok"
         return RodPath(
+            self.line,
+            self.boundaries,
             tuple(self.states),
             "failed" if self.failed else status,
             tuple(self.reasons),

@@ -44,13 +44,13 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import (
+from labpipe.report.figure_page import save_pages
+from labpipe.report.harness_figures import (
     BUNDLE_FIGURE,
     LOOP_FIGURE,
     make_bundle_page,
     make_loop_page,
 )
-from labpipe.report.figure_page import save_pages
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import select_json

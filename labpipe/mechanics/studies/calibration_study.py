@@ -54,8 +54,12 @@ from labpipe.records.wire_calibration import (
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
-from labpipe.report.calibration_workbook import save_calibration_workbook
+from labpipe.report.calibration_summary import (
+    BentShape,
+    CalibrationReport,
+    ValidationGroup,
+    save_calibration_workbook,
+)
 from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.store.replace import locked, replacing_together
 

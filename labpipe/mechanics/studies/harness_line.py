@@ -10,13 +10,13 @@ that is too short starts as near to its goal as the string allows.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.mechanics.rod import boundaries as rod
-from labpipe.mechanics.rod.contacts import evaluate_curve, find_nearest_place
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.rotations import (
     find_shortest_turns,
@@ -53,20 +53,17 @@ FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
 Inputs = Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedLine:
+class PreparedLine(NamedTuple):
     """A line with all its boundaries, ready to be solved.
 
     Parameters
     ----------
     line : in its shape at rest
     boundaries : in the order of the file; the weight, if any, is the last one
-    nodes : by name of the boundary; rings and planes have none
     """
 
     line: Line
     boundaries: tuple[rod.Boundary, ...]
-    nodes: Mapping[str, int]
 
 
 def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> PreparedLine:
@@ -84,19 +81,13 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
         If the section is out of its range, or a spool is in the direction of the line.
     """
     stations = _place_nodes(harness)
-    places = {
-        boundary.name: int(np.argmin(np.abs(stations - min(boundary.at, stations[-1]))))
-        for boundary in harness.boundaries
-        if not isinstance(boundary, Ring | Plane)
-    }
-    stations = stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0)))
-    line = _build_line(harness, section, stations)
+    line = _build_line(harness, section, stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))))
     free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
     if np.any(free):
         rest_curvature = line.rest_curvature.copy()
         rest_curvature[:, :2] += free @ _find_bend_axes(line, harness.line.spool)
-        line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
-    return PreparedLine(line, tuple(_build_boundaries(harness, line, places)), places)
+        line = replace(line, rest_curvature=rest_curvature)
+    return PreparedLine(line, tuple(_build_boundaries(harness, line, stations)))
 
 
 def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
@@ -130,7 +121,7 @@ def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Lin
     if spool is None:
         positions = begin + stations[:, None] * direction
         is_steep = abs(direction[2]) > 0.9
-        up = (1.0, 0.0, 0.0) if is_steep else (0.0, 0.0, 1.0)
+        up = np.array([1.0, 0.0, 0.0] if is_steep else [0.0, 0.0, 1.0])
         return build_line(positions, section, up=up)
     towards = _find_side(spool, direction)
     middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
@@ -138,7 +129,7 @@ def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Lin
     positions = begin + np.vstack(
         [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
     )
-    return build_line(positions, section, up=_to_tuple(towards), is_formed=True)
+    return build_line(positions, section, up=towards, is_formed=True)
 
 
 def _find_side(spool: Spool, direction: Floats) -> Floats:
@@ -150,38 +141,30 @@ def _find_side(spool: Spool, direction: Floats) -> Floats:
     return np.asarray(unit(across))
 
 
-def _to_tuple(vector: Floats) -> Vector3:
-    x, y, z = vector.tolist()
-    return x, y, z
-
-
-def _build_boundaries(
-    harness: HarnessFile, line: Line, nodes: Mapping[str, int]
-) -> Iterator[rod.Boundary]:
+def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Iterator[rod.Boundary]:
+    """Yield the boundaries; stations are those of the nodes by the file."""
     steps = harness.steps
     for boundary in harness.boundaries:
+        name = boundary.name
+        place = min(getattr(boundary, "at", 0.0), stations[-1])
+        node = int(np.argmin(np.abs(stations - place)))
         match boundary:
             case Clip() | Pin() | Grip():
-                yield _build_held(boundary, line, nodes[boundary.name], steps)
+                yield _build_held(boundary, line, node, steps)
             case Ring():
-                path = _build_path(
-                    _find_nearest_point(line, boundary),
-                    boundary.position,
-                    boundary.by or steps,
-                    steps,
-                )
-                yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
+                start = _find_nearest_point(line, boundary)
+                path = _build_path(start, boundary.position, boundary.by or steps, steps)
+                yield rod.Ring(path, np.array(boundary.direction), name=name)
             case String():
-                node = nodes[boundary.name]
-                first = compute_path(boundary, line.positions[node], steps)[0]
-                path = _build_path(first, boundary.anchor, boundary.by or steps, steps)
-                yield rod.String(node, path, boundary.length, name=boundary.name)
+                start = compute_path(boundary, line.positions[node], steps)[0]
+                path = _build_path(start, boundary.anchor, boundary.by or steps, steps)
+                yield rod.String(node, path, boundary.length, name=name)
             case Load():
                 force = _build_ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
-                yield rod.Load(nodes[boundary.name], force, name=boundary.name)
+                yield rod.Load(node, force, name=name)
             case Plane():
                 table = np.array(boundary.point), np.array(boundary.normal)
-                yield rod.Plane(*table, boundary.friction, name=boundary.name)
+                yield rod.Plane(*table, boundary.friction, name=name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
         yield rod.Gravity(_build_gravity(harness), name="weight")
 
@@ -189,10 +172,9 @@ def _build_boundaries(
 def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     """Return the point of the line that is nearest to a ring."""
     target = np.array(ring.position)
-    nearest_node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
-    return evaluate_curve(
-        line.positions, find_nearest_place(line.positions, target, float(nearest_node))
-    )
+    node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
+    place = rod.find_nearest_place(line.positions, target, float(node))
+    return rod.evaluate_curve(line.positions, place)
 
 
 def _build_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:

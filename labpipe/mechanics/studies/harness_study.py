@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_material import describe_file, read_material
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
@@ -28,19 +28,17 @@ from labpipe.mechanics.studies.harness_numbers import (
     compute_radius,
     compute_residual_curvature,
 )
-from labpipe.mechanics.studies.harness_section import describe_file, read_material
 from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     solve_harness,
     solve_sweep_length,
 )
+from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_harness
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.result import Status
-from labpipe.report.figure_page import save_pages
 from labpipe.report.harness_figures import (
-    FIGURE,
     SWEEP_FIGURE,
     DrawnHarness,
     DrawnMark,
@@ -48,7 +46,7 @@ from labpipe.report.harness_figures import (
     DrawnSweep,
     list_harness_figures,
 )
-from labpipe.store.replace import locked, replacing, replacing_together, storing
+from labpipe.store.replace import locked, replacing
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -60,7 +58,6 @@ from labpipe.store.summaries import (
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
-FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 
@@ -134,68 +131,59 @@ def follow_harness(
 def _write_failure(solution: FollowedHarness) -> None:
     """Write ``failure.json``; earlier results stay unchanged."""
     states = solution.path.states
-    reached = states[-1].positions if states else solution.prepared.line.positions
+    reached = states[-1].positions if states else solution.path.line.positions
     content = {
         **_build_head(solution),
         **select_json(solution.reasons[0], "code", reason="message"),
         **select_json(solution, "reasons"),
         "reached": {"step": len(states) - 1, "positions": to_json(reached)},
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False)
     with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
-        temporary.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+        temporary.write_text(_format_json(content), encoding="utf-8", newline="\n")
+
+
+def _format_json(content: Mapping[str, object]) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
-    folder, rod_path, prepared = solution.folder, solution.path, solution.prepared
-    shapes, forces = {}, {}
-    for step, state in solution.bands_by_step.items():
-        positions, curvature = state.positions, state.curvature
-        lower = np.column_stack([positions.lower, curvature.lower])
-        shapes[step] = lower, np.column_stack([positions.upper, curvature.upper])
-        forces[step] = state.reaction_forces.lower, state.reaction_forces.upper
+    path, bands = solution.path, solution.bands_by_step
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
-        SHAPE_FILE: format_shape(rod_path, prepared.line, solution.steps, shapes),
-        FORCES_FILE: format_forces(rod_path, prepared, forces),
-        VTK_FILE: format_vtk(rod_path, prepared.line, solution.steps, title),
-        DECK_FILE: write_line_deck(prepared.line, prepared.boundaries, title=title),
-        SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
+        SHAPE_FILE: format_shape(path, solution.steps, bands),
+        FORCES_FILE: format_forces(path, bands),
+        VTK_FILE: format_vtk(path, solution.steps, title),
+        DECK_FILE: write_line_deck(path.line, path.boundaries, title=title),
+        SUMMARY_FILE: _format_json(as_json(solution)),
     }
     if solution.sweep:
         texts[SWEEP_FILE] = _format_csv([_build_sweep_row(run) for run in solution.sweep])
-    names = (FIGURE, SWEEP_FIGURE) if figures else ()
-    owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
-    owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
-        with storing(folder):
-            for name, text in texts.items():
-                (stage / name).write_text(text, encoding="utf-8", newline="\n")
-        written = [stage / name for name in texts]
-        if figures:
-            drawn = build_drawn_harness(solution)
-            into = stage / FIGURES_FOLDER
-            written += save_pages(
-                list_harness_figures(drawn, build_drawn_sweep(solution)), into, png=png
-            )
-        files = tuple(folder / path.relative_to(stage) for path in written)
-    return replace(solution, files=files)
+    owned, pages = [SWEEP_FILE, FAILURE_FILE], []
+    if figures:
+        owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
+        pages = list_harness_figures(build_drawn_harness(solution), build_drawn_sweep(solution))
+    return replace(solution, files=write_study(solution.folder, texts, pages, owned=owned, png=png))
 
 
 def _build_sweep_row(run: FollowedHarness) -> dict[str, object]:
-    names = (
-        *("smallest_bend_radius [m]", "lower [m]", "upper [m]", "place [m]"),
-        *(f"{RADIUS_ON_PATH} [m]", "step", "lowest_point [m]"),
-    )
-    row: dict[str, object] = {"length [m]": run.harness.line.length, **dict.fromkeys(names)}
+    bend, on_path, lowest = run.bend, run.sharpest, math.nan
     if run.status is not Status.FAILED:
-        bend, on_path = run.bend, run.sharpest
-        lowest = float(compute_heights(run.path.last.positions, run.prepared).min())
-        values = (bend.radius, *_build_band_ends(run).values(), bend.place)
-        row |= zip(names, (*values, on_path.radius, str(on_path.step), lowest), strict=True)
-    reason = run.reasons[0] if run.reasons else None
-    code, message = (reason.code, reason.message) if reason else ("", "")
-    return row | {"status": str(run.status), "code": code, "reason": message}
+        lowest = float(compute_heights(run.path.last.positions, run.path).min())
+    code, message = "", ""
+    if run.reasons:
+        code, message = run.reasons[0].code, run.reasons[0].message
+    return {
+        "length [m]": run.harness.line.length,
+        "smallest_bend_radius [m]": bend.radius,
+        **{f"{end} [m]": value for end, value in _build_band_ends(run).items()},
+        "place [m]": bend.place,
+        f"{RADIUS_ON_PATH} [m]": on_path.radius,
+        "step": "" if run.status is Status.FAILED else str(on_path.step),
+        "lowest_point [m]": lowest,
+        "status": str(run.status),
+        "code": code,
+        "reason": message,
+    }
 
 
 def _build_head(solution: FollowedHarness) -> dict[str, object]:
@@ -219,7 +207,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
     ----------
     solution : of a harness
     """
-    line, material = solution.prepared.line, solution.material
+    line, material = solution.path.line, solution.material
     section, bend, limit = line.section, solution.sharpest, solution.limit
     section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
     allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
@@ -291,10 +279,6 @@ def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
     return text
 
 
-BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
-"""Columns of the shape that have bands."""
-Bands = Mapping[int, tuple[Floats, Floats]]
-"""Lower and upper ends by step; for the columns `BANDED` of shape (n + 1, 4) each."""
 _AXES = "xyz"
 
 
@@ -311,14 +295,12 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
     Tension at a node is the mean of both elements; torque and bending moment are the larger of both
     sides.
     """
-    curvature = compute_curvature(state, line)
+    curvature = compute_curvature(state)
     axes = to_matrices(state.frames)[:, :, 2]
-    tension = np.einsum("nk,nk->n", state.forces, axes)
-    before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
-    moments = state.moments
-    side_axes = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
-    torque = np.einsum("nsk,nsk->ns", moments, np.stack(side_axes, axis=1))
-    bending = np.sqrt(np.maximum(np.sum(moments**2, axis=2) - torque**2, 0.0))
+    tension = np.vecdot(state.forces, axes)
+    sides = np.stack([np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])], axis=1)
+    torque = np.vecdot(state.moments, sides)
+    bending = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
     places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
     return {
         "along [m]": line.stations,
@@ -326,62 +308,60 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
         "curvature [1/m]": curvature,
         "bend_radius [m]": compute_radius(curvature),
         "kept_curvature [1/m]": compute_residual_curvature(state, line.section.law),
-        "tension [N]": 0.5 * (before + behind),
+        "tension [N]": 0.5 * (np.append(tension[:1], tension) + np.append(tension, tension[-1:])),
         "bending_moment [N*m]": bending.max(axis=1),
         "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
     }
 
 
-def format_shape(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
+def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateBands]) -> str:
     """Format ``shape.csv``, a table of the nodes in some steps.
 
     Parameters
     ----------
     path : of the line
-    line : of the path
     steps : to write, in this order
     bands : of some steps; the cells of other steps are empty
     """
-    blank = (np.full((len(line.stations), len(BANDED)), np.nan),) * 2
     tables = []
     for step in steps:
-        columns: dict[str, object] = {"step": step, "node": np.arange(len(line.stations))}
-        columns |= compute_columns(path.states[step], line)
-        if bands:
-            columns |= _build_band_columns(BANDED, bands.get(step, blank))
+        columns: dict[str, object] = {"step": step, "node": np.arange(len(path.line.stations))}
+        columns |= compute_columns(path.states[step], path.line)
+        if band := bands.get(step):
+            ends = (band.positions.lower, band.positions.upper)
+            columns |= _build_band_columns([f"{axis} [m]" for axis in _AXES], *ends)
+            ends = (band.curvature.lower[:, None], band.curvature.upper[:, None])
+            columns |= _build_band_columns(["curvature [1/m]"], *ends)
         tables.append(pd.DataFrame(columns))
     return _format_csv(pd.concat(tables))
 
 
-def _build_band_columns(names: Sequence[str], band: Sequence[Floats]) -> dict[str, Floats]:
+def _build_band_columns(names: Sequence[str], lower: Floats, upper: Floats) -> dict[str, Floats]:
     """Return the columns of a band: lower and upper end of each name."""
     return {
-        name.replace(" ", f"_{end} "): values.T[number]
-        for number, name in enumerate(names)
-        for end, values in zip(("lower", "upper"), band, strict=True)
+        name.replace(" ", f"_{end} "): column
+        for name, *pair in zip(names, lower.T, upper.T, strict=True)
+        for end, column in zip(("lower", "upper"), pair, strict=True)
     }
 
 
-def format_forces(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
+def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
     """Format ``forces.csv``: forces and moments of each boundary on the line in every step.
 
     Parameters
     ----------
     path : of the line
-    prepared : line and boundaries
-    bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; the cells of
-        other steps are empty
+    bands : of some steps; the cells of other steps are empty
 
     Notes
     -----
     The weight is omitted; in each step it is minus the sum of all forces.
     """
-    blank = (np.full((len(prepared.boundaries), 3), np.nan),) * 2
     force_names = [f"f{axis} [N]" for axis in _AXES]
     moment_names = [f"m{axis} [N*m]" for axis in _AXES]
     rows = []
     for step, state in enumerate(path.states):
-        for number, boundary in enumerate(prepared.boundaries):
+        for number, boundary in enumerate(path.boundaries):
             if isinstance(boundary, rod.Gravity):
                 continue
             force, moment = state.reaction_forces[number], state.reaction_moments[number]
@@ -389,20 +369,19 @@ def format_forces(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
             row: dict[str, object] = {"step": step, "boundary": boundary.name, "kind": kind}
             row |= {"force [N]": np.linalg.norm(force), "moment [N*m]": np.linalg.norm(moment)}
             row |= zip([*force_names, *moment_names], [*force, *moment], strict=True)
-            if bands:
-                band = [end[number] for end in bands.get(step, blank)]
-                row |= _build_band_columns(force_names, band)
+            if step in bands:
+                band = bands[step].reaction_forces
+                row |= _build_band_columns(force_names, band.lower[number], band.upper[number])
             rows.append(row)
     return _format_csv(rows)
 
 
-def format_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> str:
+def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
     """Format the shapes of some steps as legacy VTK lines, for ParaView, PyVista or meshio.
 
     Parameters
     ----------
     path : of the line
-    line : of the path
     steps : one line for each
     title : of one line
 
@@ -412,9 +391,9 @@ def format_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> s
     VTK accept an infinity.
     """
     states = [path.states[step] for step in steps]
-    count = len(line.stations)
+    count = len(path.line.stations)
     points = np.vstack([state.positions for state in states])
-    nodes_of_lines = np.arange(len(points)).reshape(len(states), count).tolist()
+    nodes = np.arange(len(points)).reshape(len(states), count).tolist()
     lines = [
         "# vtk DataFile Version 3.0",
         title.encode("ascii", "replace").decode()[:255],
@@ -423,29 +402,21 @@ def format_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> s
         f"POINTS {len(points)} double",
         *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
         f"LINES {len(states)} {len(states) * (count + 1)}",
-        *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
+        *(" ".join(map(str, [count, *row])) for row in nodes),
         f"CELL_DATA {len(states)}",
-        *_format_scalars("step", [float(step) for step in steps]),
+        *_format_scalars("step", np.array(steps)),
         f"POINT_DATA {len(points)}",
-        *_format_point_data([compute_columns(state, line) for state in states]),
     ]
+    columns = pd.concat([pd.DataFrame(compute_columns(state, path.line)) for state in states])
+    for name in columns.columns.drop([f"{axis} [m]" for axis in _AXES]):
+        lines += _format_scalars(name.split()[0], columns[name].to_numpy())
     return "\n".join(lines) + "\n"
 
 
-def _format_point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
-    for name in columns[0]:
-        if name[:2] in ("x ", "y ", "z "):
-            continue
-        values = np.concatenate([column[name] for column in columns])
-        yield from _format_scalars(
-            name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist()
-        )
-
-
-def _format_scalars(name: str, values: Iterable[float]) -> Iterator[str]:
-    yield f"SCALARS {name} double 1"
-    yield "LOOKUP_TABLE default"
-    yield from (f"{value:.9g}" for value in values)
+def _format_scalars(name: str, values: Floats | Ints) -> list[str]:
+    finite = np.where(np.isfinite(values), values, 0.0)
+    rows = [f"{value:.9g}" for value in finite.tolist()]
+    return [f"SCALARS {name} double 1", "LOOKUP_TABLE default", *rows]
 
 
 def build_drawn_harness(solution: FollowedHarness) -> DrawnHarness:
@@ -455,29 +426,23 @@ def build_drawn_harness(solution: FollowedHarness) -> DrawnHarness:
     ----------
     solution : of a harness
     """
-    line, states = solution.prepared.line, solution.path.states
-    bands = solution.bands_by_step
-    shapes = tuple(
-        _build_drawn_shape(step, states[step], line, bands.get(step)) for step in solution.steps
-    )
-    planes = [
-        boundary for boundary in solution.prepared.boundaries if isinstance(boundary, rod.Plane)
-    ]
+    path, bands = solution.path, solution.bands_by_step
+    planes = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Plane)]
     return DrawnHarness(
         name=solution.file.stem,
         note=_format_caption(solution),
-        along=line.stations,
-        shapes=shapes,
-        marks=_build_marks(solution),
+        along=path.line.stations,
+        shapes=tuple(
+            _build_drawn_shape(step, path.states[step], bands.get(step)) for step in solution.steps
+        ),
+        marks=tuple(_build_marks(solution)),
         planes=tuple((plane.point, plane.normal) for plane in planes),
         allowed=solution.limit.radius,
     )
 
 
-def _build_drawn_shape(
-    step: int, state: RodState, line: Line, bands: StateBands | None
-) -> DrawnShape:
-    shape = DrawnShape(step, state.positions, compute_radius(compute_curvature(state, line)))
+def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> DrawnShape:
+    shape = DrawnShape(step, state.positions, compute_radius(compute_curvature(state)))
     if bands is None:
         return shape
     positions, curvature = bands.positions, bands.curvature
@@ -492,16 +457,15 @@ def _format_caption(solution: FollowedHarness) -> str:
     limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
     about = solution.harness.about.strip()
     sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
-    line = f"Line of {solution.material.name}, {len(solution.prepared.line.lengths)} elements."
+    line = f"Line of {solution.material.name}, {len(solution.path.line.lengths)} elements."
     doubts = [f"Doubtful: {solution.reasons[0].message}."] if solution.reasons else []
     return " ".join([*sentences, line, limit, *doubts])
 
 
-def _build_marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
-    """Return the symbols of clips, grips and other boundaries at the last step."""
-    marks = []
+def _build_marks(solution: FollowedHarness) -> Iterator[DrawnMark]:
+    """Yield the symbols of clips, grips and other boundaries at the last step."""
     last, steps = solution.path.last, solution.harness.steps
-    pairs = zip(solution.harness.boundaries, solution.prepared.boundaries, strict=False)
+    pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
     for stated, boundary in pairs:  # the weight, which comes last, has no symbol
         path, direction, is_holding = np.zeros((0, 3)), None, True
         match boundary:
@@ -516,14 +480,13 @@ def _build_marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
             case rod.Ring():
                 place, direction = boundary.position[-1], boundary.direction
             case rod.String():
-                place, path = boundary.anchor[-1], last.positions[[boundary.node]]
-                path = np.vstack([path, boundary.anchor[-1:]])
+                place = boundary.anchor[-1]
+                path = np.stack([last.positions[boundary.node], place])
             case rod.Load():
                 place = last.positions[boundary.node]
             case _:
                 continue
-        marks.append(DrawnMark(stated.name, stated.kind, place, path, direction, is_holding))
-    return tuple(marks)
+        yield DrawnMark(stated.name, stated.kind, place, path, direction, is_holding)
 
 
 def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
@@ -536,13 +499,18 @@ def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
     if not solution.sweep:
         return None
     sweep = sorted(solution.sweep, key=lambda run: run.harness.line.length)
+    rows = [(run.harness.line.length, run.bend.radius, run.sharpest.radius) for run in sweep]
+    length, radius, radius_over_steps = np.array(rows).T
+    intervals = [run.bands and run.bands.intervals[RADIUS] for run in sweep]
+    ends = [(end.lower, end.upper) if end else (math.nan, math.nan) for end in intervals]
+    lower, upper = np.array(ends).T
     return DrawnSweep(
         name=solution.file.stem,
         note=_format_caption(solution),
-        length=np.array([run.harness.line.length for run in sweep]),
-        radius=np.array([run.bend.radius for run in sweep]),
-        radius_over_steps=np.array([run.sharpest.radius for run in sweep]),
-        radius_band=_collect_radius_bands(sweep),
+        length=length,
+        radius=radius,
+        radius_over_steps=radius_over_steps,
+        radius_band=(lower, upper) if any(intervals) else None,
         shapes=tuple(
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
             for run in sweep
@@ -550,13 +518,3 @@ def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
         allowed=solution.limit.radius,
         is_doubtful=np.array([run.status is Status.DOUBTFUL for run in sweep]),
     )
-
-
-def _collect_radius_bands(sweep: Sequence[FollowedHarness]) -> tuple[Floats, Floats] | None:
-    """Return the ends of the interval of the smallest bend radius by length; None without any."""
-    intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
-    if not any(intervals):
-        return None
-    lower = [math.nan if interval is None else interval.lower for interval in intervals]
-    upper = [math.nan if interval is None else interval.upper for interval in intervals]
-    return np.array(lower), np.array(upper)

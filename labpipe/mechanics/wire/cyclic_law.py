@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.mechanics.law.mixed_law import MixedLaw, make_mixed_law
 from labpipe.mechanics.law.plays import PlayLaw, compute_first_curvature
+from labpipe.mechanics.law.sliders import MixedLaw, make_mixed_law
 from labpipe.mechanics.wire.bending_law import fit_play_law, sum_strand_moments
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.friction import Contacts

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.mechanics.law.growing_slider import GrowingSlider, grow_from
 from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
-from labpipe.mechanics.law.sliders import SliderLaw, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
 from labpipe.mechanics.wire.cross_section import (

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError, sort_by_likeness
-from labpipe.mechanics.law.growing_slider import GrowingSlider
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod.input_distributions import (
     InputDistribution,
     build_calibrated_distributions,
@@ -108,13 +107,12 @@ def fix_inputs(material: Material) -> Material:
     ----------
     material : of a line
     """
-    best = material.best
-
-    def fix(section: SectionAt) -> SectionAt:
-        return lambda _: section(best)
-
-    sections = tuple(map(fix, material.sections))
+    sections = tuple(partial(_fix, section, material.best) for section in material.sections)
     return replace(material, sections=sections, distributions=())
+
+
+def _fix(section: SectionAt, inputs: Mapping[str, float], _: Mapping[str, float]) -> Section:
+    return section(inputs)
 
 
 def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
@@ -138,28 +136,26 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
         material = _read_deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _build_stiffness_material(block)
-    return replace(material, distributions=_add_stated(material.distributions, harness))
-
-
-def _add_stated(
-    distributions: tuple[InputDistribution, ...], harness: HarnessFile
-) -> tuple[InputDistribution, ...]:
-    """Join the distributions of a calibration with the uncertainties that the file states."""
-    inputs = {
-        LAW_FACTOR: (harness.line.section.stiffness_uncertainty or 0.0, "stiffness as stated")
-    }
+    stated = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
     if harness.line.spool is not None:
-        inputs |= dict.fromkeys(FREE_CURVATURES, (harness.line.spool.spread, "curl of the spool"))
-    stated = [
+        spread = harness.line.spool.spread
+        stated += [(name, spread, "curl of the spool") for name in FREE_CURVATURES]
+    parts = tuple(
         build_stated_distribution(name, deviation, cause=cause)
-        for name, (deviation, cause) in inputs.items()
+        for name, deviation, cause in stated
         if deviation > 0.0
-    ]
-    if not stated:
+    )
+    return replace(material, distributions=_join_all(material.distributions, parts))
+
+
+def _join_all(
+    distributions: tuple[InputDistribution, ...], parts: tuple[InputDistribution, ...]
+) -> tuple[InputDistribution, ...]:
+    """Join the distribution of each solution of a calibration with further ones."""
+    if not parts:
         return distributions
-    if not distributions:
-        return (join_distributions(stated),)
-    return tuple(join_distributions([calibrated, *stated]) for calibrated in distributions)
+    rows = [(distribution, *parts) for distribution in distributions] or [parts]
+    return tuple(map(join_distributions, rows))
 
 
 def describe_file(role: str, path: Path) -> InputFile:
@@ -206,7 +202,10 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(describe_file("calibration", path))
-    specs = _build_solution_specs(spec, calibrated)
+    specs = [spec]
+    if calibrated is not None:
+        allowed = [row for row, solution in enumerate(calibrated.solutions) if solution.is_allowed]
+        specs = [apply_values(spec, calibrated.values(row)) for row in allowed]
     try:
         table, families = wire_table(specs[0]), [make_law_family(spec) for spec in specs]
     except ValueError as error:
@@ -215,14 +214,13 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
     limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
-    source = min(limits, key=lambda limit: limits[limit])
     name = spec.name
     if calibrated is not None and calibrated.wire != name:
         name = f"{name} (calibrated as {calibrated.wire})"
     return Material(
         name,
         tuple(partial(_build_section, family, spec.wire_diameter) for family in families),
-        *(limits[source], source),
+        *_find_lowest(limits),
         files=tuple(files),
         notes=table.notes,
         distributions=_build_distributions(spec, calibrated),
@@ -230,6 +228,12 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         and (calibrated is None or calibrated.share is None),
         stretch_limit=1e-3,  # copper yields beyond it
     )
+
+
+def _find_lowest(limits: Mapping[str, float]) -> tuple[float, str]:
+    """Return the lowest limit and its source."""
+    source = min(limits, key=lambda name: limits[name])
+    return limits[source], source
 
 
 def _build_distributions(
@@ -248,18 +252,7 @@ def _build_distributions(
         share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
         share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=_HARDENING)
-    return tuple(join_distributions([other, share]) for other in distributions) or (share,)
-
-
-def _build_solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
-    """Return the wire with the parameters of each allowed solution; unchanged if not calibrated."""
-    if calibrated is None:
-        return [spec]
-    return [
-        apply_values(spec, calibrated.values(number))
-        for number, solution in enumerate(calibrated.solutions)
-        if solution.is_allowed
-    ]
+    return _join_all(distributions, (share,))
 
 
 def _build_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
@@ -305,84 +298,65 @@ def _build_stiffness_material(block: SectionBlock) -> Material:
 def _read_deck_material(block: SectionBlock, path: Path) -> Material:
     deck = _read_deck(path)
     try:
-        first, last = map(float, deck["range"]["curvature"])
-        doubtful = float(deck.get("doubtful_beyond") or np.inf)
-        law = SliderLaw(
-            float(deck["stiffness"]),
-            np.array(deck["stiffnesses"], dtype=np.float64),
-            np.array(deck["slip_curvatures"], dtype=np.float64),
-            first,
-            last,
-            float(deck.get("error", 0.0)),
+        stiffnesses, slips = (
+            np.array(deck[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
         )
-        hardening = _read_hardening(deck)
+        first, last = map(float, deck["range"]["curvature"])
+        error = float(deck.get("error", 0.0))
         section = Section(
-            law,
+            SliderLaw(float(deck["stiffness"]), stiffnesses, slips, first, last, error),
             float(deck["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
             mass_per_length=float(deck.get("mass_per_length") or 0.0),
             diameter=block.diameter or 0.0,
         )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        fault = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
-        raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from error
-    limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
+        doubtful = float(deck.get("doubtful_beyond") or np.inf)
+        strands, (low, high) = _read_hardening(deck.get("growing"))
+    except (KeyError, TypeError, ValueError, IndexError) as cause:
+        fault = f"none under {cause}" if isinstance(cause, KeyError) else f"this: {cause}"
+        raise ReadError.about("mechanics.studies.deck_without_law", path, fault=fault) from cause
     distributions: tuple[InputDistribution, ...] = ()
-    if hardening is not None and not hardening.is_known:
-        distributions = (
-            build_uniform_distribution(ISOTROPIC_SHARE, *hardening.shares, cause=_HARDENING),
-        )
-    source = min(limits, key=lambda limit: limits[limit])
+    if low < high:
+        share = build_uniform_distribution(ISOTROPIC_SHARE, low, high, cause=_HARDENING)
+        distributions = (share,)
     return Material(
-        *(str(deck.get("wire", path.stem)), (partial(_build_deck_section, section, hardening),)),
-        *(limits[source], source),
+        str(deck.get("wire", path.stem)),
+        (partial(_build_deck_section, section, strands, low if low == high else 0.0),),
+        *_find_lowest({"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful}),
         files=(describe_file("sliders", path),),
         distributions=distributions,
         has_unknown_share=bool(distributions),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Hardening:
-    """Hardening of the strands of a deck.
+def _read_hardening(
+    block: Mapping[str, Any] | None,
+) -> tuple[GrowingSlider | None, tuple[float, float]]:
+    """Read the hardening of the strands of a deck.
 
-    Parameters
-    ----------
-    strands : growing slider that holds the whole of it
-    shares : ends of the interval of the isotropic share; equal if it is known
+    Returns
+    -------
+    The growing slider that holds the whole of it, None if the copper follows Masing's rule; and the
+    ends of the interval of the isotropic share, which are equal if it is known.
     """
-
-    strands: GrowingSlider
-    shares: tuple[float, float]
-
-    @property
-    def is_known(self) -> bool:
-        """Return whether the share is known."""
-        return self.shares[0] == self.shares[1]
-
-
-def _read_hardening(deck: Mapping[str, Any]) -> _Hardening | None:
-    """Read the growing slider of a deck; None if it has none, so that its copper follows Masing."""
-    block = deck.get("growing")
     if block is None:
-        return None
+        return None, (0.0, 0.0)
     slid, limits = (np.array(block[name], dtype=np.float64) for name in ("slid", "limits"))
     slider = GrowingSlider(float(block["stiffness"]), slid, limits)
     low, high = map(float, block["share_interval"])
     require("share_interval", (low, high), "from 0 to 1, rising", holds=0.0 <= low <= high <= 1.0)
     share = float(block["isotropic_share"])
     require("isotropic_share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
-    return _Hardening(slider.scaled(1.0 / share), (low, high))
+    return slider.scaled(1.0 / share), (low, high)
 
 
 def _build_deck_section(
-    section: Section, hardening: _Hardening | None, inputs: Mapping[str, float]
+    section: Section, strands: GrowingSlider | None, known: float, inputs: Mapping[str, float]
 ) -> Section:
     """Return the section of a deck with its isotropic share and the factors of the inputs."""
-    if hardening is not None:
-        stated = hardening.shares[0] if hardening.is_known else 0.0
-        share = min(max(inputs.get(ISOTROPIC_SHARE, stated), 0.0), 1.0)
-        section = replace(section, law=share_hardening(section.law, hardening.strands, share))
+    if strands is not None:
+        share = min(max(inputs.get(ISOTROPIC_SHARE, known), 0.0), 1.0)
+        section = replace(section, law=share_hardening(section.law, strands, share))
     return _scale_section(section, inputs)
 
 

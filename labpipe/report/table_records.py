@@ -1,0 +1,500 @@
+"""Tables of pages and workbooks, the cells of their numbers, and the writer of workbooks.
+
+The template ``tables.html`` shows a `Table` on a page; `save_tables` writes several as the sheets
+of a workbook. ``workbooks.toml`` describes each workbook and the layout of its sheets.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cache, lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import Interval
+from labpipe.report.figure_page import writing
+from labpipe.report.plot_records import MeanStrip
+from labpipe.report.wording import find_last_place, replace_unprintable, shorten
+
+DASH = "\u2013"
+
+
+class Cell(NamedTuple):
+    """Text of a cell.
+
+    Parameters
+    ----------
+    text : in the first line
+    small : in the second line, in smaller letters
+    mark : after the text: ``?`` for doubtful, ``!`` for an outlier
+    tip : sentence or code that the page shows on hover
+    sort : value by which the column is sorted, SI; None to sort by the text
+    drawing : replaces the text
+    link : address of the text, on the page or in the workbook
+    """
+
+    text: str
+    small: str = ""
+    mark: str = ""
+    tip: str = ""
+    sort: float | None = None
+    drawing: MeanStrip | None = None
+    link: str = ""
+
+
+class NumberCell(NamedTuple):
+    """A number with all its digits, and its number format in a workbook.
+
+    Parameters
+    ----------
+    value : in the unit of its column or row
+    form : number format of Excel
+    """
+
+    value: float
+    form: str
+
+
+Value: TypeAlias = str | float | Cell | NumberCell | None
+Record: TypeAlias = dict[str, Value]
+"""Cells of a row by their headings."""
+
+
+class Chart(NamedTuple):
+    """Chart of a table in a workbook.
+
+    Parameters
+    ----------
+    title : above the chart; may be empty
+    x, y : headings of the columns that it draws
+    lines : first and last row of each line, from 0, by its name; the first 12 are drawn
+    is_log : make both axes logarithmic
+    """
+
+    title: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[int, int]]
+    is_log: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """A table of a page, or a sheet of a workbook; the first cell of a row is its heading.
+
+    Parameters
+    ----------
+    title : above the table; the name of the sheet
+    heads : headings with units, one per column
+    rows : as many cells as headings
+    notes : sentences below the table of a page
+    charts : of a sheet, below the table or to the right of a long one
+    """
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Value]]
+    notes: Sequence[str] = ()
+    charts: Sequence[Chart] = ()
+
+
+def tabulate(
+    title: str, records: Iterable[Record], heads: Iterable[str] = (), **more: Any
+) -> Table:
+    """Make a table of records, a column per heading.
+
+    Parameters
+    ----------
+    title : of the table
+    records : cells by heading; a missing one is empty
+    heads : headings in order; those of the records, in the order of their appearance, if empty
+    more : notes and charts of the table
+    """
+    rows = list(records)
+    names = list(heads) or list(dict.fromkeys(head for row in rows for head in row))
+    return Table(title, names, [[row.get(name) for name in names] for row in rows], **more)
+
+
+def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
+    """Make a record per element of arrays.
+
+    Parameters
+    ----------
+    head : first cells, the same in each record
+    columns : arrays of one length by heading
+    """
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
+
+
+def stack_blocks(
+    blocks: Mapping[str, list[Record]],
+) -> tuple[list[Record], dict[str, tuple[int, int]]]:
+    """Join blocks of records to the rows of one table.
+
+    Parameters
+    ----------
+    blocks : records by the name of their block
+
+    Returns
+    -------
+    All records, and the first and the last row of each block by its name, from 0; an empty block
+    has no rows.
+    """
+    rows: list[Record] = []
+    ends = {}
+    for name, block in blocks.items():
+        if block:
+            ends[name] = len(rows), len(rows) + len(block) - 1
+        rows += block
+    return rows, ends
+
+
+def make_number_cell(
+    value: float | None, interval: Interval | None = None, factor: float = 1.0
+) -> NumberCell | None:
+    """Make a cell that displays a number to the second digit of half its interval.
+
+    Parameters
+    ----------
+    value, interval : in SI
+    factor : from SI to the unit of the cell
+
+    Returns
+    -------
+    None without a number.
+    """
+    if value is None or not math.isfinite(value):
+        return None
+    place = find_last_place(value, interval, factor)
+    return NumberCell(factor * value, choose_number_format(factor * value, place))
+
+
+def make_interval_cells(
+    value: float | None, interval: Interval | None, factor: float = 1.0, *, name: str = "value"
+) -> Record:
+    """Make cells that display a number and the ends of its interval to the same digit.
+
+    Parameters
+    ----------
+    value, interval : in SI
+    factor : from SI to the unit of the cells
+    name : heading of the number; those of the ends are ``lower`` and ``upper``
+
+    Returns
+    -------
+    Three cells by heading; a missing number is None.
+    """
+    cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
+    if interval is not None:
+        place = find_last_place(interval.lower if value is None else value, interval, factor)
+        ends = sorted((factor * interval.lower, factor * interval.upper))
+        for part, end in zip(("lower", "upper"), ends, strict=True):
+            cells[part] = NumberCell(end, choose_number_format(end, place))
+    return cells
+
+
+def make_percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
+    """Make the cell of a share in per cent, such as 38.2% for 0.382.
+
+    Parameters
+    ----------
+    share : or an interval of shares; None and NaN give None
+    part : field of the interval, such as ``lower``
+    """
+    value = getattr(share, part) if isinstance(share, Interval) else share
+    return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
+
+
+def choose_number_format(value: float, place: int) -> str:
+    """Choose the number format that displays a number down to a power of ten.
+
+    Parameters
+    ----------
+    value : of the cell
+    place : power of ten of the last digit
+
+    Examples
+    --------
+    >>> choose_number_format(52.284, -1)
+    '0.0'
+    >>> choose_number_format(3.1e-5, -6)
+    '0.000000'
+    >>> choose_number_format(3.1e-7, -8)
+    '0.0E+00'
+    """
+    plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten
+    if value and (abs(value) >= plain_below or place < last_plain_place):
+        return _write_decimals(math.floor(math.log10(abs(value))) - place) + "E+00"
+    return _write_decimals(-place)
+
+
+@cache
+def _write_decimals(count: int) -> str:
+    return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
+
+
+def find_column_place(column: Sequence[Value]) -> int | None:
+    """Find the power of ten of the last digit of the numbers of a column without a format.
+
+    Parameters
+    ----------
+    column : its integers, texts and cells with a format do not count
+
+    Returns
+    -------
+    The largest number has five digits; None if there is no number other than zero.
+    """
+    plain = [abs(x) for x in column if isinstance(x, float) and math.isfinite(x)]
+    return find_last_place(max(plain), None, digits=5) if any(plain) else None
+
+
+def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell:
+    """Give a number the format of its column, or one of its own if it is too small for that.
+
+    Parameters
+    ----------
+    value : a cell with a format keeps it
+    place : power of ten of the last digit of the column, from `find_column_place`
+    """
+    min_digits = 3  # of a small number that would have fewer in its column
+    if isinstance(value, NumberCell):
+        return value
+    if isinstance(value, int) or place is None:
+        return NumberCell(value, "0")
+    is_small = 0.0 < abs(value) < 10.0 ** (place + min_digits - 1)
+    last_place = find_last_place(value, None, digits=min_digits) if is_small else place
+    return NumberCell(value, choose_number_format(value, last_place))
+
+
+READ_ME = "read me"
+"""Name of the first sheet."""
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's, as in the figures."""
+_DASHES = ("solid", "dash", "square_dot", "dash_dot")
+
+
+@cache
+def _read_descriptions() -> dict[str, Any]:
+    text = (files("labpipe.report") / "workbooks.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def save_tables(
+    tables: Iterable[Table],
+    path: Path,
+    *,
+    book: str,
+    title: str,
+    facts: Iterable[str] = (),
+    footer: str = "",
+) -> None:
+    """Write tables as an xlsx file, after the sheet `READ_ME`, which describes and links them.
+
+    Parameters
+    ----------
+    tables : in order; a spreadsheet program opens the first of them
+    path : of the file
+    book : name in ``workbooks.toml``
+    title : of the workbook
+    facts : paragraphs of the first sheet, before those on how to read the workbook
+    footer : of each printed page; the title if empty
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+
+    Notes
+    -----
+    A text such as ``=1+1`` is no formula. Numbers that are not finite are empty cells. Unprintable
+    characters are replaced by U+FFFD. The same tables give the same bytes.
+    """
+    description, sheets, memory = _read_descriptions()[book], list(tables), io.BytesIO()
+    layouts = {table.title: description["sheets"].get(table.title, {}) for table in sheets}
+    writer = _WorkbookWriter(memory, title, footer or title)
+    writer.add_read_me([title, *facts, *description["about"]], layouts)
+    for number, table in enumerate(sheets):
+        writer.add(table, layouts[table.title], is_first=not number)
+    writer.book.close()
+    with writing(path, "a workbook"):
+        path.write_bytes(memory.getvalue())
+
+
+class _WorkbookWriter:
+    """A workbook that is being written."""
+
+    def __init__(self, file: io.BytesIO, title: str, footer: str) -> None:
+        from xlsxwriter import Workbook
+
+        self.book = Workbook(file, {"in_memory": True})
+        created = datetime(2000, 1, 1)  # the same tables give the same bytes
+        self.book.set_properties({"title": replace_unprintable(title), "created": created})
+        self.forms: dict[str, Any] = {}
+        text = shorten(replace_unprintable(footer), 90).replace("&", "&&")
+        self.footer = f"&L&8{text}&C&8&A&R&8page &P of &N"
+        self.head = self.form(bold=True, text_wrap=True, bottom=1, align="left")
+
+    def form(self, number: str = "", **look: Any) -> Any:
+        """Return the format of a cell, created once."""
+        key = f"{number} {sorted(look)}" if look else number
+        if key not in self.forms:
+            properties = {"valign": "top", **({"num_format": number} if number else {}), **look}
+            self.forms[key] = self.book.add_format(properties)
+        return self.forms[key]
+
+    def add_page(self, name: str) -> Any:
+        """Add a sheet with its print layout."""
+        page = self.book.add_worksheet(name)
+        page.set_landscape()
+        page.set_paper(9)  # A4
+        page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
+        page.set_footer(self.footer)
+        page.fit_to_pages(1, 0)
+        return page
+
+    def add_read_me(self, lines: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
+        """Add how to read the workbook, and the question of each sheet."""
+        line_height, letters = 15.0, 115  # of a line: points, and characters
+        page, wrapped = self.add_page(READ_ME), self.form(text_wrap=True)
+        page.set_column(0, 0, 26)
+        page.set_column(1, 1, 100)
+        _write_text(page, 0, 0, lines[0], self.head)
+        for row, line in enumerate(lines[1:], start=1):
+            page.merge_range(row, 0, row, 1, "", wrapped)
+            _write_text(page, row, 0, line, wrapped)
+            page.set_row(row, line_height * math.ceil(len(line) / letters))
+        start = len(lines) + 1
+        for column, word in enumerate(("Sheet", "Question")):
+            _write_text(page, start, column, word, self.head)
+        for row, (name, layout) in enumerate(layouts.items(), start=start + 1):
+            page.write_url(row, 0, f"internal:'{name}'!A1", string=name)
+            _write_text(page, row, 1, layout.get("question", ""), wrapped)
+
+    def add(self, table: Table, layout: Mapping[str, Any], *, is_first: bool) -> None:
+        """Add the sheet of a table with its charts."""
+        page, wrapped = self.add_page(table.title), layout.get("wrapped", ())
+        heads = make_unique_heads(table.heads or ["no rows"])
+        if is_first:
+            page.activate()
+        for number, width in enumerate(_find_widths(table, wrapped)):
+            page.set_column(number, number, width)
+        columns = [{"header": head, "header_format": self.head} for head in heads]
+        if table.rows:
+            look = {"columns": columns, "style": "Table Style Light 1"}
+            page.add_table(0, 0, len(table.rows), len(heads) - 1, look)
+        for number, head in enumerate(() if table.rows else heads):
+            _write_text(page, 0, number, head, self.head)
+        places = [find_column_place(column) for column in zip(*table.rows, strict=True)]
+        for number, row in enumerate(table.rows, start=1):
+            for column, value in enumerate(row):
+                is_wrapped = table.heads[column] in wrapped
+                self.write(page, (number, column), value, places[column], is_wrapped=is_wrapped)
+        page.freeze_panes(1, layout.get("frozen", 0))
+        page.repeat_rows(0)
+        self.draw(page, table)
+
+    def write(
+        self, page: Any, at: tuple[int, int], value: Value, place: int | None, *, is_wrapped: bool
+    ) -> None:
+        """Write a cell."""
+        risky = "=+-@#"  # a text that begins so becomes a formula when a person edits it
+        if isinstance(value, Cell):
+            page.write_url(*at, f"internal:{value.link}", string=replace_unprintable(value.text))
+        elif isinstance(value, str):
+            look: dict[str, Any] = {"quote_prefix": True} if value[:1] in risky else {}
+            look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+            if value:
+                _write_text(page, *at, value, self.form(**look))
+        elif value is not None:
+            number = value.value if isinstance(value, NumberCell) else value
+            if math.isfinite(number):
+                page.write_number(*at, number, self.form(format_in_column(value, place).form))
+
+    def draw(self, page: Any, table: Table) -> None:
+        """Place the charts in rows of two, below the table or beside a long one."""
+        long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
+        top, left = len(table.rows) + 2, 0
+        if table.charts and len(table.rows) > long_table:
+            top, left = 1, len(table.heads) + 1
+            page.print_area(0, 0, len(table.rows), len(table.heads) - 1)
+        for number, chart in enumerate(table.charts):
+            row, column = divmod(number, 2)
+            drawn = _draw_chart(self.book, table, chart)
+            drawn.set_size({"width": width - gap, "height": height - gap})
+            offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
+            page.insert_chart(top, left, drawn, offset)
+
+
+def make_unique_heads(heads: Sequence[str]) -> list[str]:
+    """Make headings of a table unique regardless of case, not empty, and at most 250 long."""
+    unique: dict[str, str] = {}
+    for head in heads:
+        plain = replace_unprintable(head)[:250] or "column"
+        name, number = plain, 1
+        while name.casefold() in unique:
+            number += 1
+            name = f"{plain} {number}"
+        unique[name.casefold()] = name
+    return list(unique.values())
+
+
+def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
+    page.write_string(row, column, _cell_text(text), form)
+
+
+@lru_cache(maxsize=256)  # the same names are in many rows
+def _cell_text(text: str) -> str:
+    max_bytes = 2 * 32_767  # of UTF-16, the limit of Excel
+    return replace_unprintable(text).encode("utf-16-le")[:max_bytes].decode("utf-16-le", "ignore")
+
+
+def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:
+    """Return the width of each column in characters, that of its longest text or heading word."""
+    filter_button, max_wrapped, max_plain = 3, 46, 34
+    widths = [max(8, *map(len, head.split(" "))) + filter_button for head in table.heads]
+    for row in table.rows:
+        for column, value in enumerate(row):
+            text = value.text if isinstance(value, Cell) else value
+            if isinstance(text, str):
+                widths[column] = max(widths[column], len(text) + 1)
+    limits = [max_wrapped if head in wrapped else max_plain for head in table.heads]
+    return list(map(min, widths, limits))
+
+
+def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
+    drawn = book.add_chart({"type": "scatter", "subtype": "straight"})
+    x, y = (table.heads.index(head) for head in (chart.x, chart.y))
+    for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
+        dash = _DASHES[number // len(_COLOURS) % len(_DASHES)]
+        look = {"color": _COLOURS[number % len(_COLOURS)], "width": 1.5, "dash_type": dash}
+        drawn.add_series({
+            "name": _escape_formula(name),
+            "categories": [table.title, first + 1, x, last + 1, x],
+            "values": [table.title, first + 1, y, last + 1, y],
+            "line": look,
+        })  # fmt: skip
+    options: dict[str, Any] = {
+        "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
+        "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
+    }  # fmt: skip
+    options |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
+    for set_axis, head in ((drawn.set_x_axis, chart.x), (drawn.set_y_axis, chart.y)):
+        set_axis({"name": _escape_formula(head[:1].upper() + head[1:]), **options})
+    title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
+    drawn.set_title(title if chart.title else {"none": True})
+    drawn.set_legend({"position": "right", "font": {"size": 9}})
+    return drawn
+
+
+def _escape_formula(text: str) -> str:
+    """Escape a text of a chart that begins like a formula."""
+    return re.sub("^=", "\u200a=", replace_unprintable(text))
