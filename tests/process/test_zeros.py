@@ -11,14 +11,14 @@ from scipy.signal import lfilter
 
 from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
-from labpipe.process.story import reduce_recordings
-from labpipe.process.zeros import (
+from labpipe.process.steps import (
     average_level,
     fit_end_level,
     measure_moving_zero,
     required_samples,
     rezero_at_rest,
 )
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
