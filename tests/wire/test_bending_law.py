@@ -136,7 +136,8 @@ def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bo
     if is_shaken:
         turns = 7
         away = np.random.default_rng(3).normal(scale=1e-5, size=(2, 7)) * (section.radius > 0.0)
-        section = replace(section, x=section.x + away[0], y=section.y + away[1])
+        x, y = section.x + away[0], section.y + away[1]
+        section = replace(section, kind="packed", x=x, y=y)
     contacts, kappa = contacts_of(section), np.array([-5.0, 0.05, 5.0, 40.0])
     curve = compute_moment_curve(section, contacts, kappa)
     low, high = find_orientation_range(section, contacts, curve, n_orientations=turns)

@@ -33,7 +33,7 @@ from labpipe.mechanics.wire.bundle_model import (
     compute_friction_moment,
     fit_friction,
 )
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as curvature_of
+from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,

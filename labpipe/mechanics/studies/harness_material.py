@@ -27,7 +27,7 @@ from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.mechanics.studies.harness_line import FREE_CURVATURES
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.law_family import (
+from labpipe.mechanics.wire.wire_table import (
     ISOTROPIC_SHARE,
     LAW_FACTOR,
     MASS_FACTOR,
@@ -36,8 +36,8 @@ from labpipe.mechanics.wire.law_family import (
     LawFamily,
     apply_values,
     make_law_family,
+    wire_table,
 )
-from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.protocol.harness_file import HarnessFile, SectionBlock, find_named_file
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile

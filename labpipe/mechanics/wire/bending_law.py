@@ -33,6 +33,7 @@ the wire springs back less; first loading is the same for every share.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -415,25 +416,15 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     strands in every ring it does not depend on the orientation; with two strands it varies by a
     fifth, and in a packing by a few per cent.
     """
-    sine = compute_sines(section, orientation)
-    return compute_slip_stiffness(section) + float(
-        _axial_rigidity(section) @ (find_section_arms(section) * sine) ** 2
-    )
-
-
-def find_section_arms(section: CrossSection) -> Floats:
-    """Return the distance of the strands outside the core from the axis, shape (strands,), m."""
-    return section.radius[section.layer >= int(section.has_core)]
-
-
-def _axial_rigidity(section: CrossSection) -> Floats:
-    """Return E A cos^3(alpha) of each strand outside the core, N."""
     first = int(section.has_core)
-    values = [
+    rigidity = [
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
-        for layer in section.layers[first:]
+        for layer in section.layers
     ]
-    return np.repeat(values, [layer.count for layer in section.layers[first:]])
+    is_ring = section.layer >= first
+    height = section.radius[is_ring] * compute_sines(section, orientation)
+    stretching = np.array(rigidity)[section.layer[is_ring]] @ height**2
+    return compute_slip_stiffness(section) + float(stretching)
 
 
 def compute_slip_stiffness(section: CrossSection) -> float:
@@ -565,29 +556,16 @@ def find_orientation_range(
     curve : the law at any orientation
     n_orientations : evenly spread over the full turn, the first at 0
     """
-    strand_bending = curve.bending + curve.plastic
+    rings = [layer.count for layer in section.layers if layer.count > 1]
+    symmetry = math.gcd(*rings) if rings and section.kind != "packed" else 1
+    turns = 2.0 * np.pi * np.arange(n_orientations) / n_orientations
+    turns = np.unique(np.round(turns % (2.0 * np.pi / symmetry), 12))
+    rest = curve.bending + curve.plastic + curve.insulation
     moments = []
-    for turn in _distinct_turns(section, n_orientations):
+    for turn in turns.tolist():
         stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
-        moments.append(stick + slip + strand_bending + curve.insulation)
+        moments.append(stick + slip + rest)
     return np.min(moments, axis=0), np.max(moments, axis=0)
-
-
-def _distinct_turns(section: CrossSection, count: int) -> list[float]:
-    """Return orientations, rad, without those that only swap equal strands."""
-    turns = 2.0 * np.pi * np.arange(count) / count
-    layer = section.layer[section.layer >= int(section.has_core)]
-    arms = find_section_arms(section) / (float(section.radius.max()) or 1.0)
-    groups = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
-
-    # Heights lie in [-1, 1]; an offset of 4 per group keeps the groups apart when sorted.
-    heights = 4.0 * groups.ravel() + (arms * compute_sines(section, turns[:, None])).round(9)
-    sorted_heights = np.sort(heights, axis=1)
-    # Reversed, so that the smallest of equal turns is kept.
-    distinct = {
-        row.tobytes(): turn for row, turn in zip(sorted_heights[::-1], turns[::-1], strict=True)
-    }
-    return sorted(map(float, distinct.values()))
 
 
 def fit_play_law(

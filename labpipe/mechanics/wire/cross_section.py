@@ -125,14 +125,12 @@ class Insulation:
     @property
     def bending_stiffness(self) -> float:
         """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
-        outer = self.bore_radius + self.thickness
-        return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
+        return float(self.modulus * np.pi / 4.0 * (self.outer_radius**4 - self.bore_radius**4))
 
     @property
     def area(self) -> float:
         """Return the area of the tube, m^2."""
-        outer = self.bore_radius + self.thickness
-        return float(np.pi * (outer**2 - self.bore_radius**2))
+        return float(np.pi * (self.outer_radius**2 - self.bore_radius**2))
 
     @property
     def axial_stiffness(self) -> float:
@@ -347,32 +345,24 @@ def place_sectors(
         If the copper does not fit the bore, or `radii` is not one number per layer.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
-    _require_bore(insulation, float(edges[-1]))
+    needed = float(edges[-1])
+    if insulation is not None and needed > insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
+        message = (
+            f"bore_radius={insulation.bore_radius:.6g} m is "
+            f"{needed - insulation.bore_radius:.3g} m less than the {needed:.6g} m that the "
+            f"strands need without any gap"
+        )
+        raise ValueError(message)
     if radii is None:
-        radii = [
-            _sector_centroid(inner, outer, np.pi / layer.count)
-            for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
-        ]
+        half_angles = np.pi / np.array([layer.count for layer in layers])
+        means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
+        centroids = means * np.sin(half_angles) / half_angles
+        radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
     if len(radii) != len(layers):
         message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, 0.0, insulation)
-
-
-def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
-    mean = 2.0 / 3.0 * (outer**3 - inner**3) / (outer**2 - inner**2)
-    return float(mean * np.sin(half_angle) / half_angle) if half_angle < np.pi else 0.0
-
-
-def _require_bore(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
-        return
-    message = (
-        f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
-        f"less than the {needed:.6g} m that the strands need without any gap"
-    )
-    raise ValueError(message)
 
 
 def place_strands(

@@ -198,7 +198,7 @@ def test_what_a_wire_has(
 
 def test_copper_and_first_loading_end() -> None:
     """Within them the curve reaches its deflection for any law."""
-    assert PARTS.copper[0].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
+    assert PARTS.parts[-1].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
         reached = compute_loading_curve(

@@ -2,7 +2,8 @@
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t
-quantiles; notes state what the tests do not determine. The objective is that of `objective`,
+quantiles; notes state what the tests do not determine. A calibration predicts the loading curves of
+other lengths and wires. The objective is that of `objective`,
 the law that of `law_components`, the loading curve that of `first_loading`.
 """
 
@@ -14,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.mechanics.wire.calibration import identification, local_minima, objective
-from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_wire
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -31,9 +32,11 @@ from labpipe.mechanics.wire.calibration.objective import (
     search,
     set_up_problem,
 )
-from labpipe.mechanics.wire.calibration.variances import estimate_uncertainty
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
+from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -45,6 +48,7 @@ from labpipe.records.wire_calibration import (
     Identifiability,
     NoiseLevels,
     ParameterChoice,
+    Prediction,
     PriorConflict,
     Profile,
     Separability,
@@ -168,24 +172,24 @@ def _parameter(
     if not problem.free[number]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
-    traced = local_minima.follow_profiles(minima, number)
-    ends_of_parts = local_minima.unite_intervals(traced)
+    traces = local_minima.follow_profiles(minima, number)
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value,
-        intervals=tuple(Interval(*np.exp(ends).tolist()) for ends in ends_of_parts),
+        intervals=tuple(
+            Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
+        ),
         log_error=float(np.sqrt(spread.covariance[number, number])),
         freedom=spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=any(trace.is_open_below for trace in traced),
-        is_open_above=any(trace.is_open_above for trace in traced),
-        at_bound=_reached_bound(minima, number),
+        is_open_below=any(trace.is_open_below for trace in traces),
+        is_open_above=any(trace.is_open_above for trace in traces),
+        at_bound=_find_bound(minima, number),
         profiles=tuple(
             Profile(
-                *(np.exp(trace.logs), trace.deviance),
-                *(trace.threshold_below, trace.threshold_above),
+                np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above
             )
-            for trace in traced
+            for trace in traces
         ),
         conflict=_prior_conflict(minima, number, choice) if choice.factor is not None else None,
     )
@@ -217,7 +221,7 @@ def _interval_at_99(
     return min(ends), max(ends)
 
 
-def _reached_bound(minima: Minima, number: int) -> str:
+def _find_bound(minima: Minima, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
     value, problem = minima.fit.logs[number], minima.fit.problem
@@ -390,3 +394,131 @@ def _level_notes(minima: Minima, compared: tuple[CurveAgreement, ...]) -> Iterat
         )
     if not fit.settled:
         yield QualityNote.of("mechanics.wire.search_unsettled", where, steps=fit.steps)
+
+
+def predict(
+    calibration: Calibration,
+    wire: Wire,
+    length: float,
+    deflection: Floats,
+    *,
+    rig: StringRig | None = None,
+    noise: float = 0.0,
+    n_samples: int = 1,
+    other_gain: float | None = None,
+) -> Prediction:
+    """Predict the loading curve of a wire, with 95 % bands.
+
+    Parameters
+    ----------
+    calibration : of this wire or another
+    wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
+        insulation and the copper scale are those of the calibration, if any
+    length : m
+    deflection : shape (n,), m
+    rig : the string; None for an end load normal to the axis
+    noise : standard deviation of a measured force, N
+    n_samples : of which the measured curve is the mean
+    other_gain : standard uncertainty of the gain of another load cell; None for the load cell
+        of the calibration, whose estimated gain then applies
+
+    Returns
+    -------
+    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in their
+    logarithms), gain, and, for the band of a measured curve, scatter of samples and noise. With
+    several solutions a band extends from the lowest to the highest of theirs, each narrower by its
+    likelihood. Differences between the two wires (dimensions, lots of copper and insulation) are
+    not included.
+
+    Raises
+    ------
+    ValueError
+        If the first loading ends before the largest deflection.
+
+    Notes
+    -----
+    Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
+    (noise, another gain) are added as 1.96 s in quadrature.
+    """
+    deepest = float(np.nanmax(np.abs(deflection)))
+    gain = NORMAL_95 * (other_gain or 0.0)
+    read = NORMAL_95 * noise / np.sqrt(n_samples)
+    forces, bands = [], []
+    for solution in (solution for solution in calibration.solutions if solution.is_allowed):
+        curve = compute_calibrated_curve(wire, solution.values, length, rig, deepest)
+        force, change = interpolate_force(curve, deflection)
+        gain_slope = force if other_gain is None else np.zeros_like(force)
+        slopes, one_more = np.vstack([change, gain_slope]).T, force / np.sqrt(n_samples)
+        mean = np.abs(compute_quantiles(solution.mixture, slopes))
+        sample = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
+        scatter = np.sqrt(np.maximum(sample**2 - mean**2, 0.0))
+        # the part of the parameters is wider than in the linear model
+        mean *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
+        sample = np.hypot(np.hypot(mean, scatter), np.hypot(gain * force, read))
+        mean = np.hypot(mean, gain * force)
+        forces.append(force)
+        bands.append([force - sample[0], force + sample[1], force - mean[0], force + mean[1]])
+    low, high = np.min(bands, axis=0), np.max(bands, axis=0)
+    notes = tuple(_note_prediction(calibration))
+    return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
+
+
+def _note_prediction(calibration: Calibration) -> Iterator[QualityNote]:
+    if calibration.levels.scatter_freedom == 0.0:
+        yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
+    allowed = sum(solution.is_allowed for solution in calibration.solutions)
+    if allowed > 1:
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
+    for name in PARAMETERS:
+        parameter = calibration.parameter(name)
+        if parameter.is_open_below or parameter.is_open_above:
+            text = parameter.explanation
+            yield QualityNote.of("mechanics.wire.predicted_open", name, explanation=text)
+
+
+def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+
+    Parameters
+    ----------
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
+    curves : measured, of this wire
+
+    Raises
+    ------
+    ValueError
+        If there is no curve, or first loading ends before one does.
+    """
+    if not curves:
+        message = "curves: expected at least one"
+        raise ValueError(message)
+    curvatures = []
+    for curve in curves:
+        deepest = float(np.nanmax(np.abs(curve.deflection)))
+        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, deepest)
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)
+
+
+def compute_calibrated_curve(
+    wire: Wire, values: Floats, length: float, rig: StringRig | None, deflection: float
+) -> LoadingCurve:
+    """Compute the loading curve of a wire with calibrated values, up to a deflection.
+
+    Parameters
+    ----------
+    wire : calibrated, or another of the same make
+    values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
+    length, rig, deflection : as for `compute_loading_curve`
+
+    Raises
+    ------
+    ValueError
+        If a material's curve ends before.
+    """
+    parts = wire.parts
+    filled = np.where(np.isnan(values), parts.given, values)
+    return compute_loading_curve(
+        parts, filled, length, rig, deflection, self_weight=wire.self_weight
+    )

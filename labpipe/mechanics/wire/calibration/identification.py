@@ -67,7 +67,7 @@ def find_verdict(
         return Identifiability.NOT
     if max(wide) < WELL * min(wide):
         return Identifiability.WELL
-    is_split = len(parameter.intervals) > 1 or has_other_value(parameter, others)
+    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
@@ -90,7 +90,7 @@ def format_value(name: str, *values: float) -> str:
     return f"{written} {unit}".rstrip()
 
 
-def has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+def _has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
     """Return whether another solution lies outside of all intervals."""
     return any(
         not any(part.lower <= value <= part.upper for part in parameter.intervals)
@@ -111,68 +111,55 @@ def describe_parameter(
     others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
     ends : of what the tests allow at 99 %
     """
-    key, interval = parameter.name, parameter.interval
+    key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
     if interval is None:
         return f"{name} was held at {value}{_source_text(parameter.source)}"
     low, high = (format_value(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
-        side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
+        is_lower = parameter.at_bound == "lower"
         return (
             f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
-            f"{value}; the tests suggest a value {side} it, or do not determine it; inside the "
-            f"bounds it extends to {other} (95 %)"
+            f"{value}; the tests suggest a value {'below' if is_lower else 'above'} it, or do not "
+            f"determine it; inside the bounds it extends to {high if is_lower else low} (95 %)"
         )
-    place = _range_text(parameter)
-    if parameter.verdict is Identifiability.AGAINST_PRIOR:
+    place = _describe_range(parameter)
+    if verdict is Identifiability.AGAINST_PRIOR:
         return (
             f"{name} is doubtful because prior and tests contradict each other: it {place} (95 %)"
         )
-    verdict = (
-        "has two solutions" if parameter.verdict is Identifiability.TWO else parameter.verdict.value
-    )
-    statement = verdict if parameter.verdict is Identifiability.TWO else f"is {verdict}"
-    ending = f"{_other_values(parameter, others)}{_text_at_99(parameter, ends)}"
+    statement, ending = f"is {verdict.value}", ""
+    if verdict is Identifiability.TWO:
+        statement = "has two solutions"
+        if _has_other_value(parameter, others):
+            ending = "".join(
+                f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
+                for value, chance in others
+            )
+    is_short = interval.upper < WELL * interval.lower
+    if ends is not None and verdict is Identifiability.WEAKLY and is_short:
+        ending = f", and at 99 % between {format_value(key, *ends)}"
     return f"{name} {statement}: it {place} (95 %){ending}"
-
-
-def _text_at_99(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
-    """State what the tests allow at 99 %, if that makes a short interval weakly identified."""
-    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    if ends is None or parameter.verdict is not Identifiability.WEAKLY or high >= WELL * low:
-        return ""
-    return f", and at 99 % between {format_value(parameter.name, *ends)}"
-
-
-def _other_values(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
-    """State the values of other solutions, if these make the verdict `TWO`."""
-    if parameter.verdict is not Identifiability.TWO or not has_other_value(parameter, others):
-        return ""
-    solution_texts = (
-        f"near {format_value(parameter.name, value)}, by a solution {chance:.2g} times as likely"
-        for value, chance in others
-    )
-    return f", or {', or '.join(solution_texts)}"
 
 
 def _source_text(source: str) -> str:
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 
-def _range_text(parameter: CalibratedParameter) -> str:
+def _describe_range(parameter: CalibratedParameter) -> str:
     """State the parts of a parameter's interval."""
     key, parts = parameter.name, parameter.intervals
-    is_open = parameter.is_open_below, parameter.is_open_above
-    if all(is_open) and len(parts) == 1:
+    is_open = {"below": parameter.is_open_below, "above": parameter.is_open_above}
+    if all(is_open.values()) and len(parts) == 1:
         ends = format_value(key, parts[0].lower, parts[0].upper)
         return f"may lie anywhere between the bounds, {ends}"
     ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in parts]
-    if is_open[0]:
+    if is_open["below"]:
         ranges[0] = f"below {format_value(key, parts[0].upper)}"
-    if is_open[1]:
+    if is_open["above"]:
         ranges[-1] = f"above {format_value(key, parts[-1].lower)}"
-    sides = [side for side, here in zip(("below", "above"), is_open, strict=True) if here]
-    ending = f"; the tests do not bound it from {' or from '.join(sides)}" if sides else ""
+    sides = " or from ".join(side for side, opens in is_open.items() if opens)
+    ending = f"; the tests do not bound it from {sides}" if sides else ""
     return f"lies {' or '.join(ranges)}{ending}"
 
 
