@@ -313,10 +313,13 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
-        numbers = {"layers": len(counts), "diameters": len(diameters)}
-        angles_given = len(spec.lay_angles)
         raise ValueError(
-            format_sentence("mechanics.wire.layers_differ", **numbers, angles=angles_given)
+            format_sentence(
+                "mechanics.wire.layers_differ",
+                layers=len(counts),
+                diameters=len(diameters),
+                angles=len(spec.lay_angles),
+            )
         )
     return tuple(
         Layer(count, diameter, angle, material, spec.poisson)
@@ -340,8 +343,10 @@ def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     try:
         return place_hexagon(layers, tube), []
     except ValueError as error:
-        section, code = make_cross_section(layers, tube), "mechanics.wire.layout_fallback"
-        note = QualityNote.of(code, spec.place, kind=section.kind, reason=error)
+        section = make_cross_section(layers, tube)
+        note = QualityNote.of(
+            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=error
+        )
     return section, [note]
 
 
@@ -400,8 +405,9 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
     copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if copper > (1.0 + max_overlap) * bore:
-        areas = {"copper": copper * 1e6, "bore": bore * 1e6}
-        raise ValueError(format_sentence("mechanics.wire.copper_too_large", **areas))
+        raise ValueError(
+            format_sentence("mechanics.wire.copper_too_large", copper=copper * 1e6, bore=bore * 1e6)
+        )
     overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
@@ -443,8 +449,14 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
             continue
         last = table[0][-1]
         if strain >= last:
-            numbers = {"tension": spec.tension, "strain": strain, "last": last}
-            raise WireError(format_sentence("mechanics.wire.tension_beyond_table", **numbers))
+            raise WireError(
+                format_sentence(
+                    "mechanics.wire.tension_beyond_table",
+                    tension=spec.tension,
+                    strain=strain,
+                    last=last,
+                )
+            )
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue
