@@ -8,16 +8,17 @@ import pytest
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Plane
 from labpipe.mechanics.rod.path import Reason, RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_doubts import (
+from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_numbers import (
     MAX_CHANGE,
+    Doubt,
     check_element_count,
     check_steps,
+    compute_numbers,
     depends_on_history,
     select_coarse_steps,
     solve_in_other_steps,
 )
-from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_numbers import Doubt, compute_numbers
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line

@@ -11,25 +11,23 @@ import pytest
 from labpipe.mechanics.rod.bands import Band, StateBands
 from labpipe.mechanics.rod.path import Reason as RodReason
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.studies.harness_doubts import (
-    check_elements,
-    check_jumps,
-    check_share,
-    check_unloading,
-    find_reasons,
-)
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
     Doubt,
     Number,
     build_results,
+    check_elements,
+    check_jumps,
+    check_share,
+    check_unloading,
     collect_fields,
     compute_curvature,
     compute_numbers,
     compute_radius,
     evaluate_numbers,
     find_bend_limit,
+    find_reasons,
     find_sharpest_bend,
     list_releases,
 )

@@ -19,7 +19,7 @@ from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.studies.harness_material import describe_file, read_material
+from labpipe.mechanics.studies.harness_line import describe_file, read_material
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
