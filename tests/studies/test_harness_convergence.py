@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Plane
-from labpipe.mechanics.rod.path import Reason, RodPath
+from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
@@ -21,6 +21,7 @@ from labpipe.mechanics.studies.harness_numbers import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
 CORNERS = LENGTH * np.array(
@@ -89,7 +90,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
     times, other = solve_in_other_steps(prepared, 10)
-    torn = replace(other, status="failed", reasons=(Reason("mechanics.rod.torn", 2),))
+    torn = replace(other, status="failed", reasons=(Reason("torn", "it is torn"),))
     doubt = check_steps(path, times, torn, {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)

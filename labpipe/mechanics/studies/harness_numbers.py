@@ -24,7 +24,7 @@ import numpy as np
 from labpipe.mechanics.law.sliders import SliderLaw, present_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import compute_node_curvature
-from labpipe.mechanics.rod.line import Line
+from labpipe.mechanics.rod.line import Line, format_place
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors, unit
 from labpipe.mechanics.rod.statics import follow
@@ -350,11 +350,6 @@ def _describe_numbers(path: RodPath, end: Bend, overall: Bend) -> dict[str, str]
     return remarks
 
 
-def format_place(station: float) -> str:
-    """Format a place on the line, m."""
-    return f"{1e3 * station:.4g} mm from the start"
-
-
 @dataclass(frozen=True, slots=True)
 class Doubt:
     """A reason why some of the numbers are doubtful.
@@ -424,17 +419,16 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     path : of the line
     material : with the limits of curvature and stretch of its law
     """
-    places = [format_place(station) for station in path.line.stations]
-    reasons = [Reason(reason.code, reason.at(places.__getitem__)) for reason in path.reasons]
+    reasons = list(path.reasons)
     if not path.states:
-        return tuple(reasons)
+        return path.reasons
     step, node, curvature = find_largest([state.bendings for state in path.states])
     if curvature > material.limit and "beyond_law" not in {reason.code for reason in reasons}:
         reasons.append(
             Reason.of(
                 "mechanics.studies.beyond_backed",
                 step=step,
-                place=places[node],
+                place=path.line.describe_place(node),
                 curvature=curvature,
                 limit=material.limit,
                 source=material.limit_source,
@@ -446,7 +440,7 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
             Reason.of(
                 "mechanics.studies.beyond_stretch",
                 step=step,
-                place=places[element],
+                place=path.line.describe_place(element),
                 stretch=100.0 * stretch,
                 limit=100.0 * material.stretch_limit,
             )
