@@ -301,10 +301,7 @@ def fit_frames(
     """
     free = conditions.direction is None
     basis = build_curve_basis(
-        terms=terms,
-        length=conditions.length,
-        clamped=not free,
-        free_tip=conditions.free_tip,
+        terms=terms, length=conditions.length, clamped=not free, free_tip=conditions.free_tip
     )
     frames, count = markers.shape[:2]
     if basis.unknowns > count:

@@ -183,12 +183,7 @@ def fit_shape(
 
 
 def _beginning(
-    straight: Floats,
-    offsets: Offsets,
-    *,
-    clamped: bool,
-    free_tip: bool,
-    settled: float = SETTLED,
+    straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
 ) -> tuple[RestCurve, EndConditions]:
     """Return the curve at rest through the means of the markers, and the end conditions."""
     at_rest = fit_rest_curve(

@@ -167,11 +167,7 @@ def format_place(station: float) -> str:
 
 
 def build_line(
-    positions: Floats,
-    section: Section,
-    *,
-    up: ArrayLike = (0.0, 0.0, 1.0),
-    is_formed: bool = False,
+    positions: Floats, section: Section, *, up: ArrayLike = (0.0, 0.0, 1.0), is_formed: bool = False
 ) -> Line:
     """Build a line without twist through points, which are its nodes.
 

@@ -105,11 +105,7 @@ def follow(
 
 class _Walk:
     def __init__(
-        self,
-        line: Line,
-        boundaries: tuple[Boundary, ...],
-        steps: int,
-        settings: RodSettings,
+        self, line: Line, boundaries: tuple[Boundary, ...], steps: int, settings: RodSettings
     ) -> None:
         self.line, self.boundaries, self.settings = line, boundaries, settings
         n = len(line.lengths)
