@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, sort_by_likeness
+from labpipe.errors import ReadError
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod import boundaries as rod
@@ -395,32 +395,9 @@ def describe_file(role: str, path: Path) -> InputFile:
     return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
 
 
-def find_wire(name: str, sheet: Path, *, where: str) -> WireSpec:
-    """Find a wire in a sheet.
-
-    Parameters
-    ----------
-    name : of the wire
-    sheet : of wires
-    where : file and key that name the wire, for messages
-
-    Raises
-    ------
-    LabpipeError
-        If the sheet has faults, or no such wire.
-    """
-    specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
-    if name in specs:
-        return specs[name]
-    similar_names = ", ".join(sort_by_likeness(name, list(specs)))
-    raise UsageError.about(
-        "mechanics.studies.no_such_wire", where, sheet=sheet, near=similar_names, name=name
-    )
-
-
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
     sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
-    spec = find_wire(str(block.wire), sheet, where=f"{file}, line.section.wire")
+    spec = read_wire_sheet(sheet).find(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:

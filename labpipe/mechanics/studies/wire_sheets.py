@@ -16,7 +16,14 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ProcessingError, ReadError, format_error, sort_by_likeness
+from labpipe.errors import (
+    Fault,
+    ProcessingError,
+    ReadError,
+    UsageError,
+    format_error,
+    sort_by_likeness,
+)
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.protocol.grammar import Block
@@ -359,12 +366,35 @@ class WireSheet:
 
     Parameters
     ----------
+    path : of the sheet
     specs : the wires, in the order of the rows
     curves : wire -> column of the sheet -> stress table, if there is one
     """
 
+    path: Path
     specs: tuple[WireSpec, ...]
     curves: Mapping[str, Mapping[str, StatedCurve]]
+
+    def find(self, name: str, where: str) -> WireSpec:
+        """Return the wire of a name.
+
+        Parameters
+        ----------
+        name : of the wire
+        where : file and key that name it, for the message
+
+        Raises
+        ------
+        UsageError
+            If the sheet has no such wire.
+        """
+        specs = {spec.name: spec for spec in self.specs}
+        if name in specs:
+            return specs[name]
+        near = ", ".join(sort_by_likeness(name, list(specs)))
+        raise UsageError.about(
+            "mechanics.studies.no_such_wire", where, sheet=self.path, near=near, name=name
+        )
 
 
 def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
@@ -409,6 +439,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
     return WireSheet(
+        path,
         tuple(spec for spec in specs if spec is not None),
         {row["wire"].text: _select_tables(row, curves) for row in rows},
     )
