@@ -121,7 +121,8 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
 
 
 def _find_max(vectors: Floats) -> Floats:
-    return np.asarray(compute_node_curvature(vectors).max(axis=-1))
+    squares = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
+    return np.asarray(np.sqrt(squares.max(axis=(-2, -1))))
 
 
 def compute_heights(positions: Floats, path: RodPath) -> Floats:
