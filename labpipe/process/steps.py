@@ -148,29 +148,6 @@ def run_step(
 
     Parameters
     ----------
-    prepared, step, protocol : as for `apply_step`
-
-    Raises
-    ------
-    ProcessingError
-        If the step cannot be run on the data.
-    """
-    try:
-        return apply_step(prepared, step, protocol)
-    except ValueError as error:
-        text, *remedies = error.args
-        remedy = remedies[0] if remedies else format_sentence("process.step_remedy")
-        message = f"{step.key} ({step.step}): {text}. {remedy}"
-        raise ProcessingError(message) from error
-
-
-def apply_step(
-    prepared: Prepared, step: declarations.Step, protocol: Protocol
-) -> tuple[Prepared, list[Finding]]:
-    """Run one step.
-
-    Parameters
-    ----------
     prepared : after the steps before
     step : of the protocol
     protocol : with markers and rig
@@ -181,21 +158,28 @@ def apply_step(
 
     Raises
     ------
-    ValueError
-        If the step cannot be run on the data: what is wrong, and a remedy if it has its own.
+    ProcessingError
+        If the step cannot be run on the data.
     """
     signals = prepared.signals
-    match step:
-        case declarations.TravelFromSpeed():
-            signals, findings = travel_from_speed(signals, step, protocol.rig)
-        case declarations.Zero():
-            signals, findings = zero_signal(signals, step)
-        case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
-            signals, findings = _filter_signal(signals, step, protocol)
-        case _:
-            from labpipe.process.camera_steps import run_marker_step  # only these tests load it
+    try:
+        match step:
+            case declarations.TravelFromSpeed():
+                signals, findings = travel_from_speed(signals, step, protocol.rig)
+            case declarations.Zero():
+                signals, findings = zero_signal(signals, step)
+            case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
+                signals, findings = _filter_signal(signals, step, protocol)
+            case _:
+                from labpipe.process.camera_steps import run_marker_step  # only these tests load it
 
-            return run_marker_step(prepared, step, protocol.markers, protocol.specimen.span)
+                span = protocol.specimen.span
+                return run_marker_step(prepared, step, protocol.markers, span)
+    except ValueError as error:
+        text, *remedies = error.args
+        remedy = remedies[0] if remedies else format_sentence("process.step_remedy")
+        message = f"{step.key} ({step.step}): {text}. {remedy}"
+        raise ProcessingError(message) from error
     return replace(prepared, signals=signals), findings
 
 
@@ -215,9 +199,15 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     name = step.channel
     signal = signals.filtered[name]
     _require_time(signal, name, "a stretch in s")
-    first, last = _find_zero_stretch(signal, step)
-    duration = max(step.over, float(signal.time[last - 1] - signal.time[first]))
-    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - duration)
+    time, first, last = signal.time, 0, len(signal.time)
+    if step.at == "start":
+        stop = int(np.searchsorted(time, time[0] + step.over, side="right"))
+        last = min(max(stop, MIN_SAMPLES_NOISE_KNOWN), last)
+    else:
+        start_sample = int(np.searchsorted(time, time[-1] - step.over))
+        first = max(min(start_sample, last - MIN_SAMPLES_NOISE_KNOWN), 0)
+    duration = max(step.over, float(time[last - 1] - time[first]))
+    start = float(time[0] if step.at == "start" else time[-1] - duration)
     rest = signal.values[first:last]
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
@@ -259,16 +249,6 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
         count=len(finite),
     )
     return signals.subtract_level(name, level, error), [note]
-
-
-def _find_zero_stretch(signal: Signal, step: declarations.Zero) -> tuple[int, int]:
-    """Return first and last sample of a zero, at least `MIN_SAMPLES_NOISE_KNOWN` samples apart."""
-    time = signal.time
-    if step.at == "start":
-        last = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        return 0, min(max(last, MIN_SAMPLES_NOISE_KNOWN), len(time))
-    first = int(np.searchsorted(time, time[-1] - step.over))
-    return max(min(first, len(time) - MIN_SAMPLES_NOISE_KNOWN), 0), len(time)
 
 
 def _require_time(signal: Signal, name: str, what: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import Prepared
-from labpipe.process.steps import apply_step
+from labpipe.process.steps import run_step
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -51,7 +51,7 @@ class Stepped:
 def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
     made = protocol(step, **more)
     prepared = Prepared(Signals().add_signal("force", signal))
-    prepared, found = apply_step(prepared, made.steps[0], made)
+    prepared, found = run_step(prepared, made.steps[0], made)
     return Stepped(prepared.signals, tuple(finding.note for finding in found))
 
 
