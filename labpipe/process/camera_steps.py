@@ -21,9 +21,8 @@ from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
-from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.motion import Motion, find_motion_turns
-from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, average_level
+from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, Prepared, Take, average_level
 from labpipe.protocol.schema import Markers
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, find_run_times

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
-from labpipe.process.calibrated_signals import Prepared, calibrate
 from labpipe.process.output_paths import files_below
 from labpipe.process.reading import join_exports, read_role
-from labpipe.process.steps import run_step
+from labpipe.process.steps import Prepared, calibrate, run_step
 from labpipe.protocol.load import (
     find_missing_exports,
     load_calibration_plan,

@@ -18,7 +18,6 @@ from datetime import date
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.consistency import Record, check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
@@ -35,7 +34,7 @@ from labpipe.process.sanity_checks import (
     check_start,
     find_cut_ends,
 )
-from labpipe.process.steps import rezero_at_rest, run_steps
+from labpipe.process.steps import Prepared, calibrate, check_channels, rezero_at_rest, run_steps
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape, Limits

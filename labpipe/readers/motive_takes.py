@@ -107,8 +107,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     from labpipe.readers.motive_rows import parse_rows
 
     with reading(path, "lines of a row-style export"):
-        export = parse_rows(content.decode("utf-8", errors="replace"), path)
-    return _recording("motive-csv", *export)
+        return parse_rows(content.decode("utf-8", errors="replace"), path)
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
@@ -138,16 +137,17 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     about = {**header.about, "objects": objects}
     notes = [*_make_header_notes(header, path), *notes, *track_notes]
     reader, version = "motive-xlsx" if sheet else "motive-csv", header.about["Format Version"]
-    return _recording(reader, version, tracks, about, notes)
+    return make_recording(reader, version, tracks, about, notes)
 
 
-def _recording(
+def make_recording(
     reader: str,
     version: str,
     tracks: MarkerTracks,
     about: Mapping[str, object],
     notes: Sequence[QualityNote],
 ) -> Recording:
+    """Make a recording of marker tracks, with the notes on their clock and positions."""
     return Recording(
         reader=reader,
         program="Motive",

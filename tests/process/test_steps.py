@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.process.calibrated_signals import Prepared
-from labpipe.process.steps import run_step
+from labpipe.process.steps import Prepared, run_step
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
