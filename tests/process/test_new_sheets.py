@@ -225,6 +225,7 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     [
         ("iso-6892", {}, ("gauge_length", "section.area")),
         ("iso-527-tape", {"length": "80 mm"}, ("section.area",)),
+        ("iso-527-tape", {"length": "80 mm", "width": "10 mm", "thickness": "1 mm"}, ()),
         ("iso-6892", {"gauge_length": "25 mm", "section.outer_diameter": "5 mm"}, ()),
         ("tensile", {}, ()),
     ],
@@ -242,6 +243,7 @@ def test_tension_tests_ask_for_gauge_length_and_section(
     assert sizes.get("section", {}) == {
         **({"area": None} if "section.area" in asked else {}),
         **({"outer_diameter": "5 mm"} if "section.outer_diameter" in stated else {}),
+        **({"width": "10 mm", "thickness": "1 mm"} if "width" in stated else {}),
     }
 
 
