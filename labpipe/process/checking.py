@@ -223,7 +223,12 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
         if isinstance(entry, TensionResult):
             needs.setdefault("gauge_length", []).append(entry.result)
             needs.setdefault("section.area", []).append(entry.result)
-    alternatives = {"gauge_length": [["length"]], "section.area": SECTIONS}
+    curve = protocol.curve and protocol.channels.get(protocol.curve.displacement)
+    is_extension = bool(curve and curve.is_extension)
+    alternatives = {
+        "gauge_length": [] if is_extension else [["length"]],
+        "section.area": SECTIONS,
+    }
     return {
         size: results
         for size, results in needs.items()

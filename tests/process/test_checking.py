@@ -207,7 +207,7 @@ def test_sizes_that_a_tension_test_needs(tmp_path: Path) -> None:
     length, area = (x for x in check_paths([sheet]).faults if "specimen." in x)
     assert f"specimen.gauge_length: expected the gauge length (for {results})" in length
     assert f"specimen.section.area: expected the area of the cross-section (for {results})" in area
-    sizes = ", length: 50 mm, section: {width: 10 mm, thickness: 1 mm}"
+    sizes = ", gauge_length: 50 mm, section: {width: 10 mm, thickness: 1 mm}"
     sheet.write_text(text.replace("SIZES", sizes), encoding="utf-8")
     assert not [x for x in check_paths([sheet]).faults if "specimen." in x]
 
