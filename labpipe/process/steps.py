@@ -129,8 +129,12 @@ def calibrate(
         ]
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=2)
-            _check_markers(recording.markers, role)
-            take = Take(recording.markers, role, scale_error=scales[role])
+            tracks = recording.markers
+            for column, name in enumerate(tracks.names):
+                _check_size(tracks.positions[:, column], "marker", role, f"marker {name!r}")
+            for body in tracks.bodies:
+                _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
+            take = Take(tracks, role, scale_error=scales[role])
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
@@ -192,13 +196,6 @@ def _check_peak(
             highest=highest,
         )
     ]
-
-
-def _check_markers(tracks: MarkerTracks, role: str) -> None:
-    for column, name in enumerate(tracks.names):
-        _check_size(tracks.positions[:, column], "marker", role, f"marker {name!r}")
-    for body in tracks.bodies:
-        _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
 
 
 def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:

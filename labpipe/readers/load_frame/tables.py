@@ -99,8 +99,8 @@ def find_header(
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ReadError.about("readers.no_table", path, place)
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-    above = [tuple(cell.strip() for cell in row) for row in map(rows.__getitem__, filled)]
-    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in above]
+    cells = [tuple(map(str.strip, rows[i])) for i in filled]
+    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
 
     def place_above(row: int) -> str:
         number = first_line + (filled[max(len(filled) - row, 0)] if filled else 0)
@@ -119,21 +119,10 @@ def find_header(
             )
     names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
     above = above[:-n_rows]
-    has_specimens = card.names == "above units" and card.layout in (
-        "side by side",
-        "specimen above",
-    )
+    has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
-    return Header(
-        names,
-        units,
-        first,
-        above,
-        separator,
-        specimens,
-        first_line,
-        sheet=f"sheet '{sheet}'" if sheet else "",
-    )
+    where = f"sheet '{sheet}'" if sheet else ""
+    return Header(names, units, first, above, separator, specimens, first_line, where)
 
 
 def _split_rows(
@@ -266,6 +255,7 @@ MIN_TEST_ROWS = 10
 """Fewer samples are not a complete test."""
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
+_SPECIMEN_LAYOUTS = ("side by side", "specimen above")
 Channels = Sequence[ChannelChoice] | None
 
 
