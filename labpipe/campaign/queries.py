@@ -138,9 +138,9 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
-    words = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
+    texts = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
-    for sql, place in ((numbers, ""), *((words.format(x), x) for x in ("labels", "observed"))):
+    for sql, place in ((numbers, ""), *((texts.format(x), x) for x in ("labels", "observed"))):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:

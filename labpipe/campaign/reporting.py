@@ -301,7 +301,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
     if not tests.samples:
-        rejections = [f"{file}: rejected: {why}" for file, why in tests.rejected.items()]
+        rejections = [f"{file}: rejected: {reason}" for file, reason in tests.rejected.items()]
         raise UsageError("\n".join([*tests.left_out.values(), *rejections]))
     refuse_duplicates([(sample.test, Path(sample.source)) for sample in tests.samples], "name")
     copies = find_copies(recordings)

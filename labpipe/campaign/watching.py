@@ -287,9 +287,9 @@ class Watcher:
         except OSError as error:
             if not self._is_folder_missing:
                 self._is_folder_missing = True
-                why = (error.strerror or str(error)).lower()
+                reason = (error.strerror or str(error)).lower()
                 path = error.filename or raw
-                self._say(format_sentence("campaign.lost_folder", path=path, why=why))
+                self._say(format_sentence("campaign.lost_folder", path=path, why=reason))
             return False
         if self._is_folder_missing:
             self._is_folder_missing = False
@@ -333,10 +333,10 @@ class Watcher:
         The first look leaves out tests whose results are up to date.
         """
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
-        for path, why in listing.unmatched.items():
+        for path, reason in listing.unmatched.items():
             if self._files.look(path) == "stable" and self._is_overdue(path):
                 file = self._below(path)
-                self._say_once(format_sentence("campaign.unused_file", file=file, why=why))
+                self._say_once(format_sentence("campaign.unused_file", file=file, why=reason))
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
@@ -405,11 +405,11 @@ class Watcher:
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report once which files a test waits for."""
         label = _printable(candidate.name)
-        for name, why in pairing.unreadable.items():
+        for name, reason in pairing.unreadable.items():
             if self._is_overdue(candidate.files.get(name, candidate.folder / name)):
                 file = _printable(name)
                 self._say_once(
-                    format_sentence("campaign.unread_file", test=label, file=file, why=why)
+                    format_sentence("campaign.unread_file", test=label, file=file, why=reason)
                 )
         if pairing.missing and not pairing.unreadable:
             names = ", ".join(pairing.missing)

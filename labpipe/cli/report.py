@@ -102,9 +102,9 @@ def format_report(reported: WrittenReport) -> str:
         width = compute_name_width(number.name for number in group.numbers)
         lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
-    for file, why in reported.campaign.rejected.items():
+    for file, reason in reported.campaign.rejected.items():
         lines.append(
-            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(why)}"
+            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(reason)}"
         )
     lines.append(
         f"report: {shorten_path(reported.files[0])}"
