@@ -10,11 +10,17 @@ import numpy as np
 
 from labpipe.protocol.schema import Protocol, SpecimenBlock
 from labpipe.records.arrays import Floats, Ints, average_blocks
-from labpipe.records.curve import Branch, Direction
+from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Output
 from labpipe.records.group import Sample, SampleCurve
 from labpipe.records.result import Specimen, TestResult
 from labpipe.store.read import ReportedTest
+
+_SHARED_FACTS = (
+    *("test", "specimen", "protocol", "results", "slips", "lines", "quality", "run", "date"),
+    *("operator", "instruments", "inputs"),
+)
+"""Fields of a result that its sample has as well."""
 
 
 def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
@@ -26,25 +32,19 @@ def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
     source : its file
     label : of the test in its campaign
     """
-    result = test.result
+    result, curve = test.result, test.result.curve
+    curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
+    if curve is not None:
+        for branch in curve.branches:
+            curves[branch.direction].append(_thin(result, curve, branch))
+    shared = {name: getattr(result, name) for name in _SHARED_FACTS}
     return Sample(
-        test=result.test,
-        specimen=result.specimen,
-        protocol=result.protocol,
-        loading=_thin_branches(result, Direction.LOADING),
-        unloading=_thin_branches(result, Direction.UNLOADING),
-        results=result.results,
-        slips=result.slips,
-        lines=result.lines,
-        quality=result.quality,
+        **shared,
+        loading=tuple(curves[Direction.LOADING]),
+        unloading=tuple(curves[Direction.UNLOADING]),
         display=dict(result.display),
         source=source,
         label=label,
-        run=result.run,
-        date=result.date,
-        operator=result.operator,
-        instruments=result.instruments,
-        inputs=result.inputs,
         shapes=test.shapes,
         law=test.law,
     )
@@ -90,39 +90,21 @@ def _round_levels(largest: float) -> Floats:
     return np.arange(0.0, largest, step)
 
 
-def _thin_branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
-    branches = result.curve.branches if result.curve is not None else ()
-    return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
-
-
-def _thin(result: TestResult, branch: Branch) -> SampleCurve:
+def _thin(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
     """Average a branch over blocks of samples, up to the failure."""
     max_points = 2000  # blocks smear a slip or a corner by less than a line width
-    curve = result.curve
-    if curve is None:
-        message = "a branch without a curve"
-        raise ValueError(message)
-    part = slice(branch.start, _stop_before_failure(result, branch, curve.displacement))
-    force = curve.force[part]
-    measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
-    order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
-    return SampleCurve(
-        displacement=average_blocks(curve.displacement[part][order], max_points),
-        force=average_blocks(force[order], max_points),
-        as_measured=average_blocks(measured[order], max_points),
-        cycle=branch.cycle,
+    is_loading, stop = branch.direction is Direction.LOADING, branch.stop
+    values = {one.name: one.value for one in result.results}
+    failure = values.get("failure_displacement")
+    if is_loading and failure is not None:
+        beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
+        stop = branch.start + int(beyond[0]) if len(beyond) else stop
+    measured = curve.force if result.aligned is None else result.aligned.series["force"].values
+    displacement, force, as_measured = (
+        average_blocks(series[branch.start : stop][:: 1 if is_loading else -1], max_points)
+        for series in (curve.displacement, curve.force, measured)
     )
-
-
-def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
-    """Return the end of a branch: its last sample, or the last one before the failure."""
-    stop = next(
-        (result.value for result in result.results if result.name == "failure_displacement"), None
-    )
-    if stop is None or branch.direction is not Direction.LOADING:
-        return branch.stop
-    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > stop)
-    return branch.start + int(beyond[0]) if len(beyond) else branch.stop
+    return SampleCurve(displacement, force, as_measured=as_measured, cycle=branch.cycle)
 
 
 @dataclass(frozen=True, slots=True)
