@@ -178,7 +178,9 @@ def report_tests(
             letterhead=options.letterhead,
             formats=options.formats,
             test_pages=pages,
-            is_journal=any(one.report.style == "journal" for one in tests.protocols.values()),
+            is_journal=any(
+                protocol.report.style == "journal" for protocol in tests.protocols.values()
+            ),
         )
         text = options.text(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
@@ -432,7 +434,7 @@ def _thin(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
     """Average a branch over blocks of samples, up to the failure."""
     max_points = 2000  # blocks smear a slip or a corner by less than a line width
     is_loading, stop = branch.direction is Direction.LOADING, branch.stop
-    values = {one.name: one.value for one in result.results}
+    values = {entry.name: entry.value for entry in result.results}
     failure = values.get("failure_displacement")
     if is_loading and failure is not None:
         beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
