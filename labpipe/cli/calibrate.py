@@ -8,7 +8,7 @@ import sys
 
 from labpipe.campaign.decisions import exclude_rejected
 from labpipe.campaign.queries import escape_controls
-from labpipe.cli.terminal import shorten_path, show_reading
+from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
             escape_controls(f"labpipe calibrate: rejected: {file.parent}: {reason}"),
             file=sys.stderr,
         )
-    with show_reading(len(options.paths)) as say:
+    with show_completed("test", len(options.paths) + 1, in_pipe=False) as (_, say):
         calibrated = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,

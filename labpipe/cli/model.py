@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.cli.terminal import shorten_path, show_reading
+from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
 from labpipe.mechanics.wire.first_loading import interpolate_end_load
@@ -28,7 +28,7 @@ _TIP_DEFLECTION_SHARE = 0.3
 
 def run(options: argparse.Namespace) -> int:
     """Turn a sheet of wires into moment-curvature and stiffness tables."""
-    with show_reading(1) as say:
+    with show_completed("test", 2, in_pipe=False) as (_, say):
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
