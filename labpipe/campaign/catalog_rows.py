@@ -206,17 +206,10 @@ def _read_summary(folder: str, path: Path) -> Entry:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
 
-_COPIED_TEXTS = [
-    "test",
-    "protocol",
-    "labpipe",
-    "run",
-    "date",
-    "operator",
-    "type",
-    "spool",
-    "sample",
-]
+_COPIED_TEXTS = (
+    *("test", "protocol", "labpipe", "run", "date", "operator"),
+    *("type", "spool", "sample"),
+)
 """Columns of a test that summary.json states."""
 
 
