@@ -23,7 +23,7 @@ from labpipe.report.budget_figures import (
     sort_shares,
 )
 from labpipe.report.figure_page import split_pages
-from labpipe.report.issues import Cause, describe_decision, find_notes, join_sentences
+from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
 from labpipe.report.page_facts import PageTest, PageTests, make_key
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
@@ -260,7 +260,7 @@ def make_slip_table(group: Group) -> Table | None:
                 slip.position, slip.position_interval, x.factor
             ),
             y.label("Force lost"): write_with_interval(slip.drop, slip.drop_interval, y.factor),
-            "Treatment": describe_decision(slip.decision),
+            "Treatment": DECISIONS[slip.decision],
         }
         for sample in group.samples
         for slip in sample.slips
@@ -424,7 +424,7 @@ def make_cause_table(cause: Cause) -> Table:
     """Make the table of a cause: a row per issue."""
     rows: list[Record] = [
         {
-            "Test": Cell(issue.test or ", ".join(issue.tests) or "the whole group", issue.group),
+            "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
             "What": issue.what or DASH,
             "Why": Cell(issue.reason, tip=issue.code),
         }

@@ -439,7 +439,7 @@ def _list_issues(campaign: Campaign) -> Iterator[Record]:
                 "rank": rank,
                 "kind": str(issue.kind),
                 "group": issue.group,
-                "test": issue.test or ", ".join(issue.tests),
+                "test": ", ".join(issue.tests),
                 "what": issue.what,
                 "reason": issue.reason,
                 "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
