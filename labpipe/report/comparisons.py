@@ -11,17 +11,10 @@ from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
+from labpipe.report import wording
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import join_sentences
 from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
-from labpipe.report.wording import (
-    find_display,
-    find_display_unit,
-    typeset_unit,
-    write_count,
-    write_heading,
-    write_number,
-)
 from labpipe.statistics.group_fields import (
     BORE,
     SECTION_SIZES,
@@ -227,14 +220,14 @@ def make_pair_table(pair: Pair) -> Table:
     -------
     A row per number; its notes are the caveats of the comparison.
     """
-    display, rows = find_display(pair.first), list[Record]()
+    display, rows = wording.find_display(pair.first), list[Record]()
     for difference in pair.differences:
-        unit = find_display_unit(difference.name, difference.unit, display)
+        unit = wording.find_display_unit(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
-            "Number": write_heading(difference.name, unit.unit),
+            "Number": wording.write_heading(difference.name, unit.unit),
             "Difference (95 %, corrected)": _write_difference(difference, display),
-            "Irrelevant below": write_number(margin, None, unit.factor, digits=3).value,
+            "Irrelevant below": wording.write_number(margin, None, unit.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
     caveats = dict.fromkeys(
@@ -251,12 +244,12 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     pair : that differs in one field alone
     """
     difference = pair.differences[0]
-    shift = _write_difference(difference, find_display(pair.first))
+    shift = _write_difference(difference, wording.find_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        f"{write_heading(difference.name, '1')} {shift}",
+        f"{wording.write_heading(difference.name, '1')} {shift}",
         f"{second} v {first}",
     )
 
@@ -283,15 +276,15 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     ends, shift, more = difference.interval, difference.difference, ""
     if difference.share is None:
-        scale = find_display_unit(difference.name, difference.unit, display)
+        scale = wording.find_display_unit(difference.name, difference.unit, display)
         estimate = shift.distinct_estimate
-        number = write_number(shift.mean, ends, scale.factor, estimate=estimate)
-        unit = f" {typeset_unit(scale.unit)}".rstrip()
+        number = wording.write_number(shift.mean, ends, scale.factor, estimate=estimate)
+        unit = f" {wording.typeset_unit(scale.unit)}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             more = "more than "
-        number, unit = write_number(difference.share, ends, 100.0), " %"
+        number, unit = wording.write_number(difference.share, ends, 100.0), " %"
     behind = join_sentences([shift.reason])
     if number.lower:
         behind = f"({_signed(number.lower)}{unit} to {more}{_signed(number.upper)}{unit})"
@@ -334,4 +327,4 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
 
 
 def _count_pairs(count: int) -> str:
-    return f"{write_count(count, 'pair')} {'is' if count == 1 else 'are'}"
+    return f"{wording.write_count(count, 'pair')} {'is' if count == 1 else 'are'}"

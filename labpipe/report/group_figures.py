@@ -8,24 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from labpipe.records.group import Campaign, Group
+from labpipe.report import comparisons, group_plots, wording
 from labpipe.report import plot_records as plots
-from labpipe.report import wording
-from labpipe.report.comparisons import (
-    Family,
-    describe_context,
-    describe_equal_fields,
-    find_families,
-    name_field,
-)
 from labpipe.report.figure_page import N_COLOURS
-from labpipe.report.group_plots import (
-    list_signs,
-    make_band_lines,
-    make_dot_axis,
-    make_dot_lines,
-    make_file_plots,
-    make_mean_lines,
-)
 from labpipe.report.page_facts import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 
@@ -63,7 +48,7 @@ def list_group_figures(group: Group) -> Iterator[Page]:
     The figures of `make_file_plots` by names without the group. Without curves, the figure
     ``curves`` says why it is empty.
     """
-    title, figures = wording.write_group_title(group), make_file_plots(group)
+    title, figures = wording.write_group_title(group), group_plots.make_file_plots(group)
     if "curves" not in figures:
         reason = "No sample has a curve." if group.samples else "No sample in this group."
         panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN
@@ -79,8 +64,8 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     ----------
     campaign : with its differences
     """
-    drawn = find_families(campaign)
-    contexts = [describe_context(family.groups, family.field) for family in drawn]
+    drawn = comparisons.find_families(campaign)
+    contexts = [comparisons.describe_context(family.groups, family.field) for family in drawn]
     names = make_stems(
         f"difference {family.field}: {context}"
         for family, context in zip(drawn, contexts, strict=True)
@@ -88,14 +73,14 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     for family, context, name in zip(drawn, contexts, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
-            field, labels = name_field(family.field), ", ".join(family.labels)
-            alike = describe_equal_fields(family.groups, family.field)
+            field, labels = comparisons.name_field(family.field), ", ".join(family.labels)
+            alike = comparisons.describe_equal_fields(family.groups, family.field)
             caption = f"{field}: {labels}; {alike}. Protocol: {family.groups[0].protocol}."
             yield _make_page(name, f"{field}  \u00b7  {context}", panels, 3, caption)
 
 
 def make_family_plots(
-    family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
+    family: comparisons.Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
 ) -> list[Plot]:
     """Make the plots of a family: mean curves, and the main number of each group.
 
@@ -111,7 +96,7 @@ def make_family_plots(
 
 
 def _make_curve_plots(
-    family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
+    family: comparisons.Family, stems: Mapping[str, str], *, is_scaled: bool = False
 ) -> Iterator[Plot]:
     """Yield the plot of the mean first loading of each group with its band."""
     display = wording.find_display(family.groups[0])
@@ -126,7 +111,10 @@ def _make_curve_plots(
         if band is not None:
             look, stem = f"c{at % N_COLOURS}", stems[group.name]
             bands.append(band)
-            lines += [*make_band_lines(band, look, stem), *make_mean_lines(band, look, stem)]
+            lines += [
+                *group_plots.make_band_lines(band, look, stem),
+                *group_plots.make_mean_lines(band, look, stem),
+            ]
             text = f"{label} (n = {group.band.n})"
             legend.append(LegendEntry(f"mean {look}", text, "group", stem))
     if not lines:
@@ -140,7 +128,7 @@ def _make_curve_plots(
         plots.make_axis(name, y_scale, [ends]),
         lines,
         heading,
-        legend=legend + list_signs(lines, _SIGNS),
+        legend=legend + group_plots.list_signs(lines, _SIGNS),
         kind="means",
         title=f"Mean force against displacement of {count}.",
         size=(392, 200),
@@ -150,7 +138,7 @@ def _make_curve_plots(
 _SIGNS = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
 
 
-def find_main_number(family: Family) -> str:
+def find_main_number(family: comparisons.Family) -> str:
     """Find the number by which groups are compared: bending stiffness, or the first common one.
 
     Parameters
@@ -170,7 +158,7 @@ def find_main_number(family: Family) -> str:
     return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
 
 
-def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
+def _make_mean_plots(family: comparisons.Family, stems: Mapping[str, str]) -> Iterator[Plot]:
     """Yield the plot of the main number: a row per group with mean, interval and samples."""
     name, groups = find_main_number(family), family.groups
     if not name:
@@ -185,10 +173,10 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
         if number.mean is not None:
             mean = number.mean.chosen
-            lines += make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
+            lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
     label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
     yield Plot(
-        make_dot_axis(name, scale, lines),
+        group_plots.make_dot_axis(name, scale, lines),
         Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels),
         lines,
         wording.shorten(label, 40),

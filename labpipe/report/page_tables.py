@@ -27,16 +27,6 @@ from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
 from labpipe.report.page_facts import PageTest, PageTests, make_key
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.report.wording import (
-    Scale,
-    find_display,
-    find_display_unit,
-    find_number_unit,
-    write_heading,
-    write_label,
-    write_number,
-    write_with_interval,
-)
 from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
@@ -54,9 +44,9 @@ def make_number_table(group: Group) -> Table:
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
-        scale = find_number_unit(group, number)
+        scale = wording.find_number_unit(group, number)
         rows.append([
-            Cell(write_heading(number.name, scale.unit), tip=number.name),
+            Cell(wording.write_heading(number.name, scale.unit), tip=number.name),
             Cell("", drawing=_draw_strip(number) if row < n_drawn and number.mean else None),
             *_mean_cells(group, number, scale.factor),
             *(_sample_cell(number, sample, scale.factor) for sample in columns),
@@ -78,7 +68,7 @@ def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell,
     return (
         Cell(wording.write_mean(mean.chosen, factor)),
         Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
-        Cell(write_number(mean.chosen.deviation, None, factor, digits=2).value),
+        Cell(wording.write_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
@@ -120,7 +110,9 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     means = [(number, number.mean) for number in group.numbers if number.mean is not None]
     if any(not mean.is_pooled for _, mean in means):
         yield format_sentence("report.n_in_spools")
-    names = [write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
+    names = [
+        wording.write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
+    ]
     if names:
         yield format_sentence("report.set_by_rig", numbers="; ".join(names))
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
@@ -128,7 +120,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     reasons: dict[Reason, list[str]] = {}
     for number, mean in means:
         if mean.chosen.reason:
-            reasons.setdefault(mean.chosen.reason, []).append(write_label(number.name))
+            reasons.setdefault(mean.chosen.reason, []).append(wording.write_label(number.name))
     for why, names in reasons.items():
         numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield format_sentence("report.no_mean_interval", why=join_sentences([why]), numbers=numbers)
@@ -152,7 +144,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
         for outlier in number.outliers:
-            outliers.setdefault(outlier.sample, []).append(write_label(number.name).lower())
+            outliers.setdefault(outlier.sample, []).append(wording.write_label(number.name).lower())
     for test, numbers in outliers.items():
         yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(numbers))
 
@@ -181,8 +173,8 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
                 link = f"#t{tests.number[make_key(sample)]}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                unit = find_number_unit(group, number)
-                head = write_heading(number.name, unit.unit)
+                unit = wording.find_number_unit(group, number)
+                head = wording.write_heading(number.name, unit.unit)
                 row[head] = _sample_cell(number, sample, unit.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
@@ -233,8 +225,8 @@ def make_spool_table(group: Group) -> Table | None:
     for number in group.numbers:
         if number.mean is None:
             continue
-        unit, decision = find_number_unit(group, number), number.mean.decision
-        row: Record = {"Number": write_heading(number.name, unit.unit)}
+        unit, decision = wording.find_number_unit(group, number), number.mean.decision
+        row: Record = {"Number": wording.write_heading(number.name, unit.unit)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
@@ -252,14 +244,16 @@ def make_spool_table(group: Group) -> Table | None:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    x, y = wording.find_units(find_display(group), "displacement", "force")
+    x, y = wording.find_units(wording.find_display(group), "displacement", "force")
     rows: list[Record] = [
         {
             "Sample": sample.test,
-            x.label("Displacement"): write_with_interval(
+            x.label("Displacement"): wording.write_with_interval(
                 slip.position, slip.position_interval, x.factor
             ),
-            y.label("Force lost"): write_with_interval(slip.drop, slip.drop_interval, y.factor),
+            y.label("Force lost"): wording.write_with_interval(
+                slip.drop, slip.drop_interval, y.factor
+            ),
             "Treatment": DECISIONS[slip.decision],
         }
         for sample in group.samples
@@ -268,12 +262,12 @@ def make_slip_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
-def find_lot_scale(group: Group, lot: Lot) -> Scale:
+def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
     """Return the scale of a share of the limit: a force, or the share itself without one limit."""
     if lot.limit is None:
-        return Scale(1.0, "")
-    factor, unit = find_display_unit("", "N", find_display(group))
-    return Scale(factor * lot.limit, wording.typeset_unit(unit))
+        return wording.Scale(1.0, "")
+    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
+    return wording.Scale(factor * lot.limit, wording.typeset_unit(unit))
 
 
 def describe_observations(samples: Sequence[Sample]) -> str:
@@ -307,7 +301,7 @@ def make_lot_table(campaign: Campaign, stems: Sequence[str]) -> Table | None:
             continue
         scale = find_lot_scale(group, lot)
         limit, bound, smallest = (
-            f"{write_number(share, None, scale.factor).value} {scale.unit}".strip()
+            f"{wording.write_number(share, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(share)
             else DASH
             for share in (1.0, lot.bound, lot.smallest)
@@ -339,7 +333,7 @@ def make_verdict_table(group: Group) -> Table | None:
     """
     if group.lot is None:
         return None
-    factor, unit = find_display_unit("", "N", find_display(group))
+    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
     names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
     rows = []
     for sample in group.samples:
@@ -351,7 +345,7 @@ def make_verdict_table(group: Group) -> Table | None:
         }
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
-            row[write_heading(name, unit)] = make_result_cell(result, factor)
+            row[wording.write_heading(name, unit)] = make_result_cell(result, factor)
         for name in names:
             answer = sample.specimen.observed.get(name, _NOT_STATED)
             row[name.replace("_", " ").capitalize()] = answer
@@ -359,7 +353,7 @@ def make_verdict_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
+def choose_stiffness_units(campaign: Campaign) -> dict[str, wording.Scale]:
     """Choose the display unit of bending stiffness for each group.
 
     Parameters
@@ -371,7 +365,7 @@ def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
     Scale by group: the unit of its protocol, or SI for all groups if their units differ.
     """
     scales = {
-        group.name: wording.find_unit(find_display(group), "bending_stiffness")
+        group.name: wording.find_unit(wording.find_display(group), "bending_stiffness")
         for group in campaign.groups
     }
     has_common_unit = len({scale.unit for scale in scales.values()}) == 1
@@ -396,19 +390,19 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     for stiffness in campaign.bounded_stiffnesses:
         scale = scales[stiffness.group]
         all_slip, wires_slip, nothing_slips, smallest, largest = (
-            write_number(bound, None, scale.factor, digits=3).value
+            wording.write_number(bound, None, scale.factor, digits=3).value
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
         )
         value = nan if stiffness.value is None else stiffness.value
-        share = write_number(100.0 * stiffness.share, None, digits=2).value
+        share = wording.write_number(100.0 * stiffness.share, None, digits=2).value
         if stiffness.share_interval is not None:
-            share = write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
+            share = wording.write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
         share += "" if isnan(stiffness.share) else " %"
         directions = "" if smallest == largest else f"{smallest} to {largest}"
         test = Cell(stiffness.test, stiffness.group)
         rows.append({
             "Test": test if stiffness.test else f"mean of {stiffness.group}",
-            scale.label("Bending stiffness"): write_with_interval(
+            scale.label("Bending stiffness"): wording.write_with_interval(
                 value, stiffness.interval, scale.factor
             ),
             scale.label("All slips"): all_slip,
@@ -459,7 +453,7 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         rows = []
         for name, texts in numbers.items():
             method = wording.replace_names("; ".join(filter(None, texts)))
-            row: Record = {"Number": Cell(write_label(name), tip=name)}
+            row: Record = {"Number": Cell(wording.write_label(name), tip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
         tables.append(tabulate(title, rows, ("Number", "Method")))
@@ -521,9 +515,9 @@ def _first_number_cell(sample: Sample, main: str) -> Cell:
     result = find_result(sample.results, main)
     if result is None:
         return Cell(DASH)
-    unit = find_display_unit(main, result.unit, sample.display)
+    unit = wording.find_display_unit(main, result.unit, sample.display)
     cell = make_result_cell(result, unit.factor)
-    return cell._replace(small=write_heading(main, unit.unit), sort=result.value)
+    return cell._replace(small=wording.write_heading(main, unit.unit), sort=result.value)
 
 
 def describe_problems(test: PageTest) -> str:

@@ -11,17 +11,8 @@ from labpipe.mechanics.wire.end_load_path import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
+from labpipe.report import table_records as tables
 from labpipe.report.plot_records import simplify_line
-from labpipe.report.table_records import (
-    Cell,
-    Chart,
-    Record,
-    Table,
-    make_records,
-    save_tables,
-    stack_blocks,
-    tabulate,
-)
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
@@ -96,7 +87,7 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
     return 100.0 * float(np.max(error, initial=0.0))
 
 
-def make_summary_record(table: WireTable) -> Record:
+def make_summary_record(table: WireTable) -> tables.Record:
     """Make the cells of a wire in the summary, after its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
@@ -194,24 +185,24 @@ def save_wire_workbook(
     of each. The summary gives their number and the error of linear interpolation between them.
     """
     sheets = _list_tables(tables, refused or {}, stated or {})
-    save_tables(sheets, path, book="wires", title="Laws of wires")
+    tables.save_tables(sheets, path, book="wires", title="Laws of wires")
 
 
 def _list_tables(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
-) -> Iterator[Table]:
+) -> Iterator[tables.Table]:
     max_law_rows = 12_000  # of all wires: with more, writing takes longer than the model
     min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws, places = _laws_sheet(tables, law_rows)
-    records: list[Record] = [
+    records: list[tables.Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
     for table, rows in zip(tables, law_rows, strict=True):
         link = f"'laws'!A{places[table.name][0] + 2}"
         records.append({
-            "wire": Cell(table.name, link=link),
+            "wire": tables.Cell(table.name, link=link),
             **make_summary_record(table),
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
@@ -219,17 +210,17 @@ def _list_tables(
             "stress tables": stated.get(table.name),
         })  # fmt: skip
     heads = dict.fromkeys(head for record in reversed(records) for head in record)
-    yield tabulate("wires", records, heads)
+    yield tables.tabulate("wires", records, heads)
     yield laws
     yield _cantilevers_sheet(tables)
-    yield tabulate("notes", _note_records(tables, refused))
+    yield tables.tabulate("notes", _note_records(tables, refused))
 
 
 def _mark_doubtful(
     table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
-) -> list[Record]:
+) -> list[tables.Record]:
     """Make the records of a wire, and mark the doubtful ones."""
-    records = make_records({"wire": table.name}, columns)
+    records = tables.make_records({"wire": table.name}, columns)
     return [
         record | {"doubtful": "yes" if doubt else None}
         for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
@@ -238,7 +229,7 @@ def _mark_doubtful(
 
 def _laws_sheet(
     tables: Sequence[WireTable], law_rows: Sequence[Ints]
-) -> tuple[Table, dict[str, tuple[int, int]]]:
+) -> tuple[tables.Table, dict[str, tuple[int, int]]]:
     """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
     blocks = {}
     for table, rows_of_law in zip(tables, law_rows, strict=True):
@@ -247,7 +238,7 @@ def _laws_sheet(
             for label, field, scale in _LAW_COLUMNS
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows_of_law])
-    rows, ends = stack_blocks(blocks)
+    rows, ends = tables.stack_blocks(blocks)
     heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
     charts = []
     for head in (STIFFNESS.label("secant stiffness"), MOMENT.label("moment")):
@@ -255,11 +246,13 @@ def _laws_sheet(
         lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
         title = head.partition(" (")[0].capitalize()
         if lines:
-            charts.append(Chart(title, CURVATURE.label("curvature"), head, lines, is_log=True))
-    return tabulate("laws", rows, heads=heads, charts=charts), ends
+            charts.append(
+                tables.Chart(title, CURVATURE.label("curvature"), head, lines, is_log=True)
+            )
+    return tables.tabulate("laws", rows, heads=heads, charts=charts), ends
 
 
-def _cantilevers_sheet(tables: Sequence[WireTable]) -> Table:
+def _cantilevers_sheet(tables: Sequence[WireTable]) -> tables.Table:
     """Make the sheet of end loads against deflection, with a chart."""
     blocks = {}
     for table in tables:
@@ -269,13 +262,13 @@ def _cantilevers_sheet(tables: Sequence[WireTable]) -> Table:
         }
         is_doubtful = table.tip_deflection > table.doubtful_deflection
         blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
-    rows, ends = stack_blocks(blocks)
+    rows, ends = tables.stack_blocks(blocks)
     lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
-    chart = Chart("", LENGTH.label("tip deflection"), FORCE.label("end load"), lines)
-    return tabulate("cantilevers", rows, charts=[chart] if lines else [])
+    chart = tables.Chart("", LENGTH.label("tip deflection"), FORCE.label("end load"), lines)
+    return tables.tabulate("cantilevers", rows, charts=[chart] if lines else [])
 
 
-def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
+def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[tables.Record]:
     rows = [(name, "not modelled", "", reason, "refused") for name, reason in refused.items()]
     rows += [
         (table.name, str(note.severity), note.where, note.message, note.code)
