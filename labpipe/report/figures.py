@@ -24,10 +24,13 @@ from labpipe.records.curve import (
 from labpipe.records.result import TestResult
 from labpipe.report import figure_page, wording
 from labpipe.report import plot_records as plots
-from labpipe.report.budget_figures import make_budget_page
 from labpipe.report.figure_page import DASHED, GREY
-from labpipe.report.marker_figures import make_marker_quality_page, make_wire_shapes_page
 from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line, thinned_line
+from labpipe.report.quality_figures import (
+    make_budget_page,
+    make_marker_quality_page,
+    make_wire_shapes_page,
+)
 from labpipe.statistics.lots import FORCE_LIMIT, find_result
 
 if TYPE_CHECKING:

@@ -1,7 +1,8 @@
-"""Plots of a group, for the page and for files: curves, shapes, measured laws, numbers."""
+"""Plots and figures of a group: curves, shapes, measured laws, numbers."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS
 from labpipe.report.issues import write_sentence
 from labpipe.report.page_facts import PageTests, make_key
-from labpipe.report.plot_records import Axis, LegendEntry, Line, Plot, join_with_gaps
+from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
@@ -143,6 +144,55 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
         "numbers": list(_make_number_plots(group)),
     }
     return {name: drawn for name, drawn in figures.items() if drawn}
+
+
+def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
+    """Make a page of plots of groups; their captions are the footnote.
+
+    Parameters
+    ----------
+    name : of its files
+    title, columns, caption : of the page
+    panels : at least one, with a size
+    """
+    frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
+    first = panels[0]
+    height = mm_per_point * first.size[1] if len(panels) > 1 else single_mm
+    width = plots.SINGLE_COLUMN if len(panels) <= 2 else plots.DOUBLE_COLUMN
+    if first.is_to_scale:
+        height = (width - frame_mm) * first.size[1] / first.size[0]
+    return Page(
+        name,
+        title,
+        panels,
+        " ".join(dict.fromkeys(panel.caption for panel in panels)),
+        math.ceil(len(panels) / columns) * (frame_mm + height),
+        width,
+        columns,
+        caption=caption,
+        alt=first.title,
+    )
+
+
+def list_group_figures(group: Group) -> Iterator[Page]:
+    """List the figures for which a group has data.
+
+    Parameters
+    ----------
+    group : with or without samples
+
+    Yields
+    ------
+    The figures of `make_file_plots` by names without the group. Without curves, the figure
+    ``curves`` says why it is empty.
+    """
+    title, figures = wording.write_group_title(group), make_file_plots(group)
+    if "curves" not in figures:
+        reason = "No sample has a curve." if group.samples else "No sample in this group."
+        panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN
+        yield Page("curves", title, panels, height=40.0, width=width, caption=reason, alt=reason)
+    for name, panels in figures.items():
+        yield make_page(name, title, panels, 2, panels[0].caption)
 
 
 def find_first_loading(sample: Sample) -> SampleCurve | None:

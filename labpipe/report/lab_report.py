@@ -19,8 +19,7 @@ from labpipe.records.result import Result
 from labpipe.report import comparisons, page_facts, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import save_pages, writing
-from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
-from labpipe.report.group_plots import find_first_loading, make_group_plots
+from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
 from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
 from labpipe.report.page_facts import PageTest, PageTests, compute_report_id, list_samples
@@ -107,7 +106,7 @@ def _list_figures(campaign: Campaign) -> Iterator[Any]:
     for group, stem in zip(campaign.groups, stems, strict=True):
         for figure in list_group_figures(group):
             yield replace(figure, name=f"{stem}-{figure.name}")
-    yield from list_family_figures(campaign)
+    yield from comparisons.list_family_figures(campaign)
 
 
 def render_page(
@@ -447,7 +446,7 @@ def _list_questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[di
             "comparisons": [
                 (
                     comparisons.describe_context(family.groups, field),
-                    make_family_plots(family, stems),
+                    comparisons.make_family_plots(family, stems),
                 )
                 for family in families
                 if family.field == field

@@ -16,16 +16,16 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report import wording
-from labpipe.report.budget_figures import (
+from labpipe.report.figure_page import split_pages
+from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
+from labpipe.report.page_facts import PageTest, PageTests, make_key
+from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
+from labpipe.report.quality_figures import (
     find_cause_colour,
     list_drawn_causes,
     make_group_bars,
     sort_shares,
 )
-from labpipe.report.figure_page import split_pages
-from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
-from labpipe.report.page_facts import PageTest, PageTests, make_key
-from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 

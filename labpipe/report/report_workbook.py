@@ -65,8 +65,10 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
     samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
-    text = f"{wording.write_count(len(samples), 'test')} in {wording.write_count(len(campaign.groups), 'group')}"
-    yield f"{text}, {wording.write_count(rejected, 'test')} rejected." if rejected else f"{text}."
+    counts = {"test": len(samples), "group": len(campaign.groups)}
+    tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
+    left_out = wording.write_count(rejected, "test")
+    yield f"{tests} in {groups}{f', {left_out} rejected' if rejected else ''}."
     if samples:
         days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
         yield f"Tested {days}; {operators}."

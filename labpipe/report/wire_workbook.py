@@ -11,8 +11,9 @@ from labpipe.mechanics.wire.end_load_path import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report import table_records as tables
+from labpipe.report import table_records
 from labpipe.report.plot_records import simplify_line
+from labpipe.report.table_records import Record, Table, save_tables, tabulate
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
@@ -87,7 +88,7 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
     return 100.0 * float(np.max(error, initial=0.0))
 
 
-def make_summary_record(table: WireTable) -> tables.Record:
+def make_summary_record(table: WireTable) -> Record:
     """Make the cells of a wire in the summary, after its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
@@ -185,24 +186,24 @@ def save_wire_workbook(
     of each. The summary gives their number and the error of linear interpolation between them.
     """
     sheets = _list_tables(tables, refused or {}, stated or {})
-    tables.save_tables(sheets, path, book="wires", title="Laws of wires")
+    save_tables(sheets, path, book="wires", title="Laws of wires")
 
 
 def _list_tables(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
-) -> Iterator[tables.Table]:
+) -> Iterator[Table]:
     max_law_rows = 12_000  # of all wires: with more, writing takes longer than the model
     min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
-    laws, places = _laws_sheet(tables, law_rows)
-    records: list[tables.Record] = [
+    laws, places = _tabulate_laws(tables, law_rows)
+    records: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
     for table, rows in zip(tables, law_rows, strict=True):
         link = f"'laws'!A{places[table.name][0] + 2}"
         records.append({
-            "wire": tables.Cell(table.name, link=link),
+            "wire": table_records.Cell(table.name, link=link),
             **make_summary_record(table),
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
@@ -210,65 +211,61 @@ def _list_tables(
             "stress tables": stated.get(table.name),
         })  # fmt: skip
     heads = dict.fromkeys(head for record in reversed(records) for head in record)
-    yield tables.tabulate("wires", records, heads)
+    yield tabulate("wires", records, heads)
     yield laws
-    yield _cantilevers_sheet(tables)
-    yield tables.tabulate("notes", _note_records(tables, refused))
+    yield _tabulate_cantilevers(tables)
+    yield tabulate("notes", _list_notes(tables, refused))
+
+
+def _tabulate_laws(
+    tables: Sequence[WireTable], law_rows: Sequence[Ints]
+) -> tuple[Table, dict[str, tuple[int, int]]]:
+    """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
+    x_head = CURVATURE.label("curvature")
+    drawn = STIFFNESS.label("secant stiffness"), MOMENT.label("moment")
+    blocks = {}
+    for table, rows in zip(tables, law_rows, strict=True):
+        columns = {
+            scale.label(label): scale.factor * getattr(table, field)[rows]
+            for label, field, scale in _LAW_COLUMNS
+        }
+        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
+    records, ends = table_records.stack_blocks(blocks)
+    # without the point at zero curvature
+    lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
+    charts = [
+        table_records.Chart(head.partition(" (")[0].capitalize(), x_head, head, lines, is_log=True)
+        for head in (drawn if lines else ())
+    ]
+    heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
+    return tabulate("laws", records, heads, charts=charts), ends
+
+
+def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
+    """Make the sheet of end loads against deflection, with a chart."""
+    x_head, y_head, blocks = LENGTH.label("tip deflection"), FORCE.label("end load"), {}
+    for table in tables:
+        x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
+        is_doubtful = table.tip_deflection > table.doubtful_deflection
+        blocks[table.name] = _mark_doubtful(table, {x_head: x, y_head: y}, is_doubtful)
+    records, ends = table_records.stack_blocks(blocks)
+    lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
+    charts = [table_records.Chart("", x_head, y_head, lines)] if lines else []
+    return tabulate("cantilevers", records, charts=charts)
 
 
 def _mark_doubtful(
     table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
-) -> list[tables.Record]:
+) -> list[Record]:
     """Make the records of a wire, and mark the doubtful ones."""
-    records = tables.make_records({"wire": table.name}, columns)
+    records = table_records.make_records({"wire": table.name}, columns)
     return [
         record | {"doubtful": "yes" if doubt else None}
         for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
     ]
 
 
-def _laws_sheet(
-    tables: Sequence[WireTable], law_rows: Sequence[Ints]
-) -> tuple[tables.Table, dict[str, tuple[int, int]]]:
-    """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
-    blocks = {}
-    for table, rows_of_law in zip(tables, law_rows, strict=True):
-        columns = {
-            scale.label(label): scale.factor * getattr(table, field)[rows_of_law]
-            for label, field, scale in _LAW_COLUMNS
-        }
-        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows_of_law])
-    rows, ends = tables.stack_blocks(blocks)
-    heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
-    charts = []
-    for head in (STIFFNESS.label("secant stiffness"), MOMENT.label("moment")):
-        # without the point at zero curvature
-        lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
-        title = head.partition(" (")[0].capitalize()
-        if lines:
-            charts.append(
-                tables.Chart(title, CURVATURE.label("curvature"), head, lines, is_log=True)
-            )
-    return tables.tabulate("laws", rows, heads=heads, charts=charts), ends
-
-
-def _cantilevers_sheet(tables: Sequence[WireTable]) -> tables.Table:
-    """Make the sheet of end loads against deflection, with a chart."""
-    blocks = {}
-    for table in tables:
-        columns = {
-            LENGTH.label("tip deflection"): LENGTH.factor * table.tip_deflection,
-            FORCE.label("end load"): FORCE.factor * table.tip_force,
-        }
-        is_doubtful = table.tip_deflection > table.doubtful_deflection
-        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
-    rows, ends = tables.stack_blocks(blocks)
-    lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
-    chart = tables.Chart("", LENGTH.label("tip deflection"), FORCE.label("end load"), lines)
-    return tables.tabulate("cantilevers", rows, charts=[chart] if lines else [])
-
-
-def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[tables.Record]:
+def _list_notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
     rows = [(name, "not modelled", "", reason, "refused") for name, reason in refused.items()]
     rows += [
         (table.name, str(note.severity), note.where, note.message, note.code)
@@ -277,5 +274,4 @@ def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> li
         for note in table.notes
         if note.severity is severity
     ]
-    heads = ("wire", "kind", "where", "what", "code")
-    return [dict(zip(heads, row, strict=True)) for row in rows]
+    return [dict(zip(("wire", "kind", "where", "what", "code"), row, strict=True)) for row in rows]

@@ -26,13 +26,13 @@ from labpipe.report.figures import (
     make_stiffness_lines_page,
     make_timeline_page,
 )
-from labpipe.report.marker_figures import (
+from labpipe.report.plot_records import Axis
+from labpipe.report.quality_figures import (
     choose_frames,
     make_flag_plot,
     make_marker_quality_page,
     make_wire_shapes_page,
 )
-from labpipe.report.plot_records import Axis
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.report.figure_words import all_words
