@@ -302,6 +302,7 @@ class Branches(Block):
 FigureName: TypeAlias = Literal[
     "force-displacement",
     "stiffness-lines",
+    "stress-strain",
     "wire-shapes",
     "moment-curvature",
     "timeline",
