@@ -16,7 +16,8 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 )
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.records.wire_calibration import Calibration, CalibrationFailure
-from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab import WireCampaign
+from labpipe.virtual_lab.campaigns import WireGroup
 from labpipe.virtual_lab.specimens import WIRES
 
 RUNS = 5

@@ -17,7 +17,7 @@ import numpy as np
 import piecewise_regression
 import pwlf
 
-from labpipe.results.two_lines import Hinges, Segments
+from labpipe.results.kinks_and_plateaus import Hinges, Segments
 
 COUNT = 2000
 RUNS = 5

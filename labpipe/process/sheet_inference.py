@@ -23,8 +23,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES, Source
 from labpipe.protocol.values import has_control_characters, is_test_name
-from labpipe.readers import read_export, recognise_export
-from labpipe.readers.unknown_files import describe_unknown
+from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 

@@ -31,11 +31,10 @@ import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.number_table import Body, compare_row_counts, read_columns, read_sheet_columns
+from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_content, read_head, reading
 from labpipe.readers.recording_checks import make_clock_notes, track_notes
-from labpipe.readers.text_cells import as_text
-from labpipe.readers.workbooks import clear_sheet_cache, is_workbook, open_sheets
+from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
@@ -96,7 +95,11 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If the workbook, the header or a cell is damaged, or the version is unknown.
     """
     if is_workbook(path):
-        return _read_workbook(path)
+        sheets, name = open_sheets(path), _find_sheet(path)
+        if name is None:
+            raise ReadError.about("readers.no_sheet_of_take", path)
+        clear_sheet_cache()
+        return _read_table_style(format_rows(sheets[name]).encode(), path, f"sheet '{name}'")
     content = read_content(path).data
     if not content.startswith(_ROW_STARTS):
         return _read_table_style(content, path)
@@ -107,38 +110,26 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     return _recording("motive-csv", *export)
 
 
-def _read_table_style(content: bytes, path: Path) -> Recording:
+def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
+    separator = "\t" if sheet else ","
     lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
     with reading(path, "header rows of cells separated by commas"):
         text = b"\n".join(lines).decode("utf-8", errors="replace")
-        rows = [next(csv.reader([line]), []) for line in text.split("\n")]
+        rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
     header = parse_header(rows, path)
     body = Body(
         data=content[sum(len(line) + 1 for line in lines[: header.rows]) :],
         names=header.names,
         columns=header.needed_columns,
         first_line=header.rows + 1,
-        separator=",",
+        separator=separator,
         decimal=".",
         stated_rows=header.stated_rows,
-        as_exported=True,
+        as_exported=not sheet,
+        sheet=sheet,
     )
-    return _table_recording("motive-csv", header, *read_columns(body, path), path)
-
-
-def _read_workbook(path: Path) -> Recording:
-    sheets, name = open_sheets(path), _find_sheet(path)
-    if name is None:
-        raise ReadError.about("readers.no_sheet_of_take", path)
-    clear_sheet_cache()
-    rows = sheets[name]
-    header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
-    wanted_columns = {column: header.names[column] for column in header.needed_columns}
-    columns, notes = read_sheet_columns(
-        rows, header.rows, wanted_columns, (path, f"sheet '{name}'")
-    )
-    notes += compare_row_counts(header.stated_rows, len(columns[0]))
-    return _table_recording("motive-xlsx", header, columns, notes, path)
+    columns, notes = read_columns(body, path)
+    return _table_recording("motive-xlsx" if sheet else "motive-csv", header, columns, notes, path)
 
 
 def _table_recording(

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
+from labpipe.readers.number_table import as_text
 from labpipe.readers.raw_files import read_head, reading
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
@@ -30,6 +31,8 @@ _FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
 """Column and row of a filled cell in the XML of a sheet."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
 """Name of a part that only encrypted workbooks have."""
+_WHOLE_NUMBER = re.compile(r"(\d)\.0(?=[\t\n])")
+_HEAD_ROWS = 60
 _SEPARATORS = ",;\t"
 _NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
 
@@ -70,6 +73,20 @@ def open_sheets(path: Path) -> Sheets:
     if isinstance(sheets, ReadError):
         raise sheets
     return sheets
+
+
+def format_rows(rows: Sequence[Sequence[object]]) -> str:
+    """Format rows of a sheet as lines with tabs between the cells, and all digits of numbers."""
+    text = io.StringIO()
+    lines = csv.writer(text, delimiter="\t", lineterminator="\n")
+    for row in rows:  # csv writes all digits of a float
+        lines.writerow([x if type(x) is float else " ".join(as_text(x).split()) for x in row])
+    return text.getvalue()
+
+
+def format_head(rows: Sequence[Sequence[object]]) -> str:
+    """Format the first rows of a sheet, in which names and units are searched, as `format_rows`."""
+    return _WHOLE_NUMBER.sub(r"\1", format_rows(rows[:_HEAD_ROWS]))
 
 
 def clear_sheet_cache() -> None:

@@ -11,7 +11,7 @@ from labpipe.results.cycles import Energy, PeakDisplacement, PeakForce, Residual
 from labpipe.results.failures import EnergyToBreak, FailureResult, PeakForceDisplacement
 from labpipe.results.force_limit import ForceLimit
 from labpipe.results.kinds import ClockResult, Kind
-from labpipe.results.plateau import Plateau
+from labpipe.results.kinks_and_plateaus import Kink, Plateau, TwoSegments
 from labpipe.results.shapes import MidSpan, MomentCurvature, TipTravel, Twist
 from labpipe.results.slack_and_slips import SlackResult, SlipResults
 from labpipe.results.stiffness import (
@@ -32,7 +32,6 @@ from labpipe.results.tension import (
     TensileStrength,
     YieldStress,
 )
-from labpipe.results.two_lines import Kink, TwoSegments
 
 KINDS: tuple[type[Kind], ...] = (
     ClockResult,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from labpipe.records.declarations import Distance, Length, Output, Ratio, Snake,
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.results.kinds import Outcome
 from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.results.stiffness import Context, FromStiffness
+from labpipe.results.stiffness import FromStiffness
 from labpipe.uncertainty.extractors import Trace, combine_numbers
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
@@ -270,10 +270,10 @@ class BendingStiffness(FromStiffness):
             )
         )
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Name the corrections with their sizes."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
-        return Context(remark="" if isinstance(ratio, Failure) else ratio[1])
+        return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
 
     def _compute_rigidity(
         self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]

@@ -7,11 +7,11 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, as_slice, divide
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
@@ -68,9 +68,6 @@ _MIN_CROSSING_SAMPLES = 8
 
 _MIN_ZERO_FOOT_SAMPLES = 4
 
-_Timed: TypeAlias = tuple[Samples, Floats]
-"""Samples of a branch, and their times in s."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnloadingEnd:
@@ -83,15 +80,13 @@ class UnloadingEnd:
     limit : N, up to which a force counts as zero
     n : samples used for the displacement
     compute : returns the displacement at zero force, m, shape (...), from displacements and forces
-        of the branch, shape (..., n)
-    compute_rows : the same for rows with noise, each with its own foot; None if it is `compute`
+        of the branch, shape (..., n); NaN for a curve whose force does not return to zero
     """
 
     kind: Literal["through zero", "at rest", "followed"]
     limit: float
     n: int
     compute: Callable[[Floats, Floats], Floats]
-    compute_rows: Callable[[Floats, Floats], Floats] | None = None
 
 
 def find_unloading_end(
@@ -128,7 +123,7 @@ def find_unloading_end(
     this is so if the line through the foot of the force would fall by three more limits up to the
     end of the branch, while the force stays within two limits of zero. Otherwise the line through
     the foot is extrapolated to zero, and so is the displacement, along a line through the second
-    before, since it may have a kink at zero force.
+    before, since it may have a kink at zero force; each curve has its own foot.
     """
     max_zero_share = 0.02  # of the largest force, up to which a force may count as zero
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
@@ -170,11 +165,8 @@ def find_unloading_end(
         raise UnavailableError.of(
             "results.few_before_zero", count=int(is_before_zero.sum()), zero=zero
         )
-    of_foot, of_near = ((as_slice(finite[part]), from_end[part]) for part in (foot, is_before_zero))
-    of = partial(_extrapolate_to_zero, of_foot if is_falling else None, of_near)
-    limits = limit, lowest_limit
-    compute_rows = partial(_extrapolate_rows_to_zero, (as_slice(finite), from_end), limits)
-    return UnloadingEnd("followed", limit, int(is_before_zero.sum()), of, compute_rows)
+    compute = partial(_extrapolate_to_zero, finite, from_end, (limit, lowest_limit))
+    return UnloadingEnd("followed", limit, int(is_before_zero.sum()), compute)
 
 
 def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
@@ -210,54 +202,48 @@ def _is_resting(t: Floats, d: Floats, f: Floats, rest: Flags, limit: float) -> b
 
 
 def _extrapolate_to_zero(
-    foot: _Timed | None, near: _Timed, displacement: Floats, force: Floats
+    finite: Ints,
+    time: Floats,
+    given_limits: tuple[float, float],
+    displacement: Floats,
+    force: Floats,
 ) -> Floats:
-    """Return the displacement where the line through the foot is zero; NaN if it does not fall.
-
-    Times are counted from the end of the foot. Without a foot, the force is taken as zero there.
-    """
-    zero = np.zeros(()) if foot is None else compute_zero_crossing(foot[1], -force[..., foot[0]])
-    samples, time = near
-    d = displacement[..., samples]
-    value: Floats = d.mean(axis=-1) + compute_slope(time, d) * (zero - time.mean())
-    return value
-
-
-def _extrapolate_rows_to_zero(
-    timed: _Timed, given_limits: tuple[float, float], displacement: Floats, force: Floats
-) -> Floats:
-    """Follow the foot of each row to zero; NaN if its force does not return to zero.
+    """Follow the foot of each curve to zero; NaN if its force does not return to zero.
 
     `given_limits` are those of zero force, with noise and without.
     """
-    (samples, time), (limit, lowest_limit) = timed, given_limits
-    d, f = displacement[:, samples], force[:, samples]
+    samples, (limit, lowest_limit) = as_slice(finite), given_limits
+    d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
+    shape, (d, f) = f.shape[:-1], (values.reshape(-1, len(time)) for values in (d, f))
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
-    begin, end = _find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), _find_last_flagged(f > limits)
+    begin, end = find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), find_last_flagged(f > limits)
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
     middle, level, slope = fit_chosen_lines(foot, time[stretch], f[:, stretch])
     is_falling = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
     zeros = np.where(is_falling, middle - divide(level, slope), time[end])
-    part = slice(
-        *np.searchsorted(time, [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO])
-    )
+    ends = [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
+    part = slice(*np.searchsorted(time, ends))
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
     middle, level, slope = fit_chosen_lines(is_before_zero, t, d[:, part])
     ended = (end >= 0) & (end < len(time) - 3)
     ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
-    return np.where(ended, level + slope * (zeros - middle), np.nan)
+    return np.where(ended, level + slope * (zeros - middle), np.nan).reshape(shape)
 
 
-def _find_last_flagged(flags: Flags) -> Ints:
-    """Return the last flagged sample of each row, or -1."""
-    count: int = flags.shape[1]
-    last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
-    return last
+def find_last_flagged(flags: Flags) -> Ints:
+    """Return the last flagged sample of each row, or -1.
+
+    Parameters
+    ----------
+    flags : shape (rows, n), n not 0
+    """
+    last: Ints = flags.shape[1] - 1 - np.argmax(flags[:, ::-1], axis=1)
+    return np.where(flags.any(axis=1), last, -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,6 +255,8 @@ class PerCycle(Kind):
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
     loading, 1 its end, 2 the end of unloading."""
+    peak_of: ClassVar[Quantity | None] = None
+    """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
@@ -291,9 +279,8 @@ class PerCycle(Kind):
         return None
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return further doubts about the number of a cycle."""
-        del test, branches
-        return ()
+        """Return further doubts about the number of a cycle: a sample missing at its peak."""
+        return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure a number per cycle."""
@@ -310,24 +297,17 @@ class PerCycle(Kind):
         return Computed(tuple(results))
 
 
-def find_gap_at_peak(
+def _find_gap_at_peak(
     test: ReducedTest, branches: list[Branch], quantity: Quantity
 ) -> tuple[Reason, ...]:
-    """Return a doubt if a sample next to the largest one of a cycle is missing.
-
-    Parameters
-    ----------
-    test, branches : the cycle
-    what : quantity of the curve
-    """
+    """Return a doubt if a sample next to the largest one of a cycle is missing."""
     curve = test.required_curve
     values: Floats = getattr(curve, quantity)
-    stretch = find_cycle_samples(curve, branches[0].cycle)
-    signed_values = find_loading_sign(curve, values) * values[stretch]
-    if np.isnan(signed_values).all():
+    part = values[find_cycle_samples(curve, branches[0].cycle)]
+    if np.isnan(part).all():
         return ()
-    top = int(np.nanargmax(signed_values))
-    if not np.isnan(signed_values[max(top - 1, 0) : top + 2]).any():
+    top = int(np.nanargmax(find_loading_sign(curve, values) * part))
+    if not np.isnan(part[max(top - 1, 0) : top + 2]).any():
         return ()
     return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
@@ -517,9 +497,7 @@ class ResidualDisplacement(PerCycle):
         """Choose the samples at the end of the unloading branch."""
         del test
         ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
-        branch = slice(part.start, part.stop)
-        in_noise = read_part(ending.compute_rows, branch) if ending.compute_rows else None
-        return Reading(read_part(ending.compute, branch), ending.n, in_noise)
+        return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
 
     def _find_end(
         self, trace: Trace, number: int, like: UnloadingEnd | None = None
@@ -564,8 +542,8 @@ def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     return float(beyond_top) if np.isfinite(beyond_top) else 0.0
 
 
-def _choose_largest_sample(
-    test: ReducedTest, trace: Trace, quantity: Quantity, number: int, steps: float = 1.0
+def choose_peak_sample(
+    test: ReducedTest, trace: Trace, number: int, quantity: Quantity = "force"
 ) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
@@ -574,7 +552,6 @@ def _choose_largest_sample(
     test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
     quantity : whose largest sample
-    steps : sampling steps of the signal of the quantity per sample of the curve
     """
     values: Floats = getattr(trace, quantity)
     sense, stretch = find_loading_sign(trace, values), find_cycle_samples(trace, number)
@@ -582,6 +559,12 @@ def _choose_largest_sample(
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
+    steps = 1.0  # sampling steps of the signal per sample of the curve
+    if quantity == "force":
+        curve_step, force_step = (
+            float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
+        )
+        steps = max(steps, curve_step / force_step)
     reach = estimate_rise_beyond_top(signed_values, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
@@ -613,15 +596,12 @@ class PeakForce(PerCycle):
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
+    peak_of: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the largest sample of the force."""
         return choose_peak_sample(test, trace, number)
-
-    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt about missing samples at the peak."""
-        return find_gap_at_peak(test, branches, "force")
 
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the largest of all samples of a force on another clock than the curve."""
@@ -634,20 +614,6 @@ class PeakForce(PerCycle):
         values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
         sense = find_loading_sign(curve, curve.force)
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
-
-
-def choose_peak_sample(test: ReducedTest, trace: Trace, number: int) -> Reading:
-    """Choose the sample of the largest force of a cycle, N.
-
-    Parameters
-    ----------
-    test : with the sampling of the force
-    trace, number : one curve, and a cycle of it
-    """
-    curve_step, force_step = (
-        float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
-    )
-    return _choose_largest_sample(test, trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -664,12 +630,9 @@ class PeakDisplacement(PerCycle):
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)
+    peak_of: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the largest sample of the displacement."""
-        return _choose_largest_sample(test, trace, "displacement", number)
-
-    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt about missing samples at the peak."""
-        return find_gap_at_peak(test, branches, "displacement")
+        return choose_peak_sample(test, trace, number, "displacement")

@@ -23,7 +23,6 @@ from labpipe.results.cycles import (
     choose_work_samples,
     estimate_rise_beyond_top,
     find_cycle_samples,
-    find_gap_at_peak,
     find_loading_sign,
 )
 from labpipe.results.kinds import Computed, Kind
@@ -352,6 +351,7 @@ class PeakForceDisplacement(PerCycle):
     )
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
+    peak_of: ClassVar = "force"
     method: ClassVar = "displacement at the largest force of the cycle, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
@@ -378,10 +378,6 @@ class PeakForceDisplacement(PerCycle):
             breaks=breaks,
         )
         return replace(reading, n=len(finite))
-
-    def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt about missing samples at the peak."""
-        return find_gap_at_peak(test, branches, "force")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -83,7 +83,8 @@ def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Float
     x, y = (np.where(chosen, values, 0.0) for values in (x, y))
     middle, level = (divide(values.sum(axis=1), count) for values in (x, y))
     lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
-    return middle, level, divide(np.vecdot(lever, y), np.vecdot(lever, x))
+    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * middle**2
+    return middle, level, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
 
 
 def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:

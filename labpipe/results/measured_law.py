@@ -1,7 +1,9 @@
 """Fit the moment-curvature law to the shapes of a first loading, and tabulate it.
 
-The shapes that follow from a law are compared with the markers. Nothing is differentiated, so that
-curvatures are much more accurate than those of single frames.
+Markers give the shape and the force gives the moment; no stiffness is assumed. The frame is that of
+the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
+the pull. The shapes that follow from a law are compared with the markers. Nothing is
+differentiated, so that curvatures are much more accurate than those of single frames.
 
 The wire keeps its length and its direction at the clamp. Its angle in frame f is
 
@@ -19,21 +21,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyint, polyval
 
+from labpipe.markers.curve_fits import (
+    EndConditions,
+    FrameFits,
+    build_curve_basis,
+    build_marker_design,
+    fit_frames,
+)
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw, PointFlag, Shape
 from labpipe.records.quality import Reason
-from labpipe.results.bent_frames import (
-    BendingTest,
-    FittedFrames,
-    StationCurves,
-    TipPull,
-    compute_curvature_gain,
-    evaluate_curves,
-)
 
 N_FIT_MEANS = 80
 """Means over consecutive frames for the fit of the first loading."""
@@ -41,6 +45,366 @@ N_CLOUD_ROWS = 50
 """Rows of the cloud in the first loading."""
 N_CLOUD_STATIONS = 17
 """Places along the specimen."""
+RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
+"""Standard deviation of a rectangular distribution of half-width one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipPull:
+    """The force at the tip, from the reading of the load cell.
+
+    Parameters
+    ----------
+    string : m, length of the string from the load cell to the tip; None for a force normal to the
+        clamped axis
+    weight : N, at the tip
+    tension_at_rest : N, in the string before the loading, removed by the zero of the force
+    anchor : m, place of the load cell along x
+    self_weight : N/m, of the level specimen
+    """
+
+    string: float | None
+    weight: float
+    tension_at_rest: float
+    anchor: float
+    self_weight: float = 0.0
+
+    def compute_force(self, reading: Floats, tip: Floats) -> Floats:
+        """Return the force at the tip, N.
+
+        Parameters
+        ----------
+        reading : shape (n,), N, the tension less that at rest; NaN gives NaN
+        tip : shape (n,), m, place of the tip along x
+
+        Returns
+        -------
+        shape (n, 2), N, along x and y; NaN if the tip is farther than the string is long.
+
+        Notes
+        -----
+        The load cell is above the tip at rest, so the string leans towards the anchor as the tip
+        moves inward: sin(beta) = (anchor - x) / string.
+        """
+        tension = reading + self.tension_at_rest
+        lean = np.zeros_like(tip) if self.string is None else (self.anchor - tip) / self.string
+        across = tension * np.sqrt(np.where(np.abs(lean) <= 1.0, 1.0 - lean**2, np.nan))
+        return np.stack([tension * lean, across - self.weight], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationCurves:
+    """Curves at stations; arrays of shape (n, stations).
+
+    Parameters
+    ----------
+    x, y : m
+    angle : rad, of the tangent from x
+    curvature : 1/m
+    """
+
+    x: Floats
+    y: Floats
+    angle: Floats
+    curvature: Floats
+
+
+def evaluate_curves(coefficients: Floats, length: float, arc_length: Floats) -> StationCurves:
+    """Evaluate fitted curves in the plane of bending.
+
+    Parameters
+    ----------
+    coefficients : shape (n, 3, terms), m, power series in s / length; NaN gives NaN
+    length : m
+    arc_length : shape (stations,), m
+
+    Returns
+    -------
+    Place, direction and curvature.
+
+    Notes
+    -----
+    kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2): the parameter of a fitted curve is only nearly
+    its arc length.
+    """
+    powers, u = np.moveaxis(coefficients[:, :2], -1, 0), arc_length / length
+    (x, y), (rate_x, rate_y), (bend_x, bend_y) = (
+        np.moveaxis(polyval(u, polyder(powers, order)), 1, 0) / length**order for order in range(3)
+    )
+    curvature = (rate_x * bend_y - rate_y * bend_x) / np.hypot(rate_x, rate_y) ** 3
+    return StationCurves(x, y, np.arctan2(rate_y, rate_x), curvature)
+
+
+@dataclass(frozen=True, slots=True)
+class BendingErrors:
+    """Standard errors of force and places.
+
+    Parameters
+    ----------
+    force_noise : N, of the curve's force in one frame
+    force_zero : N
+    force_scale : a share
+    offset : m, of the clamped end and of the pull point along the specimen
+    other_tension_at_rest : N, a tension at rest as probable as the assumed one, or None
+    centre : m, of the markers' centres across the specimen
+    """
+
+    force_noise: float
+    force_zero: float
+    force_scale: float
+    offset: float
+    other_tension_at_rest: float | None = None
+    centre: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedFrames:
+    """Means over consecutive frames of a branch, with shape and force, and the curves through them.
+
+    Parameters
+    ----------
+    time, force : shape (n,), s, N
+    branch : shape (n,)
+    markers : shape (n, markers, 3), m, from the clamped end; NaN if a marker was not measured in
+        every frame of the mean
+    per_mean : frames
+    coefficients : shape (n, 3, terms), m
+    finer : shape (n, 3, terms + 1), m; None if the markers do not determine one more coefficient
+    tip_gain : shape (n,), standard error of the tip per standard deviation of a marker coordinate
+    """
+
+    time: Floats
+    force: Floats
+    branch: Ints
+    markers: Floats
+    per_mean: int
+    coefficients: Floats
+    finer: Floats | None
+    tip_gain: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenAtRest:
+    """The specimen at rest.
+
+    Parameters
+    ----------
+    markers : shape (markers, 3), m, mean places
+    coefficients : shape (1, 3, terms), m, of the mean curve
+    finer : the same with one more coefficient, if the markers determine it
+    frames : number of frames with all markers
+    noise : m, standard deviation of a marker coordinate; NaN without residuals
+    """
+
+    markers: Floats
+    coefficients: Floats
+    finer: Floats
+    frames: int
+    noise: float
+
+
+def average_frames(shape: Shape, branch: Ints, *, per_mean: int) -> tuple[Ints, Floats]:
+    """Average the markers of consecutive frames of a branch.
+
+    Parameters
+    ----------
+    shape : with marker positions, averaged if measured in every frame of a mean
+    branch : shape (frames,); frames of a negative branch are excluded
+    per_mean : frames; the remainder at the end of a branch is excluded
+
+    Returns
+    -------
+    rows : shape (n, per_mean), the frames of each mean, in order of time
+    markers : shape (n, markers, 3), m, from the clamped end
+    """
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
+    groups = [
+        np.arange(first, last - per_mean + 1, per_mean)
+        for first, last in pairwise(edges)
+        if branch[first] >= 0
+    ]
+    rows = np.concatenate([np.zeros(0, np.int64), *groups])[:, None] + np.arange(per_mean)
+    points = rows[..., None], np.flatnonzero(_flag_markers(shape))
+    is_measured = np.isin(shape.flags[points], (PointFlag.MEASURED, PointFlag.RELABELLED))
+    positions = np.where(is_measured[..., None], shape.positions[points], np.nan)
+    return rows, positions.mean(axis=1)
+
+
+def _flag_markers(shape: Shape) -> Flags:
+    """Flag the points of a shape that are markers, not constructed: shape (points,)."""
+    return np.asarray(~(shape.flags == PointFlag.CONSTRUCTED).any(axis=0), dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class BendingTest:
+    """A bending test with shape and curve; arrays of shape (frames,).
+
+    Parameters
+    ----------
+    shape : with clamped end and pull point, fitted in every frame
+    force : N, of the curve at the frames; NaN without one
+    branch, cycle : of the curve at the frames
+    first : branch of the first loading
+    rest : frames before the loading
+    centre_offset : m, axis to marker centre, positive towards the pull
+    free_tip : whether the shapes were fitted without a moment at the tip
+    pull : at the tip
+    errors : of force and places
+    """
+
+    shape: Shape
+    force: Floats
+    branch: Ints
+    cycle: Ints
+    first: int
+    rest: Flags
+    centre_offset: float
+    free_tip: bool
+    pull: TipPull
+    errors: BendingErrors
+
+    @cached_property
+    def marker_places(self) -> Floats:
+        """Return the arc lengths of the markers from the clamped end, m, shape (markers,)."""
+        return self.shape.arc_length[_flag_markers(self.shape)]
+
+    @cached_property
+    def ends(self) -> EndConditions:
+        """Return the conditions at the ends with which the shapes were fitted.
+
+        Raises
+        ------
+        ValueError
+            If no frame has a curve.
+        """
+        shape = self.shape
+        fitted = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
+        if not len(fitted):
+            raise ValueError(format_sentence("results.no_fitted_frame"))
+        direction = shape.coefficients[fitted[0], :, 1] / shape.length
+        return EndConditions(length=shape.length, direction=direction, free_tip=self.free_tip)
+
+    def fit_curves(self, markers: Floats, *, more: int = 0) -> FrameFits:
+        """Fit the curve through markers of shape (n, markers, 3), with `more` coefficients."""
+        terms = int(self.shape.coefficients.shape[2]) + more
+        return fit_frames(markers, self.marker_places, self.centre_offset, self.ends, terms=terms)
+
+    @cached_property
+    def specimen_at_rest(self) -> SpecimenAtRest:
+        """Return the specimen at rest.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two frames at rest show all markers.
+        """
+        _, markers = average_frames(self.shape, np.where(self.rest, 0, -1), per_mean=1)
+        markers = markers[np.isfinite(markers).all(axis=(1, 2))]
+        if len(markers) < 2:
+            raise ValueError(format_sentence("results.few_frames_at_rest", count=len(markers)))
+        fit, middle = self.fit_curves(markers), markers.mean(axis=0)
+        return SpecimenAtRest(
+            markers=middle,
+            coefficients=fit.coefficients.mean(axis=0)[None],
+            finer=self.fit_curves(middle[None], more=min(fit.n_spare, 1)).coefficients,
+            frames=len(markers),
+            noise=fit.noise(slice(None)),
+        )
+
+    def fit_means(self, branch: Ints, *, per_mean: int) -> FittedFrames:
+        """Fit curves through means over consecutive frames.
+
+        Parameters
+        ----------
+        branch : shape (frames,); frames of a negative branch are excluded
+        per_mean : frames
+
+        Raises
+        ------
+        ValueError
+            If no mean has both a shape and a force.
+        """
+        rows, markers = average_frames(self.shape, branch, per_mean=per_mean)
+        fit, force = self.fit_curves(markers), self.force[rows].mean(axis=1)
+        usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(force)
+        if not usable.any():
+            raise ValueError(format_sentence("results.no_means"))
+        rows, markers = rows[usable], markers[usable]
+        return FittedFrames(
+            time=self.shape.time[rows].mean(axis=1),
+            force=force[usable],
+            branch=branch[rows[:, 0]],
+            markers=markers,
+            per_mean=per_mean,
+            coefficients=fit.coefficients[usable],
+            finer=self.fit_curves(markers, more=1).coefficients if fit.n_spare > 0 else None,
+            tip_gain=fit.gain[usable, :2].max(axis=1),
+        )
+
+    def compute_moments(self, coefficients: Floats, reading: Floats, places: Floats) -> Floats:
+        """Return bending moments along fitted curves.
+
+        Parameters
+        ----------
+        coefficients : shape (n, 3, terms), m
+        reading : shape (n,), N, tension less that at rest
+        places : shape (stations,), m
+
+        Returns
+        -------
+        shape (n, stations), N m: M(s) = Py (x_L - x) - Px (y_L - y), positive where it bends
+        towards the pull, less the moment of the specimen's weight beyond s.
+        """
+        length, pull = self.shape.length, self.pull
+        curves = evaluate_curves(coefficients, length, places)
+        tip = evaluate_curves(coefficients, length, np.array([length]))
+        force = pull.compute_force(reading, tip.x[:, 0])
+        moment = force[:, 1:] * (tip.x - curves.x) - force[:, :1] * (tip.y - curves.y)
+        if pull.self_weight == 0.0:
+            return np.asarray(moment, dtype=np.float64)
+        integral = polyint(coefficients[:, 0].T)
+        beyond = polyval(np.ones(1), integral) - polyval(places / length, integral)
+        lever = length * beyond - (length - places) * curves.x
+        return np.asarray(moment - pull.self_weight * lever, dtype=np.float64)
+
+    def compute_curvature_gain(
+        self, markers: Floats, shape: StationCurves, arc_length: Floats
+    ) -> Floats:
+        """Return the standard error of curvature per standard deviation of a marker coordinate.
+
+        Parameters
+        ----------
+        markers : shape (n, markers, 3), of the fitted curves; NaN where not in sight
+        shape : the curves at the stations
+        arc_length : shape (stations,), m
+
+        Returns
+        -------
+        shape (n, stations), 1/m^2; NaN for too few markers.
+
+        Notes
+        -----
+        With n = (-sin, cos) and t = (cos, sin): d kappa = n . d r'' - 2 kappa t . d r', where r''
+        and r' are linear in the markers by the least-squares operator of the fit.
+        """
+        length, terms = self.shape.length, int(self.shape.coefficients.shape[2])
+        basis = build_curve_basis(terms=terms, length=length, clamped=True, free_tip=self.free_tip)
+        bend = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
+        slope, is_visible = basis.slope(arc_length), np.isfinite(markers).all(axis=2)
+        gain = np.full(shape.angle.shape, np.nan)
+        for pattern in np.unique(is_visible, axis=0):
+            if pattern.sum() < basis.unknowns:
+                continue
+            design = build_marker_design(basis, self.marker_places[pattern], self.centre_offset)
+            x, y = np.split(np.linalg.pinv(design), 2)
+            operators = np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
+            gram = np.einsum("isk,jsk->sij", operators, operators)
+            chosen = (is_visible == pattern).all(axis=1)
+            angle, twice = shape.angle[chosen], 2.0 * shape.curvature[chosen]
+            sine, cosine = np.sin(angle), np.cos(angle)
+            weights = np.stack([-sine, cosine, -twice * cosine, -twice * sine], axis=-1)
+            gain[chosen] = np.sqrt(np.einsum("nsi,sij,nsj->ns", weights, gram, weights))
+        return gain
 
 
 def measure_bending(test: BendingTest) -> Bending:
@@ -65,6 +429,70 @@ def measure_bending(test: BendingTest) -> Bending:
     except ValueError as error:
         return Bending(cloud, None, Reason("no_law", str(error)))
     return Bending(cloud, law)
+
+
+def measure_cloud(test: BendingTest) -> BendingCloud:
+    """Compute curvature and moment, less those at rest.
+
+    Parameters
+    ----------
+    test : shapes and force
+
+    Returns
+    -------
+    One row per mean over consecutive frames of a branch: about `N_CLOUD_ROWS` in the first loading,
+    over as many frames in the other branches. A mean without shape or force is left out.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two frames at rest show all markers, or no mean has shape and force.
+
+    Notes
+    -----
+    M(s) = Py (x_L - x(s)) - Px (y_L - y(s)), the force of `TipPull` at the tip (x_L, y_L). Errors
+    of the curvature from the noise of the markers take it to be independent from frame to frame.
+    The systematic one is the change with one more coefficient.
+    """
+    count = int((test.branch == test.first).sum())
+    frames = test.fit_means(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
+    rest, errors, length = test.specimen_at_rest, test.errors, test.shape.length
+    places = np.linspace(0.0, length, N_CLOUD_STATIONS)
+
+    def compute_curvature(coefficients: Floats) -> Floats:
+        return evaluate_curves(coefficients, length, places).curvature
+
+    now = evaluate_curves(frames.coefficients, length, places)
+    curvature = now.curvature - compute_curvature(rest.coefficients)
+    systematic = np.full(curvature.shape, np.nan)
+    if frames.finer is not None:
+        finer = compute_curvature(frames.finer) - compute_curvature(rest.finer)
+        systematic = np.abs(finer - curvature)
+    at_rest = test.compute_moments(rest.coefficients, np.zeros(1), places)[0]
+    moment = test.compute_moments(frames.coefficients, frames.force, places) - at_rest
+    share = np.sqrt(1.0 / frames.per_mean + 1.0 / rest.frames)
+    gain = test.compute_curvature_gain(frames.markers, now, places)
+    push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(frames.per_mean))
+    push_error = push * (now.x[:, -1:] - now.x)
+    # With markers farther from the axis, the lever is shorter by the angle of the tip.
+    centre = errors.centre * np.sin(now.angle[:, -1])
+    noise = rest.noise * frames.tip_gain / np.sqrt(frames.per_mean)
+    place_error = np.hypot(np.hypot(errors.offset, centre), noise) * frames.force
+    squares = push_error**2 + (errors.force_scale * moment) ** 2 + place_error[:, None] ** 2
+    return BendingCloud(
+        time=frames.time,
+        branch=frames.branch,
+        cycle=test.cycle[np.searchsorted(test.shape.time, frames.time)],
+        force=frames.force,
+        arc_length=places,
+        curvature=curvature,
+        curvature_error=rest.noise * share * gain,
+        curvature_systematic=systematic,
+        moment=moment,
+        moment_error=np.sqrt(squares),
+        moment_at_rest=at_rest,
+        frames_per_mean=frames.per_mean,
+    )
 
 
 def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
@@ -93,127 +521,89 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     does a law with half as many knots.
     """
     min_points = 24
-    count = int((test.branch == test.first).sum())
-    branch = np.where(test.branch == test.first, test.branch, -1)
-    frames = test.fit_means(branch, per_mean=max(1, count // N_FIT_MEANS))
-    n_means = len(frames.means.force)
+    is_first, rest, length = test.branch == test.first, test.specimen_at_rest, test.shape.length
+    per_mean = max(1, int(is_first.sum()) // N_FIT_MEANS)
+    frames = test.fit_means(np.where(is_first, test.branch, -1), per_mean=per_mean)
+    n_means = len(frames.force)
     if n_means < min_points:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_points))
-    loaded = _collect_law_data(test, frames)
+    line = Line.through(test.marker_places, length)
+    loaded = LawData(
+        line=line,
+        moment=test.compute_moments(frames.coefficients, frames.force, line.arc_length),
+        moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
+        angle_at_rest=evaluate_curves(rest.coefficients, length, line.arc_length).angle[0],
+        markers=frames.markers[..., :2],
+        markers_at_rest=rest.markers[:, :2],
+        rest_weight=rest.frames / per_mean,
+        centre_offset=test.centre_offset,
+    )
     largest, at_rest = loaded.moment.max(), np.abs(loaded.moment_at_rest).max()
     if not largest > at_rest:
         raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
+
+    def compute_movement(data: LawData) -> Floats:
+        return LawShapes.of(data, fit.basis).compute_movement(fit.compliance)
+
+    movement = compute_movement(loaded)
+    changes = [
+        share * fit.shift(compute_movement(other) - movement)
+        for other, share in _list_alternatives(test, frames, loaded)
+    ]
     return tabulate(
         fit,
-        [change_with_knots, *_CommonErrors(test, frames, loaded, fit).list_changes()],
+        [change_with_knots, *changes],
         scale_error=test.errors.force_scale,
-        noise=test.specimen_at_rest.noise / np.sqrt(frames.means.per_mean),
+        noise=rest.noise / np.sqrt(per_mean),
         curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
-        n_frames=n_means * frames.means.per_mean,
+        n_frames=n_means * per_mean,
     )
 
 
-def _collect_law_data(test: BendingTest, frames: FittedFrames) -> LawData:
-    layout, at_rest = test.layout, test.specimen_at_rest
-    line = Line.through(layout.arc_length, layout.length)
-    still = evaluate_curves(at_rest.coefficients, layout.length, line.arc_length)
-    return LawData(
-        line=line,
-        moment=test.compute_moments(frames.coefficients, frames.means.force, line.arc_length),
-        moment_at_rest=test.compute_moments(at_rest.coefficients, np.zeros(1), line.arc_length)[0],
-        angle_at_rest=still.angle[0],
-        markers=frames.means.markers[..., :2],
-        markers_at_rest=at_rest.markers[:, :2],
-        rest_weight=at_rest.frames / frames.means.per_mean,
-        centre_offset=layout.centre_offset,
-    )
+def _list_alternatives(
+    test: BendingTest, frames: FittedFrames, loaded: LawData
+) -> Iterator[tuple[LawData, float]]:
+    """Yield the data with each common input changed, and the share of the change that counts."""
+    errors, rest, line, length = test.errors, test.specimen_at_rest, loaded.line, test.shape.length
+    places, no_load = line.arc_length, np.zeros(1)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _CommonErrors:
-    """A law, with the errors common to all its frames."""
-
-    test: BendingTest
-    frames: FittedFrames
-    loaded: LawData
-    fit: LawFit
-
-    def list_changes(self) -> Iterator[Floats]:
-        """Yield standard errors as changes of the compliances."""
-        errors, frames = self.test.errors, self.frames
-        before = self.compute_movement(self.loaded)
-
-        def change(other: LawData, share: float = 1.0) -> Floats:
-            return share * self.fit.shift(self.compute_movement(other) - before)
-
-        yield change(self.recompute_moments(reading=frames.means.force + errors.force_zero))
-        if errors.other_tension_at_rest is not None:
-            pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
-            yield change(self.recompute_moments(pull=pull), RECTANGULAR_DEVIATION)
-        if frames.finer is not None:
-            yield change(self.recompute_moments(finer=True), RECTANGULAR_DEVIATION)
-        if errors.offset > 0.0:
-            yield change(self.lengthen_at_clamp(errors.offset))
-            yield change(self.lengthen_at_tip(errors.offset))
-        if errors.centre > 0.0:
-            yield change(self.move_centres(errors.centre))
-
-    def compute_movement(self, loaded: LawData) -> Floats:
-        """Return the movement of the markers by the law."""
-        return LawShapes.of(loaded, self.fit.basis).compute_movement(self.fit.compliance)
-
-    def recompute_moments(
-        self, *, reading: Floats | None = None, pull: TipPull | None = None, finer: bool = False
+    def recompute(
+        test: BendingTest = test,
+        curves: Floats = frames.coefficients,
+        still: Floats = rest.coefficients,
+        more: float = 0.0,
     ) -> LawData:
-        """Return the data with another force, pull at the tip, or one more coefficient."""
-        test, frames, at_rest = self.test, self.frames, self.test.specimen_at_rest
-        places, no_load = self.loaded.line.arc_length, np.zeros(1)
-        reading = frames.means.force if reading is None else reading
-        if finer and frames.finer is not None:
-            curves, still = frames.finer, at_rest.finer
-        else:
-            curves, still = frames.coefficients, at_rest.coefficients
         return replace(
-            self.loaded,
-            moment=test.compute_moments(curves, reading, places, pull=pull),
-            moment_at_rest=test.compute_moments(still, no_load, places, pull=pull)[0],
+            loaded,
+            moment=test.compute_moments(curves, frames.force + more, places),
+            moment_at_rest=test.compute_moments(still, no_load, places)[0],
         )
 
-    def lengthen_at_clamp(self, more: float) -> LawData:
-        """Return the data with the clamped end farther back."""
-        line, frames = self.loaded.line, self.frames
-        places = line.arc_length
+    yield recompute(more=errors.force_zero), 1.0
+    if errors.other_tension_at_rest is not None:
+        pull = replace(test.pull, tension_at_rest=errors.other_tension_at_rest)
+        yield recompute(replace(test, pull=pull)), RECTANGULAR_DEVIATION
+    if frames.finer is not None:
+        yield recompute(curves=frames.finer, still=rest.finer), RECTANGULAR_DEVIATION
+    if errors.offset > 0.0:  # the clamped end farther back, the pull point farther out
         first = places[line.markers[0]]
-        longer = np.where(places < first, places * (first + more) / first, places + more)
-        moment = self.test.compute_moments(frames.coefficients, frames.means.force, longer - more)
-        return replace(self.loaded, line=replace(line, arc_length=longer), moment=moment)
-
-    def lengthen_at_tip(self, more: float) -> LawData:
-        """Return the data with the pull point farther along the tangent."""
-        length = self.test.layout.length
-        tip = evaluate_curves(self.frames.coefficients, length, np.array([length]))
-        force = self.test.pull.compute_force(self.frames.means.force, tip.x[:, 0])
-        extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
-        return replace(self.loaded, moment=self.loaded.moment + extra)
-
-    def move_centres(self, more: float) -> LawData:
-        """Return the data with marker centres farther from the axis."""
-        test, at_rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
-        layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
-        along = evaluate_curves(at_rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
-        lift = more * np.array([-np.sin(along), np.cos(along), 0.0])
-        curves, still = (
-            layout.fit(markers + lift).coefficients
-            for markers in (self.frames.means.markers, at_rest.markers[None])
-        )
-        return replace(
-            self.loaded,
-            moment=test.compute_moments(curves, self.frames.means.force, places),
-            moment_at_rest=test.compute_moments(still, np.zeros(1), places)[0],
-            angle_at_rest=evaluate_curves(still, layout.length, places).angle[0],
-            centre_offset=layout.centre_offset,
-        )
+        more = errors.offset * np.minimum(places / first, 1.0)
+        moment = test.compute_moments(frames.coefficients, frames.force, places + more - more[-1])
+        yield replace(loaded, line=replace(line, arc_length=places + more), moment=moment), 1.0
+        tip = evaluate_curves(frames.coefficients, length, np.array([length]))
+        force = test.pull.compute_force(frames.force, tip.x[:, 0])
+        lever = force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle)
+        yield replace(loaded, moment=loaded.moment + errors.offset * lever), 1.0
+    if errors.centre > 0.0:  # marker centres farther from the axis
+        other = replace(test, centre_offset=test.centre_offset + errors.centre)
+        along = evaluate_curves(rest.coefficients, length, np.zeros(1)).angle[0, 0]
+        lift = errors.centre * np.array([-np.sin(along), np.cos(along), 0.0])
+        curves = other.fit_curves(frames.markers + lift).coefficients
+        still = other.fit_curves(rest.markers[None] + lift).coefficients
+        angle = evaluate_curves(still, length, places).angle[0]
+        changed = recompute(other, curves, still)
+        yield replace(changed, angle_at_rest=angle, centre_offset=other.centre_offset), 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,39 +645,33 @@ def evaluate_law(
     scale of the force changes all moments in proportion.
     """
     n_fine = 4000
-    basis = LawBasis(knots)
-    fine = np.linspace(0.0, knots[-1], n_fine)
+    basis, fine = LawBasis(knots), np.linspace(0.0, knots[-1], n_fine)
     reached = basis.compute_values(fine) @ compliance
     inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
     moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
     finite_moment = np.nan_to_num(moment)
     slopes = basis.compute_slopes(finite_moment)
+    place = np.clip(np.searchsorted(knots, finite_moment, side="right") - 1, 0, len(knots) - 2)
+    bend = (np.diff(compliance) / np.diff(knots))[place]  # second derivative of the law
+
+    def propagate(gradient: Floats, scale: Floats) -> Floats:
+        squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
+
     with np.errstate(divide="ignore", invalid="ignore"):
         softness = slopes @ compliance
         by_law = -basis.compute_values(finite_moment) / softness[:, None]
-        bend = _second_derivative(knots, compliance, finite_moment)
         by_slope = -(slopes + bend[:, None] * by_law) / softness[:, None] ** 2
         secant, tangent = moment / curvature, 1.0 / softness
-        moment_error = _propagate(by_law, covariance, scale_error * moment)
+        moment_error = propagate(by_law, scale_error * moment)
         return LawPoints(
             moment=moment,
             secant=secant,
             tangent=np.where(inside, tangent, np.nan),
             moment_error=moment_error,
             secant_error=moment_error / curvature,
-            tangent_error=_propagate(by_slope, covariance, scale_error * tangent),
+            tangent_error=propagate(by_slope, scale_error * tangent),
         )
-
-
-def _second_derivative(knots: Floats, compliance: Floats, moment: Floats) -> Floats:
-    """Return the second derivative of curvature by moment, piecewise constant."""
-    place = np.clip(np.searchsorted(knots, moment, side="right") - 1, 0, len(knots) - 2)
-    return np.asarray((np.diff(compliance) / np.diff(knots))[place], dtype=np.float64)
-
-
-def _propagate(gradient: Floats, covariance: Floats, scale: Floats) -> Floats:
-    squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
 
 
 def tabulate(
@@ -318,132 +702,45 @@ def tabulate(
     Notes
     -----
     A curvature is known if it is above 1.96 times the noise of the curvatures of the cloud, and if
-    the interval of the law excludes a moment of zero.
+    the interval of the law excludes a moment of zero. A moment is kept without its interval where
+    that is infinite, a stiffness only where the curvature is known.
     """
     n_rows = 41
+    knots, compliance = fit.basis.knots, fit.compliance
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
-    largest = float(fit.basis.compute_values(fit.basis.knots[-1:])[0] @ fit.compliance)
+    largest = float(fit.basis.compute_values(knots[-1:])[0] @ compliance)
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
-    points = evaluate_law(
-        fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error
-    )
+    points = evaluate_law(knots, compliance, covariance, curvature, scale_error=scale_error)
     floor = NORMAL_95 * curvature_noise
-    is_known = np.asarray(
-        (curvature > floor) & (NORMAL_95 * points.moment_error < points.moment), dtype=np.bool_
-    )
+    is_known = (curvature > floor) & (NORMAL_95 * points.moment_error < points.moment)
+    columns = {"moment": points.moment}
+    is_shown = {"moment": np.isfinite(points.moment_error)}
+    for name in ("secant", "tangent"):
+        columns[name] = np.where(is_known, getattr(points, name), np.nan)
+        is_shown[name] = is_known
+    for name, value in tuple(columns.items()):
+        half = NORMAL_95 * np.where(is_shown[name], getattr(points, f"{name}_error"), np.nan)
+        columns |= {f"{name}_lower": value - half, f"{name}_upper": value + half}
+    unknown, reason = curvature[1:][~is_known[1:]], None
+    if count := len(unknown):
+        last, rows = unknown.max(), n_rows - 1
+        reason = Reason.of(
+            "results.law_below_noise", unknown=count, count=rows, last=last, floor=floor
+        )
     return MeasuredLaw(
         curvature=curvature,
-        **_make_columns(
-            "moment", points.moment, points.moment_error, np.isfinite(points.moment_error)
-        ),
-        **_make_columns("secant", points.secant, points.secant_error, is_known),
-        **_make_columns("tangent", points.tangent, points.tangent_error, is_known),
+        **columns,
         is_known=is_known,
-        reason=_explain_unknown(curvature, is_known, floor),
+        reason=reason,
         floor=floor,
         scale_error=scale_error,
         residual=fit.residual,
         noise=noise,
         n_frames=n_frames,
-        knots=fit.basis.knots,
-        compliance=fit.compliance,
+        knots=knots,
+        compliance=compliance,
         compliance_covariance=covariance,
     )
-
-
-def _make_columns(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
-    """Return a column with the ends of its interval; a moment is kept without its ends."""
-    half = NORMAL_95 * np.where(is_shown, error, np.nan)
-    middle = value if name == "moment" else np.where(is_shown, value, np.nan)
-    return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
-
-
-def _explain_unknown(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
-    unknown, count = curvature[1:][~is_known[1:]], len(curvature) - 1
-    if not len(unknown):
-        return None
-    last = unknown.max()
-    return Reason.of(
-        "results.law_below_noise", unknown=len(unknown), count=count, last=last, floor=floor
-    )
-
-
-def measure_cloud(test: BendingTest) -> BendingCloud:
-    """Compute curvature and moment, less those at rest.
-
-    Parameters
-    ----------
-    test : shapes and force
-
-    Returns
-    -------
-    One row per mean over consecutive frames of a branch: about `N_CLOUD_ROWS` in the first loading,
-    over as many frames in the other branches. A mean without shape or force is left out.
-
-    Raises
-    ------
-    ValueError
-        If fewer than two frames at rest show all markers, or no mean has shape and force.
-
-    Notes
-    -----
-    M(s) = Py (x_L - x(s)) - Px (y_L - y(s)), the force of `TipPull` at the tip (x_L, y_L). Errors
-    of the curvature from the noise of the markers take it to be independent from frame to frame.
-    """
-    count = int((test.branch == test.first).sum())
-    frames = test.fit_means(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
-    length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
-    places = np.linspace(0.0, length, N_CLOUD_STATIONS)
-    now = evaluate_curves(frames.coefficients, length, places)
-    curvature = now.curvature - evaluate_curves(rest.coefficients, length, places).curvature
-    moment = test.compute_moments(frames.coefficients, means.force, places)
-    at_rest = test.compute_moments(rest.coefficients, np.zeros(1), places)[0]
-    share = np.sqrt(1.0 / means.per_mean + 1.0 / rest.frames)
-    gain = compute_curvature_gain(test.layout, means.markers, now, places)
-    return BendingCloud(
-        time=means.time,
-        branch=means.branch,
-        cycle=test.cycle[np.searchsorted(test.shape.time, means.time)],
-        force=means.force,
-        arc_length=places,
-        curvature=curvature,
-        curvature_error=rest.noise * share * gain,
-        curvature_systematic=_change_with_one_more_coefficient(test, frames, places, curvature),
-        moment=moment - at_rest,
-        moment_error=_compute_moment_errors(test, frames, now, moment - at_rest),
-        moment_at_rest=at_rest,
-        frames_per_mean=means.per_mean,
-    )
-
-
-def _change_with_one_more_coefficient(
-    test: BendingTest, frames: FittedFrames, places: Floats, curvature: Floats
-) -> Floats:
-    """Return the absolute change of the curvatures with one more coefficient."""
-    if frames.finer is None:
-        return np.full(curvature.shape, np.nan)
-    finer = evaluate_curves(frames.finer, test.layout.length, places).curvature
-    still = evaluate_curves(test.specimen_at_rest.finer, test.layout.length, places).curvature
-    return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
-
-
-def _compute_moment_errors(
-    test: BendingTest, frames: FittedFrames, now: StationCurves, moment: Floats
-) -> Floats:
-    """Return standard errors of moments, shape (n, stations), N m."""
-    errors, means = test.errors, frames.means
-    lever = now.x[:, -1:] - now.x
-    push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(means.per_mean))
-    noise = test.specimen_at_rest.noise * frames.tip_gain / np.sqrt(means.per_mean)
-    # With markers farther from the axis, the lever is shorter by the angle of the tip.
-    centre = errors.centre * np.sin(now.angle[:, -1])
-    place = np.hypot(np.hypot(errors.offset, centre), noise) * means.force
-    squares = (push * lever) ** 2 + (errors.force_scale * moment) ** 2 + place[:, None] ** 2
-    return np.asarray(np.sqrt(squares), dtype=np.float64)
-
-
-RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
-"""Standard deviation of a rectangular distribution of half-width one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -539,84 +836,73 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
 
     Notes
     -----
-    Gauss-Newton; the inner step is non-negative least squares (Lawson and Hanson, Solving Least
-    Squares Problems, 1974, chapter 23) if the unconstrained one is negative. Every marker
-    coordinate has its own offset, known from the frames at rest: so the noise of the mean at rest,
-    common to all frames, is in the covariance. That is a sandwich estimator with the long-run
-    covariance of the residuals between coordinates (Newey and West, Econometrica 55 (1987) 703):
-    the pivot of the clamp and the force move all of them, and a smoothed force for several frames.
+    Gauss-Newton from one compliance for all knots; the inner step is non-negative least squares
+    (Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23) if the unconstrained one
+    is negative. Every marker coordinate has its own offset, known from the frames at rest, which
+    are one more row: so the noise of the mean at rest, common to all frames, is in the covariance.
+    That is a sandwich estimator with the long-run covariance of the residuals between coordinates
+    (Newey and West, Econometrica 55 (1987) 703): the pivot of the clamp and the force move all of
+    them, and a smoothed force for several frames.
     """
     max_rounds = 12
     convergence_share = 1e-7
     is_measured = np.isfinite(loaded.moved)
     measured = np.where(is_measured, loaded.moved, 0.0)
-    shapes = LawShapes.of(loaded, basis)
-    compliance = _estimate_uniform_compliance(shapes, measured)
+    weight = is_measured.sum(axis=0) + loaded.rest_weight
+
+    def subtract_offsets(values: Floats) -> Floats:
+        """Subtract the offset of each coordinate: (n, 2 markers, k) to (n + 1, 2 markers, k)."""
+        values = np.where(is_measured[..., None], values, 0.0)
+        offset = values.sum(axis=0) / weight[:, None]
+        centred = np.where(is_measured[..., None], values - offset, 0.0)
+        return np.concatenate([centred, -np.sqrt(loaded.rest_weight) * offset[None]])
+
+    shapes, even = LawShapes.of(loaded, basis), np.ones(len(basis.knots))
+    moved = shapes.predict(0.0 * even)[1] @ even
+    scale = float((moved**2).sum())
+    if not scale > 0.0:
+        raise ValueError(format_sentence("results.no_change_of_moment"))
+    compliance: Floats = even * abs(float((moved * measured).sum())) / scale
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
-        residuals = _subtract_offsets(
-            np.where(is_measured, measured - moved, 0.0)[..., None], is_measured, loaded.rest_weight
-        )
-        design = _subtract_offsets(
-            np.where(is_measured[..., None], design, 0.0), is_measured, loaded.rest_weight
-        )
-        flat, residual = design.reshape(-1, design.shape[2]), residuals.ravel()
+        residuals = subtract_offsets((measured - moved)[..., None])
+        design = subtract_offsets(design)
+        flat = design.reshape(-1, len(even))
         normal = flat.T @ flat
-        better = _solve(normal, flat.T @ residual + normal @ compliance)
+        better = _solve(normal, flat.T @ residuals.ravel() + normal @ compliance)
         change = float(np.abs(better - compliance).max() / np.abs(better).max())
         compliance = better
         if change < convergence_share:
             break
-    spread = _inverse(normal)
-    pushes = np.einsum("kj,nmj->knm", spread, design)
-    covariance = _estimate_covariance(pushes[:, :-1], residuals[:-1, :, 0], is_measured)
+    residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
+    sensitivity = np.einsum("kj,nmj->knm", _invert(normal), design)[:, :-1]
+    freedom = max(float(count) - len(even) - is_measured.shape[1], 1.0)
+    noise = _estimate_long_run_covariance(residuals, is_measured) * float(count) / freedom
+    covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
         basis=basis,
         compliance=compliance,
         covariance=covariance,
-        sensitivity=pushes[:, :-1],
-        residual=float(np.sqrt((residuals[:-1] ** 2).sum() / max(int(is_measured.sum()), 1))),
-        n=int(is_measured.sum()),
-        variance=float(np.trace(covariance @ normal)) / len(compliance),
+        sensitivity=sensitivity,
+        residual=float(np.sqrt((residuals**2).sum() / max(count, 1))),
+        n=count,
+        variance=float(np.trace(covariance @ normal)) / len(even),
     )
-
-
-def _estimate_uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
-    """Return one compliance for all knots with about the observed movement of the markers."""
-    unit_compliance = np.ones(shapes.turns.shape[2])
-    moved = shapes.predict(0.0 * unit_compliance)[1] @ unit_compliance
-    scale = float((moved**2).sum())
-    if not scale > 0.0:
-        raise ValueError(format_sentence("results.no_change_of_moment"))
-    return np.asarray(
-        unit_compliance * abs(float((moved * measured).sum())) / scale, dtype=np.float64
-    )
-
-
-def _subtract_offsets(values: Floats, seen: Flags, rest_weight: float) -> Floats:
-    """Subtract the offset of each marker coordinate; an additional last row is the rest.
-
-    Values and result of shape (n, 2 markers, k) and (n + 1, 2 markers, k).
-    """
-    offset = values.sum(axis=0) / (seen.sum(axis=0) + rest_weight)[:, None]
-    centred = np.where(seen[..., None], values - offset, 0.0)
-    return np.concatenate([centred, -np.sqrt(rest_weight) * offset[None]])
 
 
 def _solve(normal: Floats, right: Floats) -> Floats:
     """Solve for compliances, none of them negative."""
-    scale = np.sqrt(np.diag(normal))
-    inverse = _inverse(normal)
-    plain: Floats = inverse @ right
+    plain: Floats = _invert(normal) @ right
     if (plain >= 0.0).all():
         return plain
     from scipy.optimize import nnls  # slow import, not for all tests
 
+    scale = np.sqrt(np.diag(normal))
     triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
     return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
 
 
-def _inverse(normal: Floats) -> Floats:
+def _invert(normal: Floats) -> Floats:
     max_condition = 1e12
     scale = np.sqrt(np.diag(normal))
     if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
@@ -625,19 +911,11 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _estimate_covariance(pushes: Floats, residuals: Floats, seen: Flags) -> Floats:
-    """Return the covariance of the compliances from residuals of shape (n, 2 markers)."""
-    freedom = max(float(seen.sum()) - len(pushes) - seen.shape[1], 1.0)
-    covariance = _estimate_long_run_covariance(residuals, seen) * float(seen.sum()) / freedom
-    middle = np.einsum("knm,ml,jnl->kj", pushes, covariance, pushes, optimize=True)
-    return np.asarray(middle, dtype=np.float64)
-
-
-def _estimate_long_run_covariance(residuals: Floats, seen: Flags) -> Floats:
+def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floats:
     """Return the long-run covariance between columns of residuals, with Bartlett's weights."""
     count = len(residuals)
     lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
-    weights = seen.astype(np.float64)
+    weights = is_measured.astype(np.float64)
     total = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
     for lag in range(1, lags + 1):
         together = np.maximum(weights[lag:].T @ weights[:-lag], 1.0)
@@ -668,7 +946,7 @@ class Line:
         counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
         parts = [
             np.linspace(first, last, count, endpoint=False)
-            for first, last, count in zip(ends[:-1], ends[1:], counts, strict=True)
+            for (first, last), count in zip(pairwise(ends), counts, strict=True)
         ]
         points = np.concatenate([*parts, ends[-1:]])
         return cls(points, np.searchsorted(points, places - 1e-10).astype(np.int64))
@@ -716,29 +994,27 @@ class LawData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawShapes:
-    """Shapes for laws of one basis, with all that is independent of the compliances.
+    """Shapes for laws of one basis.
 
     Parameters
     ----------
     loaded : moments and rest
     turns : shape (n, points, knots), rad, of the wire from rest, per unit of compliance
-    still : shape (1, 2 markers), m, marker centres at rest: x of all, then y
     """
 
     loaded: LawData
     turns: Floats
-    still: Floats
 
     @classmethod
     def of(cls, loaded: LawData, basis: LawBasis) -> LawShapes:
         """Prepare the laws of a basis."""
-        turns = loaded.line.integrate(basis.compute_changes(loaded.moment_at_rest, loaded.moment))
-        begin = loaded.angle_at_rest[None]
-        return cls(loaded, turns, _compute_centres(loaded, np.sin(begin), np.cos(begin)))
+        changes = basis.compute_changes(loaded.moment_at_rest, loaded.moment)
+        return cls(loaded, loaded.line.integrate(changes))
 
     def compute_movement(self, compliance: Floats) -> Floats:
         """Return the movement of the markers from rest for a law, shape (n, 2 markers), m."""
-        return _compute_centres(self.loaded, *self._directions(compliance)) - self.still
+        rest = self.loaded.angle_at_rest[None]
+        return self._compute_centres(rest + self.turns @ compliance) - self._compute_centres(rest)
 
     def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
         """Return the movement of the markers from rest for a law, and its derivatives.
@@ -752,28 +1028,19 @@ class LawShapes:
         Movement, shape (n, 2 markers), m, and its derivatives, shape (n, 2 markers, knots).
         """
         line, height, turns = self.loaded.line, self.loaded.centre_offset, self.turns
-        sine, cosine = self._directions(compliance)
-        moved = _compute_centres(self.loaded, sine, cosine) - self.still
-        along = -line.integrate(sine[..., None] * turns)
-        across = line.integrate(cosine[..., None] * turns)
-        markers = line.markers
-        along = along[:, markers] - height * cosine[:, markers, None] * turns[:, markers]
-        across = across[:, markers] - height * sine[:, markers, None] * turns[:, markers]
-        return moved, np.concatenate([along, across], axis=1)
+        angle = (self.loaded.angle_at_rest + turns @ compliance)[..., None]
+        sine, cosine, markers = np.sin(angle) * turns, np.cos(angle) * turns, line.markers
+        along = -line.integrate(sine)[:, markers] - height * cosine[:, markers]
+        across = line.integrate(cosine)[:, markers] - height * sine[:, markers]
+        return self.compute_movement(compliance), np.concatenate([along, across], axis=1)
 
-    def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
-        """Return sine and cosine of the angle of the wire, shape (n, points) each."""
-        angle = self.loaded.angle_at_rest + self.turns @ compliance
-        return np.sin(angle), np.cos(angle)
-
-
-def _compute_centres(loaded: LawData, sine: Floats, cosine: Floats) -> Floats:
-    """Return the marker centres, shape (n, 2 markers): x of all, then y."""
-    line, height = loaded.line, loaded.centre_offset
-    markers = line.markers
-    x = line.integrate(cosine)[:, markers] - height * sine[:, markers]
-    y = line.integrate(sine)[:, markers] + height * cosine[:, markers]
-    return np.concatenate([x, y], axis=1)
+    def _compute_centres(self, angle: Floats) -> Floats:
+        """Return the marker centres, shape (n, 2 markers): x of all, then y."""
+        line, height = self.loaded.line, self.loaded.centre_offset
+        markers, sine, cosine = line.markers, np.sin(angle), np.cos(angle)
+        x = line.integrate(cosine)[:, markers] - height * sine[:, markers]
+        y = line.integrate(sine)[:, markers] + height * cosine[:, markers]
+        return np.concatenate([x, y], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -789,14 +1056,8 @@ class LawBasis:
 
     def compute_slopes(self, moment: Floats) -> Floats:
         """Return the slope of the law per unit of compliance at each knot; (*moment, knots)."""
-        size = np.clip(np.abs(moment), 0.0, self.knots[-1])
-        place = np.searchsorted(self.knots, size, side="right") - 1
-        place = np.clip(place, 0, len(self.knots) - 2)
-        share = (size - self.knots[place]) / np.diff(self.knots)[place]
-        slopes = np.zeros((*np.shape(size), len(self.knots)))
-        np.put_along_axis(slopes, place[..., None], (1.0 - share)[..., None], axis=-1)
-        np.put_along_axis(slopes, place[..., None] + 1, share[..., None], axis=-1)
-        return slopes
+        hats = np.eye(len(self.knots))
+        return np.stack([np.interp(np.abs(moment), self.knots, hat) for hat in hats], axis=-1)
 
     def compute_values(self, moment: Floats) -> Floats:
         """Return the curvature per unit of compliance at each knot, odd; (*moment, knots)."""

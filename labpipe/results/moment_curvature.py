@@ -22,13 +22,18 @@ import numpy as np
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, Ints, average_blocks
+from labpipe.records.arrays import Flags, Floats, Ints, average_blocks, median
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
 from labpipe.results.beam import compute_prop_force
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull, evaluate_curves
-from labpipe.results.measured_law import measure_bending
+from labpipe.results.measured_law import (
+    BendingErrors,
+    BendingTest,
+    TipPull,
+    evaluate_curves,
+    measure_bending,
+)
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.units import GRAVITY
 
@@ -84,11 +89,6 @@ class RestEvidence:
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
-    def is_known(self) -> bool:
-        """Return whether there is any evidence."""
-        return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
-
-    @property
     def share(self) -> float:
         """Return the sag as a share of the deflection under the load at the tip, or NaN."""
         min_reach = 0.5e-3  # m, to differ from the direction of the clamp
@@ -119,9 +119,7 @@ class RestEvidence:
             if self.share > HANGING_SHARE:
                 return "slack"
             return "off the wire" if abs(self.share) <= LEANING_SHARE else "unknown"
-        if (
-            self.share > HANGING_SHARE
-        ):  # the string just spans to a wire that hangs, or the wire is curled
+        if self.share > HANGING_SHARE:  # it just spans to a wire that hangs, or the wire is curled
             return "unknown" if self.has_lost_tension else "slack"
         return "taut" if self.has_lost_tension or abs(self.share) <= straight_share else "unknown"
 
@@ -175,42 +173,47 @@ def collect_rest_evidence(
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip: `compute_prop_force`
     """
-    # Deflections, m, for the distance by which the clamp is ahead of the tip.
+    # Deflections, m, while the string pulls, for the distance by which the clamp is ahead of it.
     early_deflections = (0.5e-3, 3e-3)
     n_blocks = 100
     weight += own_weight
     part = slice(first.start, first.stop)
-    deflection = average_blocks(curve.displacement[part], n_blocks)
-    force = average_blocks(curve.force[part], n_blocks)
+    path = curve.displacement[part]
+    deflection, force = (average_blocks(values, n_blocks) for values in (path, curve.force[part]))
     reached = deflection[force >= weight]
-    deflection_at_weight = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
-    ahead, slackened = float("nan"), np.zeros(0)
+    ahead = sag = slackened = lowest = float("nan")
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
-        behind = curve.displacement[part]
-        is_early = (behind > early_deflections[0]) & (
-            behind < early_deflections[1]
-        )  # the string has begun to pull
-        ahead = _finite_median((travel.values[part] - behind)[is_early])
-        slackened = _read_slack_forces(travel.values, curve, first)
-    rest_force = curve.force[: first.start]
-    rest_force = rest_force[np.isfinite(rest_force)]
-    scatter = float(rest_force.std()) if len(rest_force) else 0.0
+        is_early = (path > early_deflections[0]) & (path < early_deflections[1])
+        ahead = median(_select_finite((travel.values[part] - path)[is_early]))
+        slackened = median(_read_slack_forces(travel.values, curve, first))
+    if shape is not None and len(shape.names):
+        heights = shape.positions[shape.time < first.start_time, :, 1]
+        sag = median(_select_finite(heights[:, 0] - heights[:, -1]))
+    stretches = slice(first.start), slice(first.stop, None)
+    at_rest, later = (_select_finite(curve.force[stretch]) for stretch in stretches)
+    if len(later) >= _MEAN_SAMPLES:
+        lowest = float(average_blocks(later, len(later) // _MEAN_SAMPLES).min())
+    scatter = float(at_rest.std()) if len(at_rest) else 0.0
     return RestEvidence(
         ahead=ahead,
-        sag=_measure_sag(shape, first),
-        reach=deflection_at_weight,
+        sag=sag,
+        reach=float(reached[0]) if len(reached) else float(np.nanmax(deflection)),
         weight=weight,
-        lowest=_find_lowest_mean(curve.force[first.stop :]),
-        slackened=_finite_median(slackened),
-        error=scatter / float(np.sqrt(min(len(rest_force), _MEAN_SAMPLES) or 1)),
+        lowest=lowest,
+        slackened=slackened,
+        error=scatter / sqrt(min(len(at_rest), _MEAN_SAMPLES) or 1),
         own_weight=own_weight,
     )
 
 
+def _select_finite(values: Floats) -> Floats:
+    return values[np.isfinite(values)]
+
+
 def list_rest_notes(test: str, rest: RestEvidence) -> Iterator[QualityNote]:
     """Yield notes on a wire that is assumed to have been straight at rest."""
-    if not rest.is_known:
+    if np.isnan([rest.ahead, rest.sag]).all():
         yield QualityNote.of("results.rest_unknown", test)
     elif rest.sag > LEANING_SHARE * rest.reach:
         sag, load = 1e3 * rest.sag, rest.load_name
@@ -229,7 +232,7 @@ def _read_slack_forces(travel: Floats, curve: Curve, first: Branch) -> Floats:
         slack = means[1:, 2][moved[:, 1] < max_following_share * moved[:, 0]].tolist()
         if len(slack) >= min_stretches:  # the string may still pull in the first or last one
             forces += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
-    return np.array(forces, dtype=np.float64)
+    return np.array(forces)
 
 
 def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
@@ -241,27 +244,6 @@ def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
     if count < 2 or len(columns) < 2 * count:
         return np.zeros((1, 3))
     return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
-
-
-def _find_lowest_mean(force: Floats) -> float:
-    """Return the lowest of the means over `_MEAN_SAMPLES` samples, N."""
-    finite = force[np.isfinite(force)]
-    if len(finite) < _MEAN_SAMPLES:
-        return float("nan")
-    return float(average_blocks(finite, len(finite) // _MEAN_SAMPLES).min())
-
-
-def _measure_sag(shape: Shape | None, first: Branch) -> float:
-    """Return how far the pull point is below the clamped end before the first loading, m."""
-    if shape is None or not len(shape.names):
-        return float("nan")
-    is_rest: Flags = np.asarray(shape.time < first.start_time, dtype=np.bool_)
-    return -_finite_median((shape.positions[:, -1, 1] - shape.positions[:, 0, 1])[is_rest])
-
-
-def _finite_median(values: Floats) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,34 +290,30 @@ def decide_string_state(rest: RestEvidence) -> StringState:
     Tension, weight, and the alternative if the evidence is not sufficient.
     """
     load, state = rest.weight, rest.state
-    weight = load - rest.own_weight
+    weight, carried = load - rest.own_weight, {"taut": load, "part": rest.tension}.get(state, 0.0)
+    other, load_text, facts = None, rest.load, rest.summary
     if state == "unknown":
-        taken, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
+        carried, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
+        taken = "all of it" if carried else "nothing"
+        remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence(
-            "results.string_unknown",
-            load=rest.load,
-            taken="all of it" if taken else "nothing",
-            facts=rest.summary,
-            remedy=format_overrides("rig.string.at_rest", "taut"),
+            "results.string_unknown", load=load_text, taken=taken, facts=facts, remedy=remedy
         )
-        return StringState(state, taken, weight, other, why)
-    if state == "part":
-        carried, error = rest.tension, sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+    elif state == "part":
+        other = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
-            "results.string_carried_part", tension=tension, load=rest.load, facts=rest.summary
+            "results.string_carried_part", tension=tension, load=load_text, facts=facts
         )
-        return StringState(state, carried, weight, carried - error, why)
-    if state == "off the wire":
-        why = format_sentence("results.string_off_the_wire", facts=rest.summary)
-        return StringState(state, 0.0, 0.0, None, why)
-    is_taut = state == "taut"
-    why = format_sentence(
-        "results.string_was_taut" if is_taut else "results.string_carried_nothing",
-        load=rest.load,
-        facts=rest.summary,
-    )
-    return StringState(state, load if is_taut else 0.0, weight, None, why)
+    elif state == "off the wire":
+        weight, why = 0.0, format_sentence("results.string_off_the_wire", facts=facts)
+    else:
+        why = format_sentence(
+            "results.string_was_taut" if state == "taut" else "results.string_carried_nothing",
+            load=load_text,
+            facts=facts,
+        )
+    return StringState(state, carried, weight, other, why)
 
 
 def make_stated_state(
@@ -356,7 +334,7 @@ def make_stated_state(
     return StringState(at_rest, tension, weight, None, why)
 
 
-def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
+def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
     """Measure the moment-curvature law of a test, and note what was assumed.
 
     Parameters
@@ -372,7 +350,20 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
     is_at_rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
     pull, other, notes = _make_tip_pull(test, curve, shape, first, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
-    branch, cycle = _number_frames(curve, shape.time)
+    force_at_rest = _select_finite(force[is_at_rest])
+    branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
+    cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
+    for number, part in enumerate(curve.branches):
+        inside = (shape.time >= part.start_time) & (shape.time < part.stop_time)
+        branch[inside], cycle[inside] = number, part.cycle
+    errors = BendingErrors(
+        force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
+        force_zero=test.force.zero_error,
+        force_scale=test.force.relative_error,
+        offset=test.setup.offset_uncertainty,
+        other_tension_at_rest=other,
+        centre=test.setup.centre_uncertainty,
+    )
     frames = BendingTest(
         shape=shape,
         force=force,
@@ -383,14 +374,7 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         centre_offset=test.setup.centre_offset,
         free_tip=test.setup.free_tip,
         pull=pull,
-        errors=BendingErrors(
-            force_noise=_finite_deviation(force[is_at_rest]),
-            force_zero=test.force.zero_error,
-            force_scale=test.force.relative_error,
-            offset=test.setup.offset_uncertainty,
-            other_tension_at_rest=other,
-            centre=test.setup.centre_uncertainty,
-        ),
+        errors=errors,
     )
     try:
         bending = measure_bending(frames)
@@ -398,22 +382,24 @@ def measure_replicates(test: ReducedTest) -> tuple[Bending | Failure, list[Findi
         return Failure("no_moment_curvature", str(error)), notes
     if test.setup.mass_per_length is None:
         notes.append(Finding.of("results.weight_not_stated", "specimen.mass_per_length"))
-    return bending, [*notes, _make_law_note(bending)]
-
-
-def _number_frames(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
-    """Return branch and cycle of every frame."""
-    branch: Ints = np.full(len(time), AT_REST, dtype=np.int64)
-    cycle: Ints = np.zeros(len(time), dtype=np.int64)
-    for number, part in enumerate(curve.branches):
-        inside = (time >= part.start_time) & (time < part.stop_time)
-        branch[inside], cycle[inside] = number, part.cycle
-    return branch, cycle
-
-
-def _finite_deviation(values: Floats) -> float:
-    finite = values[~np.isnan(values)]
-    return float(finite.std()) if len(finite) else 0.0
+    cloud, law, law_text = bending.cloud, bending.law, ""
+    if law is not None:
+        law_text = format_sentence(
+            "results.law_of_frames",
+            frames=law.n_frames,
+            largest=law.curvature[-1],
+            residual=1e6 * law.residual,
+            floor=law.floor,
+        )
+    note = Finding.of(
+        "results.moment_curvature",
+        "shape",
+        points=cloud.curvature.size,
+        frames=cloud.frames_per_mean,
+        places=len(cloud.arc_length),
+        law=law_text,
+    )
+    return bending, [*notes, note]
 
 
 def _make_tip_pull(
@@ -431,32 +417,10 @@ def _make_tip_pull(
     if weight + own_weight == 0.0:
         return TipPull(string.length, 0.0, 0.0, tip), None, []
     if string.at_rest != "by-data":
-        before = make_stated_state(string.at_rest, weight, own_weight)
+        state = make_stated_state(string.at_rest, weight, own_weight)
     else:
-        before = decide_string_state(
-            collect_rest_evidence(
-                test.aligned, test.shape, curve, first, weight, own_weight=own_weight
-            )
+        state = decide_string_state(
+            collect_rest_evidence(test.aligned, shape, curve, first, weight, own_weight=own_weight)
         )
-    pull = TipPull(string.length, before.weight, before.tension, tip, self_weight)
-    return pull, before.other, [Finding(before.note)]
-
-
-def _make_law_note(bending: Bending) -> Finding:
-    cloud, law, of_law = bending.cloud, bending.law, ""
-    if law is not None:
-        of_law = format_sentence(
-            "results.law_of_frames",
-            frames=law.n_frames,
-            largest=law.curvature[-1],
-            residual=1e6 * law.residual,
-            floor=law.floor,
-        )
-    return Finding.of(
-        "results.moment_curvature",
-        "shape",
-        points=cloud.curvature.size,
-        frames=cloud.frames_per_mean,
-        places=len(cloud.arc_length),
-        law=of_law,
-    )
+    pull = TipPull(string.length, state.weight, state.tension, tip, self_weight)
+    return pull, state.other, [Finding(state.note)]

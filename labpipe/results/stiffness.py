@@ -6,11 +6,11 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide, select_part
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     Distance,
@@ -25,7 +25,6 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.signals import Stretch
 from labpipe.results.curve_replicates import make_trace, select_first_loading
 from labpipe.results.cycles import (
     FOOT_LIMIT_FACTOR,
@@ -33,6 +32,7 @@ from labpipe.results.cycles import (
     choose_peak_sample,
     cut_branch,
     find_cut_cycle,
+    find_last_flagged,
     find_loading_sign,
     require_unloading,
     select_cycle,
@@ -64,73 +64,73 @@ _MIN_FOOT_SAMPLES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceOnset:
-    """Samples of a loading branch that determine where its force begins.
+    """Where the force of a loading branch begins, for curves with the samples of one branch.
 
     Parameters
     ----------
     samples : of the branch, with a force and a displacement
     top : number among them of the largest force
-    sample : first sample of the branch whose force is above `limit`
-    foot : samples of the foot of the force
-    is_line : whether the onset is the zero of a line through the foot; else it is the first sample
-        of the foot, because the line does not rise
     limit : N, up to which a force counts as zero
+    min_samples : of the foot of the force
     """
 
     samples: Samples
     top: int
-    sample: int
-    foot: Samples
-    is_line: bool
     limit: float
+    min_samples: int = _MIN_FOOT_SAMPLES
 
-    def compute(self, displacement: Floats, force: Floats) -> Floats:
-        """Return the displacement at zero force, m, shape (...); NaN if the line does not rise.
+    def find(self, values: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Find the zero of the line through the foot of each curve, and its first sample.
+
+        Parameters
+        ----------
+        values, force : shape (..., n), m or s, and N, of the branch; noise hides a part of the
+            foot of each curve. NaN in the same samples as the reference branch
+
+        Returns
+        -------
+        Shapes (...), in the unit of `values` (NaN if the line does not rise), and among `samples`.
+        """
+        x, f = np.broadcast_arrays(values[..., self.samples], force[..., self.samples])
+        shape, (x, f) = f.shape[:-1], (rows.reshape(-1, f.shape[-1]) for rows in (x, f))
+        limit = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
+        numbers, count = np.arange(f.shape[1]), f.shape[1]
+        first = find_last_flagged((f <= limit) & (numbers < self.top)) + 1
+        low = int(first.min())
+        numbers = numbers[low:]
+        beyond = (f[:, low:] > FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
+        last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
+        last = np.maximum(last, first + self.min_samples)
+        part = slice(low, min(int(last.max()), count))
+        numbers = numbers[: part.stop - low]
+        foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
+        middle, level, slope = fit_chosen_lines(foot, x[:, part], f[:, part])
+        zero = middle - level / np.where(slope > 0.0, slope, np.nan)
+        return zero.reshape(shape), first.reshape(shape)
+
+    def compute(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Return the displacement at zero force, and the first sample of the branch above zero.
 
         Parameters
         ----------
         displacement, force : shape (..., n), m, N, of the branch
-        """
-        d = displacement[..., self.foot]
-        return compute_zero_crossing(d, force[..., self.foot]) if self.is_line else d[..., 0]
-
-    def compute_rows(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
-        """Return displacement at zero force and first sample above zero, chosen for each row.
-
-        Parameters
-        ----------
-        displacement, force : shape (rows, n), m, N, of the branch with noise, which hides a
-            part of the foot; NaN in the same samples as the reference branch
 
         Returns
         -------
-        Shapes (rows,), m and samples.
+        Shapes (...), m and samples. Without a rising line, the displacement of that sample.
         """
-        displacement, force = displacement[:, self.samples], force[:, self.samples]
-        limit = scale_limit_by_noise(self.limit, force)[:, np.newaxis]
-        within = force[:, : self.top] <= limit
-        first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
-        low, count = int(first.min()), force.shape[1]
-        numbers = np.arange(low, count)
-        beyond = (force[:, low:] > FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
-        last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
-        last = np.maximum(last, first + _MIN_FOOT_SAMPLES)
-        part = slice(low, min(int(last.max()), count))
-        d, f = displacement[:, part], force[:, part]
-        numbers = numbers[: part.stop - low]
-        foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
-        middle, level, slope = fit_chosen_lines(foot, d, f)
-        zero = middle - level / np.where(slope > 0.0, slope, np.nan)
-        begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
-        finite = self.samples
-        numbers = first + finite.start if isinstance(finite, slice) else finite[first]
-        return np.where(np.isnan(zero), begins, zero), numbers
+        zero, first = self.find(displacement, force)
+        samples = self.samples
+        sample = first + samples.start if isinstance(samples, slice) else samples[first]
+        paths = np.broadcast_to(displacement, (*sample.shape, displacement.shape[-1]))
+        begins = np.take_along_axis(paths, sample[..., np.newaxis], axis=-1)[..., 0]
+        return np.where(np.isnan(zero), begins, zero), sample
 
 
 def find_force_onset(
     displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
 ) -> ForceOnset:
-    """Choose the samples of a loading branch that determine where its force begins.
+    """Find the samples of a loading branch that determine where its force begins.
 
     Parameters
     ----------
@@ -156,14 +156,14 @@ def find_force_onset(
     begins after the last sample within that limit before the largest force, and ends at five times
     the limit. A straight line through the foot (at least eight samples) is extrapolated to zero
     force. If the force comes from below zero, as after bending to the other side, the line
-    interpolates the crossing of zero.
+    interpolates the crossing of zero. Each curve has its own foot, and a limit by its own noise.
 
     Examples
     --------
     >>> d = np.linspace(0.0, 0.01, 400)
     >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
-    >>> onset = find_force_onset(d, force)
-    >>> round(1e3 * float(onset.compute(d, force)), 6)
+    >>> zero, _ = find_force_onset(d, force).find(d, force)
+    >>> round(1e3 * float(zero), 6)
     2.0
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
@@ -175,17 +175,11 @@ def find_force_onset(
     top = int(np.argmax(f))
     if f[top] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
-    within = np.flatnonzero(f[:top] <= limit)
-    first = int(within[-1]) + 1 if len(within) else 0
-    beyond = np.flatnonzero(f[first:] > FOOT_LIMIT_FACTOR * limit)
-    least = steps * _MIN_FOOT_SAMPLES
-    last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
-    zero = float(compute_zero_crossing(d[first:last], f[first:last]))
-    is_line = not np.isnan(zero)
-    if not len(within) and not (is_line and zero >= d[0] - max_extrapolation * float(np.ptp(d))):
+    onset = ForceOnset(as_slice(finite), top, limit, steps * _MIN_FOOT_SAMPLES)
+    zero, first = onset.find(displacement, force)
+    if not first and not zero >= d[0] - max_extrapolation * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
-    foot = as_slice(finite[first:last])
-    return ForceOnset(as_slice(finite), top, int(finite[first]), foot, is_line, limit)
+    return onset
 
 
 _MIN_WINDOW_SAMPLES = 8
@@ -201,13 +195,13 @@ class WindowSlope:
 
     Parameters
     ----------
-    samples : of the branch, with a force and a displacement, m of them
+    samples : shape (m,), of the branch, with a force and a displacement
     time : shape (m,), s
     path, furthest : shape (m,), m, averaged path along the branch, and its largest value so far
     low, high : m, ends of the window
     """
 
-    samples: Samples
+    samples: Ints
     time: Floats
     path: Floats
     furthest: Floats
@@ -231,27 +225,19 @@ class WindowSlope:
         start = np.searchsorted(self.furthest, low)
         stop = np.searchsorted(self.furthest, high, side="right")
         stretch = slice(int(start.min()), max(int(stop.max()), int(start.min())))
-        numbers = np.arange(stretch.start, stretch.stop)
         is_in: Flags = self.path[stretch] >= low[..., np.newaxis]
-        is_in &= numbers < stop[..., np.newaxis]
-        if np.any(since):
-            is_in &= self._numbers(stretch) >= np.asarray(since)[..., np.newaxis]
-        return stretch, is_in
-
-    def _numbers(self, stretch: slice) -> Ints:
-        """Return numbers in the branch of a range of the samples."""
-        samples = select_part(self.samples, stretch)
-        return np.arange(samples.start, samples.stop) if isinstance(samples, slice) else samples
+        is_in &= np.arange(stretch.start, stretch.stop) < stop[..., np.newaxis]
+        return stretch, is_in & (self.samples[stretch] >= np.asarray(since)[..., np.newaxis])
 
     @property
     def window(self) -> Samples:
         """Return the samples of the branch within the window."""
         stretch, inside = self.inside()
-        return as_slice(self._numbers(stretch)[inside])
+        return as_slice(self.samples[stretch][inside])
 
     @property
     def n(self) -> int:
-        """Return the samples of the window."""
+        """Return the number of samples of the window."""
         return int(self.inside()[1].sum())
 
     def compute(
@@ -269,14 +255,13 @@ class WindowSlope:
         shift, since : shape (...), as for `inside`
         """
         stretch, inside = self.inside(shift, since)
-        samples, time = select_part(self.samples, stretch), self.time[stretch]
+        samples, time = as_slice(self.samples[stretch]), self.time[stretch]
         count = inside.sum(axis=-1)
         enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
         middle = divide(np.asarray(inside @ time), enough)
         weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
-        return divide(
-            np.vecdot(weight, force[..., samples]), np.vecdot(weight, displacement[..., samples])
-        )
+        rise, run = (np.vecdot(weight, values[..., samples]) for values in (force, displacement))
+        return divide(rise, run)
 
 
 def choose_window(
@@ -311,7 +296,7 @@ def choose_window(
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    samples = as_slice(find_finite_samples(displacement, force))
+    samples = find_finite_samples(displacement, force)
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
     require_samples(fit.n, _MIN_WINDOW_SAMPLES)
     require_travel(displacement[fit.window])
@@ -366,14 +351,12 @@ class LoadingSlope:
         ----------
         displacement, force : shape (..., n), m, N; the window of each row begins at the onset of
             its force
-        has_noise : whether noise hides a part of the foot: shape (rows, n), each with its own foot
+        has_noise : whether noise hides a part of the foot: a curve is taut from its first sample
+            above zero on
         """
-        taut, since = displacement[..., self.first :], np.zeros((), dtype=np.int64)
-        if has_noise:
-            begins, first = self.onset.compute_rows(displacement, force)
-            since = np.maximum(first - self.first, 0)
-        else:
-            begins = self.onset.compute(displacement, force)
+        taut = displacement[..., self.first :]
+        begins, first = self.onset.compute(displacement, force)
+        since = np.maximum(first - self.first, 0) if has_noise else 0
         later = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
         return self.slope.compute(taut, force[..., self.first :], later, since)
 
@@ -425,9 +408,10 @@ def choose_loading_window(
     """
     limit = None if like is None else like.onset.limit
     onset = find_force_onset(displacement, force, limit=limit, steps=steps)
-    start, first = float(onset.compute(displacement, force)), onset.sample
-    if like is not None and onset.is_line:
-        zero_time = float(compute_zero_crossing(time[onset.foot], force[onset.foot]))
+    begins, first_sample = onset.compute(displacement, force)
+    start, first = float(begins), int(first_sample)
+    if like is not None and not np.isnan(onset.find(displacement, force)[0]):
+        zero_time = float(onset.find(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
         first = max(first, _find_start_of_motion(time, displacement, start, length))
@@ -671,21 +655,6 @@ class Window(Kind):
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
-def _measure_secant(kind: Window, test: ReducedTest, name: str) -> Computed:
-    """Measure the slope between two displacements of a shape, with time as instrument."""
-    window = kind.start, kind.stop
-    decide, during = (
-        partial(_choose_secant_window, low=kind.start, high=kind.stop),
-        test.find_loading_interval(*window),
-    )
-    outcome = test.measure_one(decide)
-    number = kind.make_result(test, outcome, during=during)
-    return Computed((number,), {name: Stiffness(decide, outcome.as_estimate, during, window)})
-
-
-_SECANT = "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
-
-
 def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
@@ -706,15 +675,22 @@ class InitialStiffness(Window):
 
     result: ClassVar = "initial-stiffness"
     outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
-    method: ClassVar = _SECANT
+    method: ClassVar = (
+        "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
+    )
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope between two displacements, with time as instrument."""
-        return _measure_secant(self, test, "initial_stiffness")
+        window = self.start, self.stop
+        decide = partial(_choose_secant_window, low=self.start, high=self.stop)
+        outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
+        number = self.make_result(test, outcome, during=during)
+        stiffness = Stiffness(decide, outcome.as_estimate, during, window)
+        return Computed((number,), {number.name: stiffness})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineStiffness(Window):
+class LineStiffness(InitialStiffness):
     """``<name>`` (N/m): straight line over a window of the first loading."""
 
     result: ClassVar = "stiffness"
@@ -727,12 +703,12 @@ class LineStiffness(Window):
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the method: time is the instrument if the test has a shape."""
-        return (self.method if test.shape is None else _SECANT,)
+        return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Computed:
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
-            return _measure_secant(self, test, self.name)
+            return super(LineStiffness, self).measure(test)
         slope, curve = test.measure_one(self.decide), make_trace(test)
         window = self.samples(curve)
         d = curve.displacement[window]
@@ -776,14 +752,6 @@ class LineStiffness(Window):
         )
 
 
-class Context(NamedTuple):
-    """Time interval (s), doubts and remark of a result that is computed from a stiffness."""
-
-    during: Stretch | None = None
-    doubts: tuple[Reason, ...] = ()
-    remark: str = ""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FromStiffness(Kind):
     """A kind of result that is computed from a stiffness above it in the list."""
@@ -794,28 +762,21 @@ class FromStiffness(Kind):
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure the number of a test from its stiffness."""
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
-        """Return the context of the number; by default only that of the stiffness counts."""
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+        """Return further arguments of `Kind.make_result`: time interval, doubts, remark."""
         del test, stiffness
-        return Context()
+        return {}
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the number from the stiffness."""
         stiffness = test.stiffnesses.get(self.of)
         if stiffness is None:
             raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
-        outcome, context = (
-            return_failure(self.measure_number)(test, stiffness),
-            self.find_context(test, stiffness),
-        )
-        number = self.make_result(
-            test,
-            outcome,
-            during=context.during or stiffness.during,
-            doubts=find_marked_slips(test, stiffness.bends_with) + context.doubts,
-            remark=context.remark,
-        )
-        return Computed((number,))
+        outcome = return_failure(self.measure_number)(test, stiffness)
+        context = {"during": stiffness.during, **self.find_context(test, stiffness)}
+        slips = find_marked_slips(test, stiffness.bends_with)
+        context["doubts"] = slips + context.get("doubts", ())
+        return Computed((self.make_result(test, outcome, **context),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -829,27 +790,29 @@ class NormalisedStiffness(FromStiffness):
         "{of} / peak force of the same sample, errors independent, scale error cancelled"
     )
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return the time up to the last peak, and a doubt if the record ends before it."""
-        window, stop = stiffness.during, test.cycles[-1][0].stop_time
-        during = (window[0], max(window[1], stop)) if window else None
-        return Context(during, find_cut_cycle(test, test.cycles[-1][:1]))
+        loading, during = test.cycles[-1][:1], stiffness.during
+        during = during and (during[0], max(during[1], loading[0].stop_time))
+        return {"during": during, "doubts": find_cut_cycle(test, loading)}
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
         trace = make_trace(test)
         peaks = {
-            cycle[0].cycle: return_failure(choose_peak_sample)(test, trace, cycle[0].cycle)
-            for cycle in test.cycles
+            number: return_failure(choose_peak_sample)(test, trace, number)
+            for number in range(1, len(test.cycles) + 1)
         }
-        readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
-        if not readings:
-            return next(peak for peak in peaks.values() if isinstance(peak, Failure))
-        values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
-        largest = max(values, key=lambda key: values[key])
+        values = {
+            float(peak.numbers(trace)[0]): number
+            for number, peak in peaks.items()
+            if isinstance(peak, Reading)
+        }
+        if not values:
+            test.require(peaks[1])
 
         def choose_peak(trace: Trace) -> Reading:
-            return choose_peak_sample(test, trace, largest)
+            return choose_peak_sample(test, trace, values[max(values)])
 
         peak = test.measure_one(choose_peak)
         if peak.value <= 3.0 * peak.error:
@@ -886,9 +849,9 @@ class Modulus(FromStiffness):
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> Context:
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
-        return Context(doubts=find_machine_compliance(test, stiffness.estimate.value))
+        return {"doubts": find_machine_compliance(test, stiffness.estimate.value)}
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -962,8 +925,7 @@ class ComplianceResult(Kind):
         stretch = select_first_loading(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
-        slope = float(compute_slope(f[window], d[window]))
-        if slope <= 0.0:
-            raise UnavailableError.of("results.not_positive", slope=slope)
         compliance = read_part(lambda d, f: compute_slope(f, d), (stretch, window))
+        if (slope := float(compliance(trace)[0])) <= 0.0:
+            raise UnavailableError.of("results.not_positive", slope=slope)
         return Reading(compliance, len(d[window]), ends_at_samples=True)

@@ -18,7 +18,7 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
-from labpipe.results.bent_frames import BendingErrors, BendingTest, TipPull
+from labpipe.results.measured_law import BendingErrors, BendingTest, TipPull
 
 LENGTH, STRING, WEIGHT = 0.085, 0.760, 0.0265
 HEIGHT, PULL_OFFSET = 0.0008, 0.004
@@ -58,7 +58,7 @@ def lifted(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]
 def loaded(law: PlayLaw, *, force: float, frames: int) -> list[CantileverShape]:
     """Shapes of a straight wire under a growing end load normal to the clamped axis."""
     shapes, state = [], make_straight(law, 48)
-    shapes.append(compute_shape(law, state, LENGTH))
+    shapes.append(compute_shape(state, LENGTH))
     for load in np.linspace(0.0, force, frames)[1:]:
         shapes.append(bend_under_force(law, state, LENGTH, np.array([0.0, float(load)])))
         state = shapes[-1].state

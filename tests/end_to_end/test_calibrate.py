@@ -22,8 +22,8 @@ from labpipe.mechanics.wire.wire_table import build_wire, wire_table
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
-from labpipe.virtual_lab import simulate_campaigns, simulate_test
-from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab import WireCampaign, simulate_campaigns, simulate_test
+from labpipe.virtual_lab.campaigns import WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
 from labpipe.virtual_lab.tensile import build_corrugated_tube
 from tests.approved import Approve

@@ -10,7 +10,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import TANGENT
 from labpipe.records.result import Result
-from labpipe.results.plateau import _Corner
+from labpipe.results.kinks_and_plateaus import _Corner
 from tests.builders.pulls import pull, pulled
 from tests.builders.three_point import CONDUIT, BendingRecord
 from tests.builders.three_point import reduced as reduced_bending

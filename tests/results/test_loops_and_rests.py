@@ -152,11 +152,6 @@ def decided(path: Floats, force: Floats, like: UnloadingEnd | None = None) -> Un
     return found
 
 
-def each_row(ending: UnloadingEnd, path: Floats, force: Floats) -> Floats:
-    assert ending.compute_rows is not None
-    return ending.compute_rows(path, force)
-
-
 @pytest.mark.parametrize("way", WAYS)
 def test_it_is_where_the_force_is_back_at_zero(way: str) -> None:
     """Gaps are passed over; rows are as each alone, and a foot that rises is no number."""
@@ -238,15 +233,13 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     force[22, 2045:] += 0.006
     found = decided(path[10], force[10])
     assert found.kind == "followed"
-    for d, f, each in zip(
-        path[10:], force[10:], each_row(found, path[10:], force[10:]), strict=True
-    ):
+    for d, f, each in zip(path[10:], force[10:], found.compute(path[10:], force[10:]), strict=True):
         alone = return_failure(find_unloading_end)(TIME, d, f, force_below=LIMIT, like=found)
         if isinstance(alone, Failure):
             assert np.isnan(each)
         else:
             assert each == pytest.approx(float(alone.compute(d, f)), rel=1e-9)
-    assert np.isfinite(each_row(found, path[:10], force[:10])).all()
+    assert np.isfinite(found.compute(path[:10], force[:10])).all()
 
 
 def test_a_weak_force_is_not_followed_from_far_off() -> None:
@@ -320,5 +313,5 @@ def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
     assert alone.kind == "followed"
     assert alone.limit == LIMIT
     paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
-    each = each_row(found, paths, force)[3]
+    each = found.compute(paths, force)[3]
     assert each == pytest.approx(float(alone.compute(paths[3], force[3])), rel=1e-9)

@@ -8,16 +8,9 @@ import pytest
 from labpipe.mechanics.law.plays import make_linear_plays
 from labpipe.records.curve import PointFlag
 from labpipe.results.beam import compute_prop_force
-from labpipe.results.bent_frames import (
-    TipPull,
-    average_frames,
-    compute_curvature_gain,
-    evaluate_curves,
-    find_marker_layout,
-)
+from labpipe.results.measured_law import TipPull, average_frames, evaluate_curves
 from tests.builders.bent_tests import (
     HEAVY,
-    HEIGHT,
     LENGTH,
     RESTING,
     STRING,
@@ -46,7 +39,7 @@ def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
     force, flags = TEST.force.copy(), TEST.shape.flags.copy()
     force[RESTING : RESTING + 4] = np.nan
     frames = replace(TEST, force=force).fit_means(TEST.branch, per_mean=2)
-    assert len(frames.means.force) == 4
+    assert len(frames.force) == 4
     with pytest.raises(ValueError, match="expected means with a shape and a force, found none"):
         replace(TEST, force=np.full_like(force, np.nan)).fit_means(TEST.branch, per_mean=2)
     flags[:RESTING, 2] = PointFlag.FILLED
@@ -105,21 +98,21 @@ def test_curvatures_of_an_exact_shape() -> None:
 
 def test_noise_of_curvature_is_as_stated() -> None:
     """Of all markers, and without the fourth; without all but two it is not known."""
-    layout = find_marker_layout(TEST_MOMENTS.shape, centre_offset=HEIGHT, free_tip=True)
+    test = TEST_MOMENTS
     markers, places = TEST_MOMENTS.shape.positions[-1, 1:-1], np.linspace(0.0, LENGTH, 18)
-    still = evaluate_curves(layout.fit(markers[None]).coefficients, LENGTH, places)
+    still = evaluate_curves(test.fit_curves(markers[None]).coefficients, LENGTH, places)
     noise, rng = 3e-6, np.random.default_rng(5)
     shaken = markers + noise * rng.standard_normal((2000, *markers.shape))
     for lost in ([], [3]):
         shaken[:, lost] = np.nan
-        gain = compute_curvature_gain(layout, shaken[:1], still, places)[0]
-        spread = evaluate_curves(layout.fit(shaken).coefficients, LENGTH, places).curvature.std(
-            axis=0
-        )
+        gain = test.compute_curvature_gain(shaken[:1], still, places)[0]
+        spread = evaluate_curves(
+            test.fit_curves(shaken).coefficients, LENGTH, places
+        ).curvature.std(axis=0)
         assert spread[:-1] == pytest.approx(noise * gain[:-1], rel=0.06)
         assert gain[-1] == pytest.approx(0.0, abs=1e-3 * gain.max())  # no moment at the free tip
     shaken[:, 2:] = np.nan
-    assert np.isnan(compute_curvature_gain(layout, shaken[:1], still, places)).all()
+    assert np.isnan(test.compute_curvature_gain(shaken[:1], still, places)).all()
 
 
 def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> None:
@@ -128,13 +121,14 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> Non
     flags[RESTING + 1, 3] = PointFlag.FILLED
     branch = np.where(np.arange(frames) < RESTING, -1, 0)
     branch[RESTING + 9 :] = 1
-    means = average_frames(replace(shape, flags=flags), TEST_MOMENTS.force, branch, per_mean=4)
+    rows, markers = average_frames(replace(shape, flags=flags), branch, per_mean=4)
+    assert branch[rows[:, 0]].tolist() == [0, 0, 1, 1, 1]
+    assert rows[0].tolist() == list(range(RESTING, RESTING + 4))
+    assert np.isnan(markers[0, 2]).all()
+    assert markers[0, 0] == pytest.approx(shape.positions[rows[0], 1].mean(axis=0))
+    assert np.isfinite(markers[1:]).all()
+    assert len(average_frames(shape, np.full(frames, -1), per_mean=4)[0]) == 0
+    means = TEST_MOMENTS.fit_means(branch, per_mean=4)
     assert means.branch.tolist() == [0, 0, 1, 1, 1]
-    first = slice(RESTING, RESTING + 4)
-    assert means.time[0] == pytest.approx(shape.time[first].mean())
-    assert means.force[0] == pytest.approx(TEST_MOMENTS.force[first].mean())
-    assert np.isnan(means.markers[0, 2]).all()
-    assert means.markers[0, 0] == pytest.approx(shape.positions[first, 1].mean(axis=0))
-    assert np.isfinite(means.markers[1:]).all()
-    assert len(average_frames(shape, TEST_MOMENTS.force, np.full(frames, -1), per_mean=4).time) == 0
-    assert means.select(means.branch == 1).time.tolist() == means.time[2:].tolist()
+    assert means.time[0] == pytest.approx(shape.time[rows[0]].mean())
+    assert means.force[0] == pytest.approx(TEST_MOMENTS.force[rows[0]].mean())

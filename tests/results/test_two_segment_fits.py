@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.two_lines import (
+from labpipe.results.kinks_and_plateaus import (
     Hinges,
     Segments,
     find_break_doubts,
@@ -152,7 +152,7 @@ def test_samples_beyond_the_places() -> None:
     for count, beyond in ((16, 4), (31, 4), (48, 6), (64, 8), (400, 8)):
         d = np.arange(float(count))
         hinges = hinges_of(d, np.minimum(d, 0.5 * count))
-        ends = [hinges.scan.to_displacement(float(hinges.places[place])) for place in (0, -1)]
+        ends = [hinges.to_displacement(float(hinges.places[place])) for place in (0, -1)]
         assert ends == pytest.approx([d[beyond - 1], d[-beyond]])
 
 

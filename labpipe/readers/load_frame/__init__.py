@@ -20,30 +20,25 @@ catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import ChannelChoice, find_in_parts, make_channel_notes, unique_names
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
-from labpipe.readers.load_frame.column_titles import (
-    Header,
-    find_header,
-    parse_header_rows,
-    time_column,
-)
 from labpipe.readers.load_frame.tables import (
     MIN_TEST_ROWS,
     Export,
     Table,
-    format_head,
+    find_header,
     read_sheets,
     read_text,
+    time_column,
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
@@ -55,7 +50,7 @@ from labpipe.readers.raw_files import (
     read_head,
 )
 from labpipe.readers.recording_checks import make_clock_notes
-from labpipe.readers.workbooks import clear_sheet_cache, is_workbook, open_sheets
+from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import find_si_factor, parse_count
@@ -136,70 +131,56 @@ def assemble(
     ReadError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
-    tables = [_drop_mark_row(_blank_codes(table, card), card) for table in export.tables]
-    tables = _choose_part(tables, part, path)
+    tables = [_clean_table(table, card) for table in export.tables]
+    if part is not None and tables:
+        tables = _choose_part(tables, part, path)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
         notes += _compare_counts(export, tables[0], card)
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
     parts = [_convert_table(table, card, path, is_alone=len(tables) == 1) for table in tables]
-    chosen = [channel for its in parts for channel in its.channels]
+    chosen = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
-        if chosen:
-            indices = sorted(set(find_in_parts(channels, chosen, path)))
-            chosen = [chosen[i] for i in indices]
+        indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
+        chosen = [chosen[i] for i in indices]
         used = {channel.clock for channel in chosen}
-        parts = [its for its in parts if its.clock.name in used]
-    notes += [note for its in parts for note in its.notes]
+        parts = [recording for recording in parts if recording.clocks[0].name in used]
+    model, version = (
+        match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
+        for pattern in (card.model, card.version)
+    )
+    clocks = {recording.clocks[0].name: recording.metadata for recording in parts}
+    notes += [note for recording in parts for note in recording.notes]
     return Recording(
         reader="load-frame",
-        program=" ".join((card.program, _find_group(card.model, export.head))).strip(),
-        program_version=_find_group(card.version, export.head),
-        clocks=tuple(its.clock for its in parts),
+        program=f"{card.program} {model}".strip(),
+        program_version=version,
+        clocks=tuple(recording.clocks[0] for recording in parts),
         channels=tuple(chosen),
-        metadata={
-            "dialect": card.name,
-            **export.about,
-            "clocks": {its.clock.name: its.about for its in parts},
-        },
+        metadata={"dialect": card.name, **export.about, "clocks": clocks},
         notes=(*notes, *_make_missing_notes(chosen, card), *make_channel_notes(chosen)),
     )
 
 
-def _find_group(pattern: re.Pattern[str] | None, head: str) -> str:
-    match = pattern.search(head) if pattern is not None else None
-    return match[1].strip() if match else ""
-
-
-def _blank_codes(table: Table, card: Card) -> Table:
-    """Replace the codes of missing values by NaN."""
+def _clean_table(table: Table, card: Card) -> Table:
+    """Replace the codes of missing values by NaN; omit a last row that is a mark, not a sample."""
     columns = {
         i: np.where(np.isin(values, card.missing), np.nan, values) if card.missing else values
         for i, values in table.columns.items()
     }
-    return replace(table, columns=columns)
-
-
-def _drop_mark_row(table: Table, card: Card) -> Table:
-    """Omit a last row of zeros that is a mark, not a sample, according to the card."""
-    if not card.last_zeros or not table.rows:
-        return table
-    last = {table.names[i]: values[-1] for i, values in table.columns.items()}
+    last = {table.names[i]: values[-1] for i, values in columns.items() if len(values)}
     mark = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
-    if any(last.get(name) != value for name, value in mark.items()):
-        return table
-    values_text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
-    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=values_text)
-    columns = {i: values[:-1] for i, values in table.columns.items()}
+    if not card.last_zeros or any(last.get(name) != value for name, value in mark.items()):
+        return replace(table, columns=columns)
+    shown = ", ".join(f"{name} {value:g}" for name, value in mark.items())
+    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=shown)
+    columns = {i: values[:-1] for i, values in columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
 
 
-def _choose_part(tables: list[Table], part: str | None, path: object) -> list[Table]:
-    if part is None or not tables:
-        return tables
-    chosen = [table for table in tables if part in {table.part, table.also} - {""}]
-    if chosen:
+def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
+    if chosen := [table for table in tables if part in {table.part, table.also} - {""}]:
         return chosen
     names = [table.part or table.also for table in tables if table.part or table.also]
     close = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
@@ -218,24 +199,14 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
         parse_count(str(export.about.get(key, ""))) if key else None
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, n_columns = compare_row_counts(rows, table.rows), len(table.names)
-    if columns not in {None, n_columns}:
-        notes.append(
-            QualityNote.of("readers.columns_differ", "file", stated=columns, held=n_columns)
-        )
+    notes, held = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, held}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=held))
     return notes
 
 
-class _Part(NamedTuple):
-    """One table as part of the recording: its clock, what is known of it, channels, notes."""
-
-    clock: Clock
-    about: dict[str, object]
-    channels: list[Channel]
-    notes: list[QualityNote]
-
-
-def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> _Part:
+def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> Recording:
+    """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = time_column(table.names, table.units, card)
     paths = unique_names(table.names)
@@ -256,17 +227,14 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
-    if table.part or table.also:
-        about["part"] = table.part or table.also
-    return _Part(clock, about, channels, notes)
+    about |= {"part": table.part or table.also} if table.part or table.also else {}
+    return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
 
 
 def _find_time_factor(unit: str, name: str, path: object) -> float:
     for spelling in (unit, unit.casefold()):
-        try:
+        with suppress(ValueError):
             return find_si_factor(spelling or "none", "s")
-        except ValueError:
-            continue
     raise ReadError.about(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
         path,
@@ -275,22 +243,18 @@ def _find_time_factor(unit: str, name: str, path: object) -> float:
     )
 
 
-def _make_missing_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
+def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[QualityNote]:
     codes = " or ".join(f"{code:.0f}" for code in card.missing)
-    shown = f" (blank or {codes})" if codes else ""
-    missing = [(channel, np.flatnonzero(np.isnan(channel.values))) for channel in channels]
-    return [
-        QualityNote.of(
-            "readers.missing_values",
-            channel.path,
-            count=len(rows),
-            total=len(channel.values),
-            codes=shown,
-            first=rows[0] + 1,
-        )
-        for channel, rows in missing
-        if len(rows)
-    ]
+    for channel in channels:
+        if len(rows := np.flatnonzero(np.isnan(channel.values))):
+            yield QualityNote.of(
+                "readers.missing_values",
+                channel.path,
+                count=len(rows),
+                total=len(channel.values),
+                codes=f" (blank or {codes})" if codes else "",
+                first=rows[0] + 1,
+            )
 
 
 def recognise_card(path: Path) -> Card | None:
@@ -310,7 +274,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    fits = _build_sheet_test(path) if kind == "workbook" else _build_text_test(path)
+    list_heads = _list_sheet_heads(path) if kind == "workbook" else _decode_heads(path)
     shipped = shipped_cards().values()
     ranks = (
         lab_cards().values(),
@@ -318,7 +282,12 @@ def recognise_card(path: Path) -> Card | None:
         [card for card in shipped if card.fallback],
     )
     for cards in ranks:
-        fitting = [card for card in cards if card.kind == kind and fits(card)]
+        fitting = [
+            card
+            for card in cards
+            if card.kind == kind
+            and any(_fits_card(card, head, path, sheet) for sheet, head in list_heads(card))
+        ]
         if len(fitting) > 1:
             names = " and ".join(card.name for card in fitting)
             raise ReadError.about("readers.several_cards", path, cards=names)
@@ -345,17 +314,13 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     ReadError
         If there is no such card, or the export fits another one or none.
     """
-    cards: Mapping[str, Card] = {**shipped_cards(), **lab_cards()}
+    cards = {**shipped_cards(), **lab_cards()}
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:
-            close, place = (
-                ", ".join(sort_by_likeness(name, list(cards), limit=3)),
-                f"dialect '{name}'",
-            )
-            raise ReadError.about(
-                "readers.no_such_card", path, place, count=len(cards), nearest=close
-            )
+            nearest, count = ", ".join(sort_by_likeness(name, list(cards), limit=3)), len(cards)
+            place = f"dialect '{name}'"
+            raise ReadError.about("readers.no_such_card", path, place, count=count, nearest=nearest)
     card = recognise_card(path)
     if card is not None and (not allowed or card.name in allowed):
         return card
@@ -367,55 +332,51 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, card=card.name)
 
 
-def _build_text_test(path: Path) -> Callable[[Card], bool]:
-    """Return the test of whether a card fits a text."""
+def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Return a function that decodes the head of a text as a card says."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
     content = as_content(read_head(path))
-    if is_blank(content.data):
-        return lambda card: card.blank and bool(content.written_in)
-    if is_binary(content):
-        return lambda _: False
+    is_empty, has_text = is_blank(content.data), not is_binary(content)
 
     @cache
-    def text_in(encodings: tuple[str, ...]) -> str:
+    def decode_head(encodings: tuple[str, ...]) -> str:
         try:
             text = decode(content.data, content, encodings, path)
         except ReadError:
             return ""
         return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
 
-    def fits(card: Card) -> bool:
-        text = text_in(card.encodings)
-        return card.fits(text) and (
-            not card.fallback
-            or _is_test_header(partial(find_header, text.split("\n"), card, path), card)
-        )
+    def list_heads(card: Card) -> list[tuple[str, str]]:
+        if is_empty:
+            return [("", "")] if card.blank and content.written_in else []
+        head = decode_head(card.encodings) if has_text else ""
+        return [("", head)] if head else []
 
-    return fits
+    return list_heads
 
 
-def _build_sheet_test(path: Path) -> Callable[[Card], bool]:
-    """Return the test of whether a card fits one of the sheets of a workbook."""
+def _list_sheet_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Return a function that returns the heads of the sheets of a workbook."""
     try:
-        heads = [format_head(rows) for rows in open_sheets(path).values()]
+        sheets = open_sheets(path)
     except ReadError:
-        return lambda _: False
-
-    def fits(card: Card) -> bool:
-        fitting = (head for head in heads if card.fits("\n".join(map("\t".join, head))))
-        if not card.fallback:
-            return any(True for _ in fitting)
-        headers = (partial(parse_header_rows, head, card, path, "row 1") for head in fitting)
-        return any(_is_test_header(find, card) for find in headers)
-
-    return fits
+        return lambda _: []
+    heads = [(name, format_head(rows)) for name, rows in sheets.items()]
+    return lambda _: heads
 
 
-def _is_test_header(find: Callable[[], Header], card: Card) -> bool:
-    """Return whether there is time, and another unit or a name of force or travel."""
+def _fits_card(card: Card, head: str, path: Path, sheet: str) -> bool:
+    """Return whether a head fits a card; for a fallback, whether it is that of a test.
+
+    Such a head has time, and another unit or a name of force or travel.
+    """
+    if not head:  # only of a card for files with nothing but a byte order mark
+        return True
+    if not card.fits(head) or not card.fallback:
+        return card.fits(head)
     try:
-        header = find()
+        header = find_header(head.split("\n"), card, path, sheet=sheet)
     except ReadError:
         return False
     time = time_column(header.names, header.units, card)

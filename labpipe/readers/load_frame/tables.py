@@ -1,38 +1,275 @@
-"""Tables of load-frame exports: a single one, specimens side by side, blocks, or sheets."""
+"""Tables of load-frame exports: headers; one table, specimens side by side, blocks, or sheets."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ChannelChoice, find_channel, unique_names
+from labpipe.readers.channels import ChannelChoice, find_channel, plain_name, unique_names
 from labpipe.readers.load_frame.cards import Card
-from labpipe.readers.load_frame.column_titles import (
-    Header,
-    Rows,
-    find_header,
-    parse_header_rows,
-    time_column,
+from labpipe.readers.number_table import (
+    DECIMAL_SIGNS,
+    Body,
+    are_units,
+    count_filled_rows,
+    has_dimension_of,
+    hold_units,
+    is_number,
+    is_sample,
+    quoted,
+    read_columns,
+    split_line,
+    split_name_and_unit,
+    strip_brackets,
 )
-from labpipe.readers.number_table import Body, count_filled_rows, read_columns, read_sheet_columns
 from labpipe.readers.raw_files import HEAD_BYTES, Content, decode, is_blank, skip_lines, split_lines
-from labpipe.readers.text_cells import as_text, is_sample, split_line
-from labpipe.readers.workbooks import Sheets
+from labpipe.readers.workbooks import Sheets, format_head, format_rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
+_TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+Rows = Sequence[Sequence[str]]
+_Cells = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The rows above the samples.
+
+    Parameters
+    ----------
+    names : of the columns, without surrounding blanks
+    units : of the columns, without brackets; empty if not stated
+    first : index of the first row of samples
+    above : the rows above the names
+    separator : between cells
+    specimens : the row above the names if it contains specimens, else empty
+    first_line : number of the first line
+    sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
+    width : number of cells of a row of a sheet; remarks may stand beside the table
+    """
+
+    names: _Cells
+    units: _Cells
+    first: int
+    above: Rows
+    separator: str = ""
+    specimens: _Cells = ()
+    first_line: int = 1
+    sheet: str = ""
+    width: int = 0
+
+
+def find_header(
+    lines: Sequence[str], card: Card, path: object, first_line: int = 1, *, sheet: str = ""
+) -> Header:
+    """Find names and units in the head of a text or a sheet; blank rows among them are ignored.
+
+    Parameters
+    ----------
+    lines : of the head, without line ends; cells of a sheet are separated by tabs
+    card : rules for the header
+    path : named in errors
+    first_line : number of the first of the lines
+    sheet : its name; empty for a text
+
+    Returns
+    -------
+    The header; the separator is the first one of the card that gives numbers.
+
+    Raises
+    ------
+    ReadError
+        If there is no row of names, no required row of units, or no numbers.
+    """
+    # The longest real header has 56 lines.
+    head = lines[:400]
+    if card.names == "listed":
+        return _read_listed_titles(head, card, path)
+    for separator in ("\t",) if sheet else card.separators:
+        rows, first = _split_rows(head, separator, card)
+        if first is not None:
+            break
+    else:
+        last_line = first_line + len(head) - 1
+        place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
+        raise ReadError.about("readers.no_table", path, place)
+    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
+    above = [tuple(cell.strip() for cell in row) for row in map(rows.__getitem__, filled)]
+    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in above]
+
+    def place_above(row: int) -> str:
+        number = first_line + (filled[max(len(filled) - row, 0)] if filled else 0)
+        return f"sheet '{sheet}', row {number}" if sheet else f"line {number}"
+
+    if separator == " " and card.name_starts is not None and len(above) > 1:
+        text, wanted = " ".join(rows[filled[-2]]), len(rows[-1])
+        cuts = [match.start() for match in card.name_starts.finditer(text)]
+        above[-2] = tuple(
+            text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
+        )
+        if (count := len(above[-2])) != wanted:
+            place, text = place_above(2), quoted([text])
+            raise ReadError.about(
+                "readers.names_with_blanks", path, place, wanted=wanted, count=count, text=text
+            )
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
+    above = above[:-n_rows]
+    has_specimens = card.names == "above units" and card.layout in (
+        "side by side",
+        "specimen above",
+    )
+    specimens = above.pop() if above and has_specimens else ()
+    return Header(
+        names,
+        units,
+        first,
+        above,
+        separator,
+        specimens,
+        first_line,
+        sheet=f"sheet '{sheet}'" if sheet else "",
+        width=len(rows[-1]) if sheet else 0,
+    )
+
+
+def _split_rows(
+    lines: Sequence[str], separator: str, card: Card
+) -> tuple[list[list[str]], int | None]:
+    """Split the lines up to the first sample; return its index as well, None if there is none."""
+    rows: list[list[str]] = []
+    for line in lines:
+        is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
+        row = [line] if is_plain else split_line(line, separator)
+        rows.append(row)
+        if card.names == "alone":
+            if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
+                return rows, len(rows)
+        elif len(row) > 1 and is_sample(row):
+            return rows, len(rows) - 1
+    return rows, None
+
+
+def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
+    """Read names on separate lines, with the samples after a start line."""
+    assert card.listed is not None  # a card without them is refused
+    assert card.start is not None
+    start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
+    if start is None:
+        pattern = card.start.pattern
+        raise ReadError.about("readers.no_start_line", path, pattern=pattern, lines=len(lines))
+    cells = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
+    if not cells:
+        pattern = card.listed.pattern
+        raise ReadError.about(
+            "readers.no_listed_names", path, f"lines 1 to {start}", pattern=pattern
+        )
+    above = [split_line(line, "\t") for line in lines[:start]]
+    names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
+    return Header(names, units, start + 1, above, card.separators[0])
+
+
+def _find_titles(
+    rows: Sequence[_Cells], card: Card, path: object, place: Callable[[int], str]
+) -> tuple[_Cells, _Cells, int]:
+    """Return names, units, and the number of rows that hold them, above the samples.
+
+    Names stand alone, with their units in the same cells, or above a row of units.
+    """
+    above, last = rows
+    if card.names == "alone":
+        return last, tuple(card.units.get(name, "") for name in last), 1
+    width = max(map(len, rows))
+    names, cells = (row + ("",) * (width - len(row)) for row in rows)
+    # A unit cell may repeat the name above it, as for a counter.
+    stated = ["" if cell == name else cell for name, cell in zip(names, cells, strict=True)]
+    pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
+    if card.names == "above units":
+        _check_row_of_units(stated, card.brackets, last, path, place(1))
+        if _lacks_names(names, cells):
+            raise ReadError.about(
+                "readers.no_names_above_units",
+                path,
+                place(1),
+                names=quoted(above),
+                units=quoted(last),
+            )
+        return names, tuple(map(strip_brackets, stated)), 2
+    if card.names == "with units" and not any(pairs):
+        brackets, row = card.brackets, quoted(last)
+        raise ReadError.about(
+            "readers.no_names_with_units", path, place(1), brackets=brackets, row=row
+        )
+    if card.names == "any":
+        if not any(last) or any(map(is_number, last)):
+            raise ReadError.about("readers.no_names", path, place(1), row=quoted(last))
+        has_both = any(pair is not None and pair[0] for pair in pairs)
+        if not has_both and are_units(stated) and not _lacks_names(names, cells):
+            return names, tuple(map(strip_brackets, stated)), 2
+    names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
+    return names, units, 1
+
+
+def _check_row_of_units(
+    stated: Sequence[str], brackets: str, row: _Cells, path: object, place: str
+) -> None:
+    """Refuse a row of which no cell is a unit, or one is not in the brackets of the card."""
+    in_brackets = [cell[0] + cell[-1] == brackets for cell in stated if cell]
+    are_known = all(in_brackets) if brackets else hold_units(stated)
+    if not in_brackets or not are_known or any(map(is_number, row)):
+        where = f" in {brackets}" if brackets else ""
+        raise ReadError.about(
+            "readers.no_row_of_units", path, place, brackets=where, row=quoted(row)
+        )
+
+
+def _lacks_names(names: _Cells, cells: _Cells) -> bool:
+    """Return whether a unit has no name, or all names are equal."""
+    unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
+    filled = [name for name in names if name]
+    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or is_number(names[0])
+
+
+def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+    """Find the column of time.
+
+    Parameters
+    ----------
+    names, units : of the columns
+    card : has patterns of the name, preferred first
+
+    Returns
+    -------
+    Its index: the column whose whole name matches the first pattern, with or without the prefix of
+    a channel number or an underscore (``_Time``); else the only column in a unit of time whose name
+    contains a word for time. None if there is no such column, or several. Columns of text are
+    ignored.
+    """
+    names = ["" if name in card.words else name for name in names]
+    for called in (names, [plain_name(name) for name in names]):
+        for pattern in card.time:
+            for i, name in enumerate(called):
+                if pattern.fullmatch(name):
+                    return i
+    timed = [
+        i
+        for i, (name, unit) in enumerate(zip(names, units, strict=False))
+        if _TIME_WORDS.search(name) and has_dimension_of(unit, "s")
+    ]
+    return timed[0] if len(timed) == 1 else None
+
+
 MIN_TEST_ROWS = 10
 """Fewer samples are not a complete test."""
-HEAD_ROWS = 60
-"""Rows of a sheet in which names and units are searched."""
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
+Channels = Sequence[ChannelChoice] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +283,7 @@ class Table:
     columns : by index of the column, all of shape (rows,); only wanted ones
     also : another name of the part, such as that of the sheet
     notes : quality notes
+    line : of the first row
     """
 
     part: str
@@ -54,6 +292,7 @@ class Table:
     columns: Mapping[int, Floats]
     also: str = ""
     notes: tuple[QualityNote, ...] = ()
+    line: int = 1
 
     @property
     def rows(self) -> int:
@@ -79,9 +318,7 @@ class Export:
     head: str = ""
 
 
-def read_text(
-    content: Content, card: Card, path: Path, channels: Sequence[ChannelChoice] | None = None
-) -> Export:
+def read_text(content: Content, card: Card, path: Path, channels: Channels = None) -> Export:
     """Read all tables of a text export.
 
     Parameters
@@ -104,17 +341,21 @@ def read_text(
     head = decode(content.data[:HEAD_BYTES], content, card.encodings, path)
     if is_blank(content.data):
         return Export((), notes=(QualityNote.of("readers.blank_export", "file"),), head=head)
-    decimal = _find_decimal_sign(head, card, path)
+    decimal: str = card.decimal
+    if card.decimal_pattern is not None:
+        match = card.decimal_pattern.search(head)
+        if match is None or match[1] not in DECIMAL_SIGNS:
+            line = head[:60].splitlines()[0]
+            raise ReadError.about("readers.no_decimal_sign", path, "line 1", line=line)
+        decimal = match[1]
     if card.layout == "blocks":
         text = decode(content.data, content, card.encodings, path)
         return _read_blocks(text, decimal, card, path)
     header = find_header(split_lines(head), card, path)
     specimens = _find_specimens(header, card)
-    wanted_columns = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
-    body = _build_body(
-        skip_lines(content.data, header.first), header, wanted_columns, header.first + 1, decimal
-    )
-    columns, notes = read_columns(replace(body, others_numeric=not card.words), path)
+    wanted = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
+    body = _build_body(content.data, header, card, wanted, decimal)
+    columns, notes = read_columns(body, path)
     tables = []
     for part, group in specimens:
         names, units = (tuple(row[i] for i in group) for row in (header.names, header.units))
@@ -127,15 +368,22 @@ def read_text(
 
 
 def _build_body(
-    data: bytes, header: Header, columns: list[int], first_line: int, decimal: str
+    data: bytes, header: Header, card: Card, columns: Sequence[int], decimal: str
 ) -> Body:
     names = unique_names(header.names)
-    return Body(data, names, columns, first_line, header.separator, decimal)
+    return Body(
+        skip_lines(data, header.first),
+        [*names, *[""] * (header.width - len(names))],
+        columns,
+        header.first_line + header.first,
+        header.separator,
+        decimal,
+        others_numeric=not card.words,
+        sheet=header.sheet,
+    )
 
 
-def _wanted_columns(
-    header: Header, card: Card, channels: Sequence[ChannelChoice] | None, path: object
-) -> list[int]:
+def _wanted_columns(header: Header, card: Card, channels: Channels, path: object) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
     names = header.names
     time = time_column(names, header.units, card)
@@ -148,16 +396,6 @@ def _wanted_columns(
     chosen = {offered[find_channel(channel, pairs, path)] for channel in channels}
     always = {i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)}
     return sorted(chosen | always | ({time} if time is not None else set()))
-
-
-def _find_decimal_sign(head: str, card: Card, path: Path) -> str:
-    """Return the decimal sign of the card, or the one stated in the export."""
-    if card.decimal_pattern is None:
-        return card.decimal
-    match = card.decimal_pattern.search(head)
-    if match is not None and match[1] in {".", ","}:
-        return match[1]
-    raise ReadError.about("readers.no_decimal_sign", path, "line 1", line=head[:60].splitlines()[0])
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
@@ -215,107 +453,86 @@ def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
     return ("lines", cells[0]) if not cells[0].endswith(":") else (cells[0].rstrip(" :"), "")
 
 
-class _Block(NamedTuple):
-    """A block of samples and the line of its first one."""
-
-    line: int
-    table: Table
-
-
 def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     """Read blocks separated by blank lines.
 
     Blocks of samples with the same columns are one table; the other blocks and the summaries are
     metadata. If there are only summaries, there is no table, and the note ``no_samples``.
     """
-    blocks: list[_Block] = []
-    notes: list[QualityNote] = []
-    about: list[Sequence[str]] = []
-    line = 1
+    blocks, notes, line = list[Table](), list[QualityNote](), 1
+    rows = list[Sequence[str]]()
     for block in _BLANK_LINES.split(text):
-        header = _find_block_header(block, line, card, path) if block.strip() else None
-        if header is None:
-            about += [split_line(row, "\t") for row in split_lines(block)]
-        else:
+        lines = split_lines(block[:HEAD_BYTES])
+        if any(_holds_samples(lines, separator) for separator in card.separators):
+            header = find_header(lines, card, path, line)
             blanks = header.separator == " "  # parts of one key, not cells
-            about += [[" ".join(row)] for row in header.above] if blanks else header.above
-            data, first = skip_lines(block.encode(), header.first), line + header.first
-            wanted_columns = _wanted_columns(header, card, None, path)
-            columns, its_notes = read_columns(
-                _build_body(data, header, wanted_columns, first, decimal), path
-            )
-            blocks.append(_Block(first, Table("", header.names, header.units, columns)))
-            notes += its_notes
+            rows += [[" ".join(row)] for row in header.above] if blanks else header.above
+            wanted = _wanted_columns(header, card, None, path)
+            body = _build_body(block.encode(), header, card, wanted, decimal)
+            columns, block_notes = read_columns(body, path)
+            notes += block_notes
+            blocks.append(Table("", header.names, header.units, columns, line=body.first_line))
+        else:
+            rows += [split_line(row, "\t") for row in split_lines(block)]
         line += block.count("\n")
     if not blocks:
         raise ReadError.about("readers.no_blocks", path, f"lines 1 to {line}")
-    samples, summaries = _separate_summaries(blocks, card)
+    summaries = _find_summaries(blocks, card)
+    samples = [block for block in blocks if block not in summaries]  # compared by identity
     notes += [
-        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=first)
-        for first, table in summaries
+        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=table.line)
+        for table in summaries
     ]
     if not samples:
         notes.append(QualityNote.of("readers.no_samples", "file"))
     tables, joined_notes = _join_blocks(samples)
-    metadata = _parse_preamble(about)
+    metadata = _parse_preamble(rows)
     if summaries:
         metadata["summaries"] = [
             {table.names[i]: values.tolist() for i, values in table.columns.items()}
-            for _, table in summaries
+            for table in summaries
         ]
     return Export(tuple(tables), metadata, (*notes, *joined_notes), text[:HEAD_BYTES])
 
 
-def _find_block_header(block: str, first_line: int, card: Card, path: Path) -> Header | None:
-    """Return the header of a block with samples, None for other blocks."""
-    head = split_lines(block[:HEAD_BYTES])
-    for separator in card.separators:
-        rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
-        if any(len(row) > 1 and is_sample(row) for row in rows):
-            return find_header(head, card, path, first_line)
-    return None
-
-
-def _separate_summaries(blocks: Sequence[_Block], card: Card) -> tuple[list[_Block], list[_Block]]:
-    """Separate summaries from samples: blocks without time; if none has time, extremes.
-
-    Extremes are two rows, of which the first one is never the smaller one.
-    """
-    timed = [_has_time(block.table, card) for block in blocks]
-    if not any(timed):
-        columns = [block.table.columns.values() for block in blocks]
-        timed = [any(len(c) != 2 or not c[0] >= c[1] for c in group) for group in columns]
-    of_time = list(zip(blocks, timed, strict=True))
-    return [block for block, yes in of_time if yes], [block for block, yes in of_time if not yes]
-
-
-def _has_time(table: Table, card: Card) -> bool:
-    return time_column(table.names, table.units, card) is not None
-
-
-def _join_blocks(blocks: Sequence[_Block]) -> tuple[list[Table], list[QualityNote]]:
+def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
     """Join blocks with the same columns; other blocks become separate parts."""
-    groups: dict[object, list[_Block]] = {}
+    groups: dict[object, list[Table]] = {}
     for block in blocks:
-        groups.setdefault((block.table.names, block.table.units), []).append(block)
+        groups.setdefault((block.names, block.units), []).append(block)
     tables, notes = [], []
     for number, members in enumerate(groups.values(), start=1):
-        first = members[0].table
-        columns = {
-            i: np.concatenate([table.columns[i] for _, table in members]) for i in first.columns
-        }
+        joined = {i: np.concatenate([x.columns[i] for x in members]) for i in members[0].columns}
         part = f"block {number}" if len(groups) > 1 else ""
-        tables.append(replace(first, part=part, columns=columns))
-        if len(members) > 1:
-            lines = ", ".join(str(line) for line, _ in members)
-            count = len(members)
+        tables.append(replace(members[0], part=part, columns=joined))
+        if (count := len(members)) > 1:
+            lines = ", ".join(str(table.line) for table in members)
             notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))
     return tables, notes
 
 
-def format_head(rows: Sequence[Sequence[object]]) -> list[list[str]]:
-    """Return the first rows of a sheet as text."""
-    return [[as_text(cell) for cell in row] for row in rows[:HEAD_ROWS]]
+def _holds_samples(lines: Sequence[str], separator: str) -> bool:
+    rows = ([cell for cell in split_line(line, separator) if cell] for line in lines)
+    return any(len(row) > 1 and is_sample(row) for row in rows)
+
+
+def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
+    """Find summaries: blocks without time; if none has time, extremes.
+
+    Extremes are two rows, of which the first one is never the smaller one.
+    """
+    without_time = [block for block in blocks if not _has_time(block, card)]
+    if len(without_time) < len(blocks):
+        return without_time
+    return [
+        block
+        for block in blocks
+        if all(len(column) == 2 and column[0] >= column[1] for column in block.columns.values())
+    ]
+
+
+def _has_time(table: Table, card: Card) -> bool:
+    return time_column(table.names, table.units, card) is not None
 
 
 def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
@@ -337,17 +554,18 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         If no sheet has names, units and numbers where the card states.
     """
     max_shown_rows = 50
-    tables: dict[str, Table] = {}
-    faults: list[ReadError] = []
-    about: dict[str, object] = {}
-    heads = {name: format_head(rows) for name, rows in sheets.items()}
-    for name, head in heads.items():
+    tables, faults, about = dict[str, Table](), list[ReadError](), dict[str, object]()
+    heads = {name: split_lines(format_head(rows)) for name, rows in sheets.items()}
+    for name, lines in heads.items():
         try:
-            header = _find_sheet_header(head, name, card, path)
+            header = _find_sheet_header(lines, name, card, path)
         except ReadError as fault:
             faults.append(fault)
             continue
-        tables[name] = _read_sheet_table(sheets[name], header, name, card, path)
+        data, wanted = format_rows(sheets[name]).encode(), _wanted_columns(header, card, None, path)
+        columns, notes = read_columns(_build_body(data, header, card, wanted, "."), path)
+        specimen = next((cell for cell in header.specimens if cell), name)
+        tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         about |= _parse_preamble(header.above)
     if not tables:
         general = ReadError.about("readers.no_sheets", path, count=len(faults))
@@ -355,36 +573,26 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     left_out = [name for name in sheets if name not in tables or _holds_results(name, tables, card)]
     notes = []
     if left_out:
+        rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
         about["sheets"] = {
-            name: [row for row in heads[name][:max_shown_rows] if any(row)] for name in left_out
+            name: [x for x in rows[name][:max_shown_rows] if any(x)] for name in rows
         }
         names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
         notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
-    text = "\n".join("\t".join(row) for head in heads.values() for row in head)
     kept = tuple(table for name, table in tables.items() if name not in left_out)
-    return Export(kept, about, tuple(notes), text)
+    return Export(
+        kept, about, tuple(notes), "\n".join(x for lines in heads.values() for x in lines)
+    )
 
 
-def _find_sheet_header(head: Rows, sheet: str, card: Card, path: Path) -> Header:
-    header = parse_header_rows(head, card, path, f"sheet '{sheet}', row 1")
+def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card, path: Path) -> Header:
+    header = find_header(lines, card, path, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
     raise ReadError.about("readers.no_specimen_above", path, place)
-
-
-def _read_sheet_table(
-    rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
-) -> Table:
-    names = unique_names(header.names)
-    wanted_columns = {i: names[i] for i in _wanted_columns(header, card, None, path)}
-    columns, notes = read_sheet_columns(
-        rows, header.first, wanted_columns, (path, f"sheet '{sheet}'")
-    )
-    specimen = next((cell for cell in header.specimens if cell), "")
-    return Table(specimen or sheet, header.names, header.units, columns, sheet, tuple(notes))
 
 
 def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:

@@ -1,0 +1,931 @@
+"""Find where a loading curve bends: two lines that meet, and the onset of a plateau."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, ClassVar, NamedTuple
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.causes import TANGENT
+from labpipe.records.curve import Branch, FittedLine, Interval
+from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
+from labpipe.records.quality import Finding, Reason
+from labpipe.records.result import Result
+from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.cycles import find_cut_cycle
+from labpipe.results.kinds import Computed, Kind, find_marked_slips
+from labpipe.results.least_squares import (
+    CommonPath,
+    compute_slope,
+    find_finite_samples,
+    require_samples,
+)
+from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.stiffness import Window
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
+from labpipe.uncertainty.intervals import Measured, measure_numbers
+from labpipe.uncertainty.replicates import Input, Replicates
+
+_MIN_SEGMENT_SAMPLES = 4
+
+
+class Segments(NamedTuple):
+    """Two lines that meet, for each of many curves.
+
+    Parameters
+    ----------
+    break_point : shape (...), m
+    first, second : shape (...), N/m, slopes before and after it
+    level : shape (...), N, force at the break
+    """
+
+    break_point: Floats
+    first: Floats
+    second: Floats
+    level: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hinges:
+    """Places at which two lines may meet, chosen on one curve.
+
+    Parameters
+    ----------
+    path : of the samples with both quantities, sorted by displacement
+    x : shape (k,), their displacements, scaled to -1 to 1
+    places : shape (300,), on that scale
+    residual : N, standard deviation of that curve about one straight line
+    moved : on that scale, from the optimum over the places to the global optimum of that curve
+    """
+
+    path: CommonPath
+    x: Floats
+    places: Floats
+    residual: float
+    moved: float = 0.0
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats) -> Hinges:
+        """Choose the places between which a curve may bend.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time; NaN
+            are ignored
+
+        Returns
+        -------
+        Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
+        than 64 samples, at least four).
+
+        Raises
+        ------
+        UnavailableError
+            ``too_few_samples`` (fewer than 16), ``not_increasing`` if the displacement does not
+            increase over the stretch.
+        """
+        min_samples = 16
+        finite = find_finite_samples(displacement, force)
+        d = displacement[finite]
+        require_samples(len(d), min_samples)
+        if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
+            raise UnavailableError.of("results.not_increasing", begin=d[0], end=d[-1])
+        order = finite[np.argsort(d, kind="stable")]
+        d, y = displacement[order], force[order]
+        x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
+        margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(x) // 8)) - 1
+        places = np.linspace(x[margin], x[-1 - margin], 300)
+        residuals = y - y.mean() - compute_slope(x, y) * (x - x.mean())
+        residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
+        hinges = cls(CommonPath.of(displacement, force, order), x, places, residual)
+        best = hinges._find_global_break(residuals)
+        return replace(hinges, moved=best - float(hinges._find_breaks(y[None])[0]))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the first and last sample of the stretch, m."""
+        return float(self.path.displacement[0]), float(self.path.displacement[-1])
+
+    def to_displacement(self, x: Floats | float) -> Floats:
+        """Return the displacement of scaled places, m."""
+        first, last = self.ends
+        return np.asarray(0.5 * (first + last) + 0.5 * (last - first) * x)
+
+    def fit(self, force: Floats, displacement: Floats | None = None) -> Segments:
+        """Fit two lines that meet to each of many curves.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        Numbers of shape (...); NaN for a curve with NaN among these samples.
+
+        Notes
+        -----
+        For the reference curve it is the global least-squares optimum over all breaks, from a scan
+        of all gaps between samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all others 300
+        places are tried. A hinge max(x - c, 0) reduces the sum of squares about one straight line
+        by (y'u)^2, with u the hinge less its own line, of length 1; the largest is refined by the
+        parabola through it and its neighbours, and shifted by the error of that for the reference
+        curve. The lines are the least-squares ones with this break. Noise of the displacement
+        counts as noise of the force (`CommonPath`).
+        """
+        y = self.path.move_force(force, displacement)
+        shape, y, x = y.shape[:-1], y.reshape(-1, y.shape[-1]), self.x
+        inside = x[_MIN_SEGMENT_SAMPLES - 1], x[-_MIN_SEGMENT_SAMPLES]
+        breaks = np.clip(self._find_breaks(y) + self.moved, *inside)
+        hinge, lever = np.maximum(x - breaks[:, None], 0.0), x - x.mean()
+        spread, mean = lever @ lever, hinge.mean(axis=1)
+        cross, along = hinge @ lever / spread, y @ lever / spread
+        hinge -= mean[:, None] + np.outer(cross, lever)
+        norm = np.vecdot(hinge, hinge)
+        bend = np.vecdot(y, hinge) / np.where(norm > 1e-14 * len(x), norm, np.nan)
+        slope = along - bend * cross
+        level = y.mean(axis=1) + slope * (breaks - x.mean()) - bend * mean
+        scale = 2.0 / (self.ends[1] - self.ends[0])
+        numbers = (self.to_displacement(breaks), scale * slope, scale * (slope + bend), level)
+        return Segments(*(number.reshape(shape) for number in numbers))
+
+    def _find_breaks(self, y: Floats) -> Floats:
+        """Return the breaks (R,) of curves (R, k) from the places and the parabola."""
+        places = self.places
+        gain = self._compute_gain(y, places)
+        top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
+        around = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1)
+        before, largest, behind = around.T
+        bend = 2.0 * largest - before - behind
+        off = 0.5 * (behind - before) / np.where(bend > 0.0, bend, np.inf)
+        best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
+        return best
+
+    def _compute_gain(self, y: Floats, places: Floats) -> Floats:
+        """Return what a hinge at each place takes off the sum of squares of curves (R, k)."""
+        x, lever = self.x, self.x - self.x.mean()
+        starts = np.append(0, np.searchsorted(x, places))
+        is_empty = np.diff(starts, append=len(x)) == 0
+        beyond = []
+        for values in (np.stack([np.ones_like(x), x, x * x]), y, y * x):
+            sums = np.add.reduceat(values, starts, axis=1)
+            sums[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
+            beyond.append(np.cumsum(sums[:, :0:-1], axis=1)[:, ::-1])
+        (n, sx, sxx), sy, sxy = beyond
+        spread, sh = lever @ lever, sx - places * n
+        cross = sxx - places * sx - x.mean() * sh
+        norms = sxx - 2.0 * places * sx + places**2 * n - sh**2 / len(x) - cross**2 / spread
+        product = sxy - places * sy - np.outer(y.mean(axis=1), sh)
+        product -= np.outer(y @ lever, cross / spread)
+        return np.asarray(product**2 / np.where(norms > 1e-14 * len(x), norms, np.inf))
+
+    def _find_global_break(self, residuals: Floats) -> float:
+        """Return the best break of a curve: at a sample, or where lines meet inside a gap.
+
+        residuals : shape (k,), N, about one straight line, so that their sums do not cancel
+        """
+        x, least = self.x, _MIN_SEGMENT_SAMPLES
+        columns = [np.ones_like(x), x, x * x, residuals, x * residuals]
+        below = np.cumsum(columns, axis=1)[:, least - 1 : len(x) - least]
+        above = np.sum(columns, axis=1)[:, None] - below
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes, levels = [], []
+            for n, sx, sxx, sr, sxr in (below, above):
+                slopes.append((n * sxr - sx * sr) / (n * sxx - sx * sx))
+                levels.append((sr - slopes[-1] * sx) / n)
+            meet = (levels[1] - levels[0]) / (slopes[0] - slopes[1])
+        in_gap = (meet >= x[least - 1 : len(x) - least]) & (meet <= x[least : len(x) - least + 1])
+        breaks = np.sort(np.concatenate([x[least - 1 : len(x) - least + 1], meet[in_gap]]))
+        return float(breaks[int(np.argmax(self._compute_gain(residuals[None], breaks)))])
+
+
+def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+    """Require that a curve bends, by its replicates.
+
+    Parameters
+    ----------
+    fit : of the curve itself, shape ()
+    smooth : of the smooth curve of the replicates, shape ()
+    drawn : of the replicates, shape (R,); NaN for those without a number
+    hinges : of the curve itself
+
+    Raises
+    ------
+    UnavailableError
+        ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the
+        replicates have their break within two places of an end, or the interval of the break has
+        an end there.
+
+    Notes
+    -----
+    The break is chosen for the largest difference of the slopes. By chance, the difference on a
+    straight line therefore exceeds two standard errors much more often than once in twenty. The
+    standard error comes from the 2.5 % quantile of the replicates that bend less than the median:
+    replicates whose break moves towards an end have steeper slopes beyond it, which is no evidence
+    against a bend.
+    """
+    min_bend_errors = 4.0
+    first, second = float(fit.first), float(fit.second)
+    bend, bends = second - first, drawn.second - drawn.first
+    middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
+    error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
+    if not abs(bend) > min_bend_errors * error:
+        raise UnavailableError.of(
+            "results.no_bend",
+            first=first,
+            second=second,
+            bend=abs(bend),
+            needed=min_bend_errors,
+            error=error,
+        )
+    low, high = hinges.to_displacement(hinges.places[[2, -3]])
+    drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
+    likely = fit.break_point - (drawn_breaks - smooth.break_point)
+    for breaks in (drawn_breaks, likely):
+        if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
+            start, stop = hinges.ends
+            raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
+
+
+def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+    """Require that the slope of a curve decreases at a kink, by its replicates.
+
+    Parameters
+    ----------
+    fit, smooth, drawn, hinges : as for `require_bend`
+
+    Raises
+    ------
+    UnavailableError
+        ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet
+        in the first or the last twentieth of the stretch.
+    """
+    straight = return_failure(require_bend)(fit, smooth, drawn, hinges)
+    if straight is not None:
+        start, stop = (1e3 * end for end in hinges.ends)
+        rms = hinges.residual
+        raise UnavailableError.of(
+            "results.no_kink", rms=rms, start=start, stop=stop, why=straight.message
+        )
+    first, second, place = float(fit.first), float(fit.second), 1e3 * float(fit.break_point)
+    if second >= first:
+        raise UnavailableError.of("results.slope_rises", first=first, second=second, place=place)
+    start, stop = (1e3 * end for end in hinges.ends)
+    margin = 0.05 * (stop - start)
+    if not start + margin <= place <= stop - margin:
+        raise UnavailableError.of("results.kink_at_end", place=place, start=start, stop=stop)
+
+
+def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
+    """Return a doubt ``wide_break`` if an interval is longer than a quarter of the stretch.
+
+    Parameters
+    ----------
+    interval : m, of the break
+    hinges : of its fit
+    """
+    start, stop, low, high = (1e3 * end for end in (*hinges.ends, interval.lower, interval.upper))
+    if high - low <= 0.25 * (stop - start):
+        return ()
+    return (Reason.of("results.wide_break", width=high - low, start=start, stop=stop),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TwoLines(Window):
+    """A kind of result from two lines through a range of the first loading."""
+
+    method: ClassVar = (
+        "two segments that meet, from {start_mm:g} mm to {stop_mm:g} mm, all breaks tried"
+    )
+
+    def fit(
+        self, test: ReducedTest, require: Callable[[Segments, Segments, Segments, Hinges], None]
+    ) -> tuple[tuple[Measured, ...], Hinges]:
+        """Fit two lines to the curve of a test: the numbers of `Segments`, and their places.
+
+        Parameters
+        ----------
+        test : the test
+        require : requires such a break of the curve, as `require_bend`
+        """
+        numbers, curve = test.measure(self.decide), test.require(test.replicates).smooth
+        _, hinges = self._choose_places(make_trace(test))
+        measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
+        reading = return_failure(self.decide)(curve)
+        if isinstance(reading, Reading):
+            smooth = Segments(*reading.numbers(curve))
+        values = zip(smooth, numbers, strict=True)
+        drawn = Segments(*(value + number.deviations for value, number in values))
+        require(measured, smooth, drawn, hinges)
+        return numbers, hinges
+
+    def decide(self, trace: Trace) -> Reading:
+        """Choose the places at which the lines may meet.
+
+        Parameters
+        ----------
+        trace : one curve
+
+        Returns
+        -------
+        A reading of the numbers of `Segments`.
+        """
+        part, hinges = self._choose_places(trace)
+
+        def numbers(trace: Trace) -> Segments:
+            return hinges.fit(trace.force[..., part], trace.displacement[..., part])
+
+        return Reading(numbers, len(hinges.x), ends_at_samples=True, depends_on_corners=True)
+
+    def choose_one(self, trace: Trace, *, number: int) -> Reading:
+        """Choose the places for one of the numbers.
+
+        Parameters
+        ----------
+        trace : one curve
+        number : place in the reading of `decide`
+        """
+        reading = self.decide(trace)
+        return replace(reading, numbers=lambda trace: (reading.numbers(trace)[number],))
+
+    def _choose_places(self, trace: Trace) -> tuple[slice, Hinges]:
+        """Return the samples of the range, and the places in it."""
+        stretch = select_first_loading(trace)
+        window = self.inside(trace.displacement[stretch])
+        stop = stretch.stop if window.stop is None else stretch.start + window.stop
+        part = slice(stretch.start + window.start, stop)
+        return part, Hinges.of(trace.displacement[part], trace.force[part])
+
+
+def _make_lines(
+    numbers: tuple[Measured, ...], hinges: Hinges, names: tuple[str, str]
+) -> tuple[FittedLine, ...]:
+    """Return the lines before and behind a break with their names."""
+    (place, first, second, level), (start, stop) = (one.value for one in numbers), hinges.ends
+    return (
+        FittedLine(names[0], first, level - first * (place - start), start, place),
+        FittedLine(names[1], second, level, place, stop),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwoSegments(_TwoLines):
+    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
+
+    result: ClassVar = "two-segments"
+    outputs: ClassVar = (
+        Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment"),
+        Output("segment_stiffness_second", "N/m", "Stiffness, second fitted segment"),
+        Output("break_point", "m", "Break point of the two segments"),
+    )
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Fit the best two segments that meet."""
+        numbers, hinges = self.fit(test, require_bend)
+        place, first, second, _ = numbers
+        start, stop = hinges.ends
+        during, doubts = (
+            test.find_loading_interval(start, stop),
+            find_marked_slips(test, hinges.ends),
+        )
+        slopes = self.make_results(test, (first, second), during=during, doubts=doubts)
+        doubts += find_break_doubts(place.interval, hinges)
+        bend = self.make_result(test, place, output=2, during=during, doubts=doubts)
+        windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
+        stiffnesses = {
+            slope.name: Stiffness(
+                partial(self.choose_one, number=number),
+                numbers[number].as_estimate,
+                during,
+                windows[number - 1],
+                hinges.ends,  # a slip bends both lines
+            )
+            for number, slope in enumerate(slopes, start=1)
+        }
+        first_name, second_name = stiffnesses
+        lines = _make_lines(numbers, hinges, (first_name, second_name))
+        return Computed((*slopes, bend), stiffnesses, lines)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kink(_TwoLines):
+    """``kink_displacement`` (m) and ``kink_force`` (N): where the first loading gets less steep."""
+
+    result: ClassVar = "kink"
+    outputs: ClassVar = (
+        Output("kink_displacement", "m", "Displacement at the kink"),
+        Output("kink_force", "N", "Kink force"),
+    )
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Find the decrease of the slope of the first loading."""
+        numbers, hinges = self.fit(test, require_kink)
+        place, _, _, level = numbers
+        slips = find_marked_slips(test, hinges.ends)
+        doubts = slips + find_break_doubts(place.interval, hinges)
+        during = test.find_loading_interval(*hinges.ends)
+        results = self.make_results(test, (place, level), during=during, doubts=doubts)
+        return Computed(results, lines=_make_lines(numbers, hinges, ("before_kink", "behind_kink")))
+
+
+_TANGENTS_PER_LENGTH = 8
+"""Tangents per length of a tangent."""
+
+
+_MIN_TANGENT_SAMPLES = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangents:
+    """Tangents of a loading curve, from its end backwards; their samples are chosen on one curve.
+
+    Parameters
+    ----------
+    path : of the samples with both quantities, in order of time
+    length : m, of a tangent
+    places : shape (p,), m, middles of the tangents, an eighth of `length` apart, from the end
+        backwards
+    rows : shape (p, k), 1/m, weights of the forces in each slope
+    first : shape (k,), weights of the forces in the level of the first tangent in its middle
+    last : shape (m,), numbers of the samples of the first tangent
+    """
+
+    path: CommonPath
+    length: float
+    places: Floats
+    rows: Floats
+    first: Floats
+    last: Ints
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats, *, length: float) -> Tangents:
+        """Decide the samples of the tangents of a curve.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled;
+            NaN are ignored
+        length : m, of a tangent
+
+        Returns
+        -------
+        Tangents up to the first place without one.
+
+        Raises
+        ------
+        UnavailableError
+            Without one at the end: ``not_reached`` (the curve is shorter than two of them),
+            ``too_few_samples`` (8), ``no_travel``.
+
+        Notes
+        -----
+        The slope of a tangent is that of a least-squares parabola in the middle of its stretch, so
+        that the curvature of the curve is not taken for noise. A stretch contains the samples from
+        when the curve first reached its start to when it first reached its end.
+        """
+        samples = find_finite_samples(displacement, force)
+        d = displacement[samples]
+        if not len(d) or np.ptp(d) < 2.0 * length:
+            reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
+            raise UnavailableError.of("results.too_short", reached=reached, length=1e3 * length)
+        low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
+        places = np.arange(high, low, -length / _TANGENTS_PER_LENGTH)
+        inside, levels, slopes, counts = _weigh_parabolas(d, places, length)
+        require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
+        is_known = np.isfinite(levels[:, 0])
+        if not is_known[0]:
+            raise UnavailableError.of("results.displacement_jumps")
+        usable = slice(int(np.argmin([*is_known, False])))
+        rows, first = _expand(inside, slopes, len(d))[usable], _expand(inside, levels, len(d))[0]
+        path = CommonPath.of(displacement, force, samples)
+        return cls(path, length, places[usable], rows, first, inside[0][inside[0] < len(d)])
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the smallest and largest displacement over the last stretch, m."""
+        d = self.path.displacement[self.last]
+        return float(d.min()), float(d.max())
+
+    def fit_end_slope(self, force: Floats, displacement: Floats | None = None) -> Floats:
+        """Return the slope over the last stretch of each curve.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        N/m, shape (...).
+        """
+        slope: Floats = self.path.move_force(force, displacement) @ self.rows[0]
+        return slope
+
+    def compute_level(self, place: float, force: Floats) -> float:
+        """Return the force of the tangent over the last stretch at a place, N.
+
+        Parameters
+        ----------
+        place : m
+        force : shape (n,), N
+        """
+        path_force = self.path.move_force(force)
+        return float(path_force @ self.first + path_force @ self.rows[0] * (place - self.places[0]))
+
+    def find_onset(
+        self,
+        force: Floats,
+        initial: Floats,
+        displacement: Floats | None = None,
+        *,
+        slope_below: float,
+    ) -> tuple[Floats, Floats]:
+        """Find the place beyond which tangents stay below a share of the initial slope.
+
+        Parameters
+        ----------
+        force, displacement : as for `fit_end_slope`
+        initial : shape (...), N/m, slope at the start of each curve
+        slope_below : share of `initial`
+
+        Returns
+        -------
+        m, N, each of shape (...): from the end backwards, where the tangent first reaches the
+        share, interpolated. NaN for a curve that is never so steep. The force is that of the
+        parabola over half of `length` around the place: a parabola cuts a corner in proportion to
+        its length.
+
+        Examples
+        --------
+        >>> d = np.linspace(0.0, 0.05, 501)
+        >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
+        >>> tangents = Tangents.of(d, f, length=2e-3)
+        >>> place, force = tangents.find_onset(f, np.array(400.0), slope_below=0.1)
+        >>> round(1e3 * float(place), 1), round(float(force), 2)
+        (27.7, 6.09)
+        """
+        f = self.path.move_force(force, displacement)
+        shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
+        share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
+        place = _find_first_place(self.places, f @ self.rows.T, share)
+        levels = _fit_levels(self.path.displacement, f, place, 0.5 * self.length)
+        return place.reshape(shape), levels.reshape(shape)
+
+    def measure_corner_changes(
+        self,
+        force: Floats,
+        onset: Floats | float,
+        slope: Floats | float,
+        displacement: Floats | None = None,
+    ) -> tuple[Floats, Floats, Floats]:
+        """Measure how an onset changes with tangents of half the length, for each curve.
+
+        Parameters
+        ----------
+        force, displacement : as for `fit_end_slope`
+        onset : shape (...), m, the onset
+        slope : shape (...), N/m, of the tangent there
+
+        Returns
+        -------
+        Each of shape (...): change of the place, m, and of the force there, N; and the slope half a
+        tangent beyond the place, N/m. A tangent smears a corner over its length, which moves the
+        onset; the parabola for the force cuts it.
+        """
+        f = self.path.move_force(force, displacement)
+        shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
+        onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
+        # One place for all curves: noise moves it by a small part of a tangent.
+        d, half, middle = self.path.displacement, 0.5 * self.length, float(np.nanmean(onset))
+        tangent_positions = middle + self.length * np.linspace(
+            0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1
+        )
+        is_inside = (tangent_positions <= d.max() - 0.5 * half) & (
+            tangent_positions >= d.min() + 0.5 * half
+        )
+        shorter = tangent_positions[is_inside]
+        inside, _, weights, _ = _weigh_parabolas(d, shorter, half)
+        usable = np.isfinite(weights[:, 0])
+        rows = _expand(inside[usable], weights[usable], len(d))
+        reached = _find_first_place(shorter[usable], f @ rows.T, slope)
+        at = np.full(len(f), middle)
+        full, short = (_fit_levels(d, f, at, length) for length in (self.length, half))
+        places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
+        beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
+        moved = np.where(np.isnan(reached), 0.0, reached - onset)
+        return moved.reshape(shape), (short - full).reshape(shape), beyond.reshape(shape)
+
+
+def _find_first_place(places: Floats, slopes: Floats, required: Floats) -> Floats:
+    """Return the first place (p,) at which slopes (R, p) reach wanted ones (R,), or NaN."""
+    is_steep = slopes >= required[:, None]
+    number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
+    ahead = np.maximum(number - 1, 0)
+    rise = slopes[rows, number] - slopes[rows, ahead]
+    share = (required - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
+    place = places[ahead] + share * (places[number] - places[ahead])
+    reached: Floats = np.where(is_steep[rows, number], place, np.nan)
+    return reached
+
+
+def _fit_levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
+    """Return forces of curves (R, k) at places (R,), from parabolas around them."""
+    is_finite = np.isfinite(places)
+    levels = np.full(len(places), np.nan)
+    if is_finite.any():
+        samples, weights, _, _ = _weigh_parabolas(d, places[is_finite], length)
+        inside = np.minimum(samples, len(d) - 1)  # padding has zero weight
+        levels[is_finite] = np.vecdot(weights, np.take_along_axis(f[is_finite], inside, axis=1))
+    return levels
+
+
+def _weigh_parabolas(
+    d: Floats, places: Floats, length: float
+) -> tuple[Ints, Floats, Floats, Floats]:
+    """Compute least-squares parabolas through the samples of a path around places.
+
+    Parameters
+    ----------
+    d : shape (k,), m
+    places : shape (p,), m
+    length : m, of the stretch around each place
+
+    Returns
+    -------
+    samples : shape (p, m), padded with k
+    levels, slopes : shape (p, m), weights of the forces in level and slope at the place, 1 and 1/m;
+        NaN for a place whose samples do not determine a parabola
+    counts : shape (p,), of the samples
+    """
+    edge_share = 1e-9  # a sample this close to an end counts as on it, despite rounding
+    # Of the products of 1, x, x^2 per sample: rounding for samples at two places; 5e-4 for evenly
+    # spaced samples.
+    min_determinant = 1e-9
+    reached = np.maximum.accumulate(d)
+    start = np.searchsorted(reached, places - (0.5 + edge_share) * length)
+    stop = np.searchsorted(reached, places + (0.5 - edge_share) * length) + 1
+    stop = np.minimum(stop, len(d))
+    samples = start[:, None] + np.arange(int((stop - start).max()))
+    is_inside = samples < stop[:, None]
+    samples = np.where(is_inside, samples, len(d))
+    x = np.where(is_inside, (np.append(d, 0.0)[samples] - places[:, None]) / length, 0.0)
+    travel = np.ptp(np.where(is_inside, x, x[:, :1]), axis=1)
+    powers = np.stack([is_inside * x**power for power in range(3)], axis=1)
+    products = powers @ powers.transpose(0, 2, 1)
+    counts = products[:, 0, 0]
+    is_wide = (travel >= 0.5) & (np.linalg.det(products) > min_determinant * counts**3)
+    is_enough = ((counts >= _MIN_TANGENT_SAMPLES) & is_wide)[:, None, None]
+    weights = np.linalg.solve(np.where(is_enough, products, np.eye(3)), powers)
+    level, slope, _ = np.moveaxis(np.where(is_enough, weights, np.nan), 1, 0)
+    return samples, level, slope / length, counts
+
+
+def _expand(samples: Ints, weights: Floats, count: int) -> Floats:
+    """Expand weights (p, m) of the samples of each stretch to all samples (p, count)."""
+    columns = np.zeros((len(samples), count + 1))
+    np.put_along_axis(columns, samples, weights, axis=1)
+    return columns[:, :-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Corner:
+    """Change of the onset with shorter tangents, and the noise of this change.
+
+    Half of the change is in the estimate, so half of its noise is in the interval.
+
+    Parameters
+    ----------
+    size : shape (2,), m and N, the change without the effect of noise
+    share : shape (2,), ratio of `size` to the observed change
+    base : shape (2,), change on the smooth curve, plus the mean effect of noise
+    """
+
+    size: Floats
+    share: Floats
+    base: Floats
+
+    @classmethod
+    def of(cls, change: Floats, base: Floats, noise: Floats) -> _Corner:
+        """Remove noise from a corner.
+
+        Parameters
+        ----------
+        seen, base : shape (2,), of the measured and of the smooth curve
+        noise : shape (2, replicates), effect of noise on it
+
+        Notes
+        -----
+        On average noise adds its variance to the square of a corner, which is subtracted: a share
+        s = sqrt(1 - v / c^2) of a corner c remains, or none if noise explains all of it.
+        """
+        average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
+        change_without_noise = change - average
+        by_noise = np.divide(
+            variance, change_without_noise**2, out=np.ones(2), where=change_without_noise != 0.0
+        )
+        share = np.sqrt(np.maximum(1.0 - by_noise, 0.0))
+        return cls(share * change_without_noise, share, base + average)
+
+    def in_noise(self, corners: Floats) -> Floats:
+        """Return the effect of noise on the estimate through the corner, shape (2, ...)."""
+        return 0.5 * self.share[:, None] * (corners - self.base[:, None])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plateau(Kind):
+    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force`` (N): end of a loading."""
+
+    result: ClassVar = "plateau"
+    outputs: ClassVar = (
+        Output("end_slope", "1", "End slope", can_be_negative=True),
+        Output("plateau_displacement", "m", "Displacement at the plateau"),
+        Output("plateau_force", "N", "Plateau force"),
+    )
+    method: ClassVar = "slope over the last {over_mm:g} mm of first loading / {of}"
+    slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
+    of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
+        "initial_stiffness"
+    )
+    over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
+
+    def compute(self, test: ReducedTest) -> Computed:
+        """Measure the plateau; without the slope at the end, the onset is not available."""
+        computed = super(Plateau, self).compute(test)
+        is_available = computed.results[0].value is not None
+        return computed if is_available else replace(computed, results=computed.results[:1])
+
+    def measure(self, test: ReducedTest) -> Computed:
+        """Measure the slope at the end of the first loading, and the onset of a plateau."""
+        initial, findings = test.stiffnesses.get(self.of), list[Finding]()
+        if initial is None:
+            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
+        outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
+        first, during = test.cycles[0][:1], test.find_loading_interval()
+        slips, gap = find_marked_slips(test, initial.bends_with), _find_gap_at_end(test, first[0])
+        doubts = slips or find_cut_cycle(test, first, CURVE) or gap
+        end = self.make_result(test, outcome, during=during, doubts=doubts)
+        onset, trace = self._measure_onset(test, initial, end), make_trace(test)
+        (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
+        if onset is None and end.interval is not None:
+            note = Finding.of(
+                "results.no_plateau",
+                test.signals.force,
+                over=1e3 * self.over,
+                slope=1e2 * outcome.value,
+                of=self.of,
+                low=1e2 * end.interval.lower,
+                high=1e2 * end.interval.upper,
+                slope_below=1e2 * self.slope_below,
+                reached=1e3 * float(np.nanmax(d)),
+            )
+            findings.append(note)
+        method = (
+            f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
+            f"{self.of} up to the end of first loading"
+        )
+        common = {"method": method, "during": during, "doubts": slips or gap}
+        results = (end, *self.make_results(test, onset or (), first=1, **common))
+        start, stop = tangents.ends
+        slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)
+        line = FittedLine("slope_at_end", slope, level, start, stop)
+        return Computed(results, lines=(line,), findings=tuple(findings))
+
+    def _choose_tangents(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading]:
+        """Return the tangents of the first loading, and the slope at its start."""
+        slope = initial(trace)
+        value = float(slope.numbers(trace)[0])
+        if value <= 0.0:
+            raise UnavailableError.of("results.no_initial_slope", value=value)
+        return Tangents.of(*_read_loading(trace), length=self.over), slope
+
+    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading:
+        """Decide the samples for the slope at the end over that at the start."""
+        tangents, slope = self._choose_tangents(trace, initial)
+        steeper = self._change_per_step(trace, tangents)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            end = (
+                tangents.fit_end_slope(*reversed(_read_loading(trace)))
+                + trace.steps_beyond * steeper
+            )
+            return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
+
+        return Reading(numbers, len(tangents.last), ends_at_samples=slope.ends_at_samples)
+
+    def _change_per_step(self, trace: Trace, tangents: Tangents) -> float:
+        """Return the change of the slope at the end with one more sampling step, N/m.
+
+        From the step before: the machine turned somewhere between two samples.
+        """
+        d, f = _read_loading(trace)
+        before = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
+        if isinstance(before, Failure):
+            return 0.0
+        return float(tangents.fit_end_slope(f) - before.fit_end_slope(f[:-1]))
+
+    def _decide_onset(
+        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
+    ) -> Reading:
+        """Decide the samples for the onset of the plateau and its force.
+
+        With `corner`, the numbers include the error from the length of the tangents.
+        """
+        choice = self._choose_tangents(trace, initial)
+        tangents, slope = choice
+
+        def plain(trace: Trace) -> tuple[Floats, Floats]:
+            (d, f), begin = _read_loading(trace), slope.numbers(trace)[0]
+            return tangents.find_onset(f, begin, d, slope_below=self.slope_below)
+
+        if np.isnan(plain(trace)[1]):
+            raise UnavailableError.of("results.no_onset")
+        if corner is None:
+            return Reading(plain, len(tangents.last))
+
+        def numbers(trace: Trace) -> tuple[Floats, Floats]:
+            (place, level), shorter = plain(trace), trace.sizes.get(TANGENT, 0.0)
+            return place + shorter * corner.size[0], level + shorter * corner.size[1]
+
+        def in_noise(trace: Trace) -> tuple[Floats, Floats]:
+            by = corner.in_noise(self._measure_corners(trace, choice))
+            return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
+
+        return Reading(numbers, len(tangents.last), in_noise)
+
+    def _measure_corners(self, trace: Trace, choice: tuple[Tangents, Reading]) -> Floats:
+        """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
+        # In multiples of the change with tangents of half the length. A corner is smeared in
+        # proportion to the length, so it is twice that change away; a smooth bend in proportion to
+        # its square, so it is 4/3 of it away.
+        smearing_factor = 3.0
+        cut_factor = 2.0  # the force from half the length loses once or a third of its change
+        (tangents, slope), (d, f) = choice, _read_loading(trace)
+        initial = slope.numbers(trace)[0]
+        place, _ = tangents.find_onset(f, initial, d, slope_below=self.slope_below)
+        smeared, cut, beyond = tangents.measure_corner_changes(
+            f, place, self.slope_below * initial, d
+        )
+        moved = smearing_factor * smeared
+        return np.stack([moved, cut_factor * cut + moved * beyond])
+
+    def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
+        """Return that error for the measured curve, less noise.
+
+        The smooth curve may have no corners of this size.
+        """
+        change = self._measure_corners(
+            replicates.measured, self._choose_tangents(replicates.measured, initial)
+        )
+        smooth = return_failure(self._choose_tangents)(replicates.smooth, initial)
+        if isinstance(smooth, Failure):
+            return _Corner(change, np.zeros(2), np.zeros(2))
+        base = self._measure_corners(replicates.smooth, smooth)
+        noise = [
+            self._measure_corners(trace, smooth) - base[:, None] for trace in replicates.traces()
+        ]
+        return _Corner.of(change, base, np.concatenate(noise, axis=1))
+
+    def _measure_onset(
+        self, test: ReducedTest, initial: Stiffness, end: Result
+    ) -> tuple[Measured, ...] | None:
+        """Measure the onset, with the length of the tangents as a further input.
+
+        None without a plateau, which is not a failure.
+        """
+        if end.interval is None or not end.interval.upper < self.slope_below:
+            return None
+
+        def shorten(trace: Trace, x: float) -> Trace:
+            return replace(trace, sizes={**trace.sizes, TANGENT: x})
+
+        replicates = test.require(test.replicates)
+        more = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
+        decide = partial(self._decide_onset, initial=initial.decide)
+        try:
+            decide(replicates.measured)
+            decide = partial(decide, corner=self._estimate_corner(replicates, initial.decide))
+            return measure_numbers(replace(replicates, inputs=more), decide)
+        except UnavailableError:
+            return None
+
+
+def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
+    """Return displacement and force of the first loading."""
+    stretch = select_first_loading(trace)
+    return trace.displacement[..., stretch], trace.force[..., stretch]
+
+
+def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
+    """Return a doubt if the force was not recorded up to the end of a loading branch."""
+    curve = test.required_curve
+    d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
+    finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined
+        return ()
+    end, missing = 1e3 * float(d[finite[-1]]), len(d) - 1 - finite[-1]
+    return (Reason.of("results.gap_at_end", end=end, missing=missing),)
