@@ -358,10 +358,14 @@ def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
         if n == 1:
             text = format_sentence("report.effect_one_value", number=label)
             return Effect(no_interval_size, text)
-        widths = [compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + lost)]
-        facts = {"n": n, "n_all": n + lost, "number": label, "wider": widths[0] / widths[1]}
-        text = format_sentence("report.effect_fewer_values", **facts)
-        return Effect(widths[0] / widths[1] - 1.0, text)
+        width, width_of_all = (
+            compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + lost)
+        )
+        wider = width / width_of_all
+        text = format_sentence(
+            "report.effect_fewer_values", n=n, n_all=n + lost, number=label, wider=wider
+        )
+        return Effect(wider - 1.0, text)
     affected = tests & number.values.keys()
     return _measure_shift(group, number, affected, label) if affected and mean else None
 
