@@ -21,11 +21,11 @@ from labpipe.process.sheet_inference import (
     safe_name,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
+from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
-from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
-from labpipe.mechanics.studies.validation import N_SHAPES, compare_shapes
+from labpipe.mechanics.studies.model_comparisons import N_SHAPES, compare_shapes
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.cantilever import StringRig

@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.errors import ProtocolError
 from labpipe.process.story import Reduction, reduce_recordings
-from labpipe.protocol.limit_cards import read_limit_card
+from labpipe.protocol.grammar import read_limit_card
 from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.yaml_text import FaultsError
 from labpipe.records.arrays import Floats
