@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -341,7 +341,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
         tables.tabulate("agreement", map(_agreement_record, report.groups)),
         *([tables.tabulate("external curves", curves)] if report.comparisons else []),
         tables.tabulate("curves", map(_curve_record, calibration.curves)),
-        _forces_sheet(report.groups),
+        _tabulate_forces(report.groups),
         tables.tabulate("notes", _note_records(report)),
     ]
 
@@ -485,15 +485,10 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
 
     A message that several predictions repeat is listed once.
     """
-    notes: dict[tuple[str, str], QualityNote] = {}
-    for note in report.calibration.notes:
-        notes["calibration", note.message] = note
-    for group in report.groups:
-        for note in group.prediction.notes if group.prediction is not None else ():
-            notes["prediction", note.message] = note
-    for comparison in report.comparisons:
-        for note in comparison.notes:
-            notes[f"external curve '{comparison.curve.name}'", note.message] = note
+    sources = [("calibration", report.calibration.notes)]
+    sources += [("prediction", x.prediction.notes) for x in report.groups if x.prediction]
+    sources += [(f"external curve '{x.curve.name}'", x.notes) for x in report.comparisons]
+    notes = {(of, note.message): note for of, several in sources for note in several}
     order = list(reversed(Severity))
     rows = [
         (of, note.severity, note.where, note.message, note.code)
@@ -509,21 +504,11 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
     ]
 
 
-def _forces_sheet(groups: Sequence[ValidationGroup]) -> tables.Table:
+def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
     """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
-    curves = list(map(_force_blocks, groups))
-    rows, ends = tables.stack_blocks(
-        {f"{number} {name}": block
-         for number, blocks in enumerate(curves) for name, block in blocks.items()}
-    )  # fmt: skip
-    charts = []
-    for number, (group, blocks) in enumerate(zip(groups, curves, strict=True)):
-        lines = {name: ends[f"{number} {name}"] for name in blocks if blocks[name]}
-        title = f"{group.wire}, {write_length(group.length)}"
-        if lines:
-            heads = DEFLECTION.label("deflection"), FORCE.label("force")
-            charts.append(tables.Chart(title, *heads, lines))
-    return tables.tabulate("forces", rows, charts=charts)
+    charts = [(f"{x.wire}, {write_length(x.length)}", _force_blocks(x)) for x in groups]
+    heads = DEFLECTION.label("deflection"), FORCE.label("force")
+    return tables.tabulate_curves("forces", charts, *heads)
 
 
 def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:

@@ -8,29 +8,41 @@ from math import isfinite, isnan, nan
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
-
 from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
-from labpipe.records.quality import Reason
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report import wording
+from labpipe.report import quality_figures, wording
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
-from labpipe.report.page_facts import PageTest, PageTests, make_key
-from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
-from labpipe.report.quality_figures import (
-    find_cause_colour,
-    list_drawn_causes,
-    make_group_bars,
-    sort_shares,
+from labpipe.report.page_facts import (
+    PageTest,
+    PageTests,
+    describe_days,
+    describe_operators,
+    make_key,
 )
+from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
 """Samples with a column in the table of numbers; a larger group has tables of samples, too."""
+
+
+def describe_group(group: Group) -> str:
+    """Describe a group with samples: their number, protocol, days and operators."""
+    days, operators = describe_days(group.samples), describe_operators(group.samples)
+    counts = wording.describe_counts(group)
+    text = f"{counts}, protocol {group.protocol}, tested {days} by {operators}."
+    return text if group.samples else ""
+
+
+def list_remarks(group: Group) -> list[str]:
+    """List the notes of a group that have no consequences."""
+    notes = [note for note in group.notes if note.severity is Severity.INFO]
+    return [wording.replace_names(f"{note.where}: {note.message}") for note in notes]
 
 
 def make_number_table(group: Group) -> Table:
@@ -182,7 +194,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     return tables
 
 
-def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
     """Make the bars of budgets: of the first means, or else of the medians over the tests.
 
     Parameters
@@ -191,31 +203,19 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
 
     Returns
     -------
-    Up to five bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause
-    once.
+    Up to five bars, and ``colour`` and ``is_common`` of each of their causes.
     """
     n_bars = 5
-    means = [bar for bar in make_group_bars(group, of_means=True) if bar.shares]
-    tests = [bar._replace(text="one test") for bar in make_group_bars(group, of_means=False)]
-    chosen = (means or tests)[:n_bars]
-    bar_shares = sort_shares([bar.shares for bar in chosen])
-    looks: dict[str, dict[str, Any]] = {
-        cause: {
-            "cause": cause,
-            "colour": find_cause_colour(cause),
-            "is_common": IS_COMMON.get(cause, False),
-        }
-        for cause in list_drawn_causes(bar_shares)
+    means, tests = (
+        quality_figures.make_group_bars(group, of_means=of_means) for of_means in (True, False)
+    )
+    bars = [bar for bar in means if bar.shares] or [bar._replace(text="one test") for bar in tests]
+    shares = quality_figures.sort_shares([bar.shares for bar in bars[:n_bars]])
+    looks = {
+        name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        for name in quality_figures.list_drawn_causes(shares)
     }
-    bars = []
-    for bar, shares in zip(chosen, bar_shares, strict=True):
-        starts = np.cumsum([0.0, *shares.values()]).tolist()
-        parts = [
-            looks[cause] | {"share": share, "start": start}
-            for (cause, share), start in zip(shares.items(), starts, strict=False)
-        ]
-        bars.append({"name": bar.name, "text": bar.text, "parts": parts})
-    return bars, list(looks.values())
+    return [bar._replace(shares=own) for bar, own in zip(bars, shares, strict=False)], looks
 
 
 def make_spool_table(group: Group) -> Table | None:
@@ -287,16 +287,15 @@ def describe_observations(samples: Sequence[Sample]) -> str:
 _NOT_STATED = "not stated"
 
 
-def make_lot_table(campaign: Campaign, stems: Sequence[str]) -> Table | None:
+def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
     """Make the table of lots with their answers; None if no protocol asks for a limit.
 
     Parameters
     ----------
-    campaign : with its groups
-    stems : of the groups, for links
+    groups : by the stems of their links
     """
     rows, rules = list[Record](), set[str]()
-    for group, stem in zip(campaign.groups, stems, strict=True):
+    for stem, group in groups.items():
         if (lot := group.lot) is None:
             continue
         scale = find_lot_scale(group, lot)
@@ -460,14 +459,13 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
     return tables
 
 
-def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
+def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[str, Any]]:
     """Make the rows of the table of tests.
 
     Parameters
     ----------
-    campaign : with its groups
+    groups : by the stems of their links
     tests : of the page
-    stems : names of groups by their stems
 
     Returns
     -------
@@ -475,17 +473,14 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
     (``decided``: ``accept``, ``reject`` or empty; its ``words``), the file ``page`` and its
     ``address``, and ``why`` the test is doubtful, failed or rejected.
     """
-    mains = {
-        stem: next((number.name for number in group.numbers if wording.is_main(number.name)), "")
-        for stem, group in zip(stems, campaign.groups, strict=False)
-    }
     rows = []
     for test in tests.every:
         page = name_page_file(test.sample.label or test.sample.test)
+        group = groups.get(test.stem)
         rows.append({
             "test": test,
-            "group": stems.get(test.stem, ""),
-            "first": _first_number_cell(test.sample, mains.get(test.stem, "")),
+            "group": group.name if group else "",
+            "first": _first_number_cell(test.sample, group.numbers if group else ()),
             "decided": "reject" if test.why else "accept" if test.sample.decision else "",
             "words": test.why or test.sample.decision,
             "page": page,
@@ -510,8 +505,9 @@ def name_page_file(label: str) -> str:
     return f"tests/{label.replace('/', '__')}.html"
 
 
-def _first_number_cell(sample: Sample, main: str) -> Cell:
+def _first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
     """Make the cell of the first main number of a test, with the name and the unit below it."""
+    main = next((number.name for number in numbers if wording.is_main(number.name)), "")
     result = find_result(sample.results, main)
     if result is None:
         return Cell(DASH)

@@ -26,7 +26,6 @@ from labpipe.report.page_tables import (
     find_lot_scale,
 )
 from labpipe.report.table_records import (
-    Chart,
     Record,
     Table,
     make_interval_cells,
@@ -34,8 +33,8 @@ from labpipe.report.table_records import (
     make_percent_cell,
     make_records,
     save_tables,
-    stack_blocks,
     tabulate,
+    tabulate_curves,
 )
 from labpipe.statistics.means import sort_causes, summarise_budget
 
@@ -307,23 +306,16 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
     y, title = (
         (wording.Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
     )
-    blocks, by_protocol = dict[str, list[Record]](), dict[str, list[str]]()
+    charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
-            blocks[group.name] = _list_band_records(group.name, band, x, y)
-        if band is not None and len(band.displacement):
-            by_protocol.setdefault(group.protocol, []).append(group.name)
-    rows, ends = stack_blocks(blocks)
-    x_head, y_head = x.label("displacement"), write_column_heading("mean", y.unit)
-    charts = [
-        Chart(f"{title} on first loading ({protocol})", x_head, y_head, {n: ends[n] for n in names})
-        for protocol, names in by_protocol.items()
-    ]
+            name = f"{title} on first loading ({group.protocol})"
+            charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)
     columns = [write_column_heading(part, y.unit) for part in _BAND_COLUMNS]
-    heads = ["group", x_head, *columns, "n", "mean over", "reason"]
+    heads = ["group", x.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
-    return tabulate(name, rows, heads, charts=charts)
+    return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
 
 
 def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:

@@ -13,7 +13,7 @@ from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report import table_records
 from labpipe.report.plot_records import simplify_line
-from labpipe.report.table_records import Record, Table, save_tables, tabulate
+from labpipe.report.table_records import Record, Table, save_tables, tabulate, tabulate_curves
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
@@ -196,12 +196,13 @@ def _list_tables(
     min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
-    laws, places = _tabulate_laws(tables, law_rows)
+    laws = _tabulate_laws(tables, law_rows)
+    wires = [row[0] for row in laws.rows]
     records: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
     for table, rows in zip(tables, law_rows, strict=True):
-        link = f"'laws'!A{places[table.name][0] + 2}"
+        link = f"'laws'!A{wires.index(table.name) + 2}"
         records.append({
             "wire": table_records.Cell(table.name, link=link),
             **make_summary_record(table),
@@ -217,12 +218,8 @@ def _list_tables(
     yield tabulate("notes", _list_notes(tables, refused))
 
 
-def _tabulate_laws(
-    tables: Sequence[WireTable], law_rows: Sequence[Ints]
-) -> tuple[Table, dict[str, tuple[int, int]]]:
-    """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
-    x_head = CURVATURE.label("curvature")
-    drawn = STIFFNESS.label("secant stiffness"), MOMENT.label("moment")
+def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Table:
+    """Make the sheet of the laws of all wires; charts are without the point at zero curvature."""
     blocks = {}
     for table, rows in zip(tables, law_rows, strict=True):
         columns = {
@@ -230,28 +227,21 @@ def _tabulate_laws(
             for label, field, scale in _LAW_COLUMNS
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
-    records, ends = table_records.stack_blocks(blocks)
-    # without the point at zero curvature
-    lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
-    charts = [
-        table_records.Chart(head.partition(" (")[0].capitalize(), x_head, head, lines, is_log=True)
-        for head in (drawn if lines else ())
-    ]
-    heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
-    return tabulate("laws", records, heads, charts=charts), ends
+    names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
+    drawn = CURVATURE.label("curvature"), STIFFNESS.label("secant stiffness"), names[1]
+    heads = ["wire", *names, "doubtful"]
+    return tabulate_curves("laws", [("", blocks)], *drawn, heads=heads, start=1, is_log=True)
 
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
-    x_head, y_head, blocks = LENGTH.label("tip deflection"), FORCE.label("end load"), {}
+    heads, blocks = (LENGTH.label("tip deflection"), FORCE.label("end load")), {}
     for table in tables:
         x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
-        blocks[table.name] = _mark_doubtful(table, {x_head: x, y_head: y}, is_doubtful)
-    records, ends = table_records.stack_blocks(blocks)
-    lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
-    charts = [table_records.Chart("", x_head, y_head, lines)] if lines else []
-    return tabulate("cantilevers", records, charts=charts)
+        columns = dict(zip(heads, (x, y), strict=True))
+        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
+    return tabulate_curves("cantilevers", [("", blocks)], *heads)
 
 
 def _mark_doubtful(
