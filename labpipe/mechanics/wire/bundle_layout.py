@@ -246,15 +246,15 @@ def _unevenness(wire_types: Ints, traits: Floats, near: Floats) -> tuple[float, 
 
 def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
-    best, least = wire_types, _unevenness(wire_types, traits, near)
+    best, lowest = wire_types, _unevenness(wire_types, traits, near)
     while True:
         first, second = _find_exchange(best, traits, near)
         exchanged = best.copy()
         exchanged[[first, second]] = best[[second, first]]
         merit = _unevenness(exchanged, traits, near)
-        if merit >= least:
+        if merit >= lowest:
             return best
-        best, least = exchanged, merit
+        best, lowest = exchanged, merit
 
 
 def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
@@ -476,8 +476,8 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
         raise ValueError(message)
 
 
-def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None) -> Contacts:
-    """List pairs that touch, or could before the next list; keep the forces of an earlier list."""
+def _contacts(centres: Floats, diameters: Floats, earlier: Contacts | None = None) -> Contacts:
+    """List pairs that touch, or could earlier the next list; keep the forces of an earlier list."""
     neighbour_factor = 1.5  # distance of listed pairs, in touching distances
     max_distance = neighbour_factor * float(diameters.max())
     pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
@@ -486,13 +486,11 @@ def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None
     is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
     first, second, touching = first[is_near], second[is_near], touching[is_near]
     force = np.zeros(len(first))
-    if before is not None:
+    if earlier is not None:
         number = len(diameters)
-        old, new = (
-            number * pair[0] + pair[1] for pair in ((before.first, before.second), (first, second))
-        )
+        old, new = number * earlier.first + earlier.second, number * first + second
         _, at_old, at_new = np.intersect1d(old, new, assume_unique=True, return_indices=True)
-        force[at_new] = before.force[at_old]
+        force[at_new] = earlier.force[at_old]
     return Contacts(first, second, touching, force)
 
 

@@ -309,10 +309,10 @@ def compute_sticking(
     neutral = np.average(centres, axis=0, weights=axial_stiffness)
     about = centres - neutral
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
-    (least, largest), axes = np.linalg.eigh(tensor)
-    angle = 0.0 if largest - least <= _AXIS_TOLERANCE * largest else _axis_angle(axes[:, 1])
+    (lowest, highest), axes = np.linalg.eigh(tensor)
+    angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _axis_angle(axes[:, 1])
     where = (float(neutral[0]), float(neutral[1]))
-    return Sticking(tensor, where, (float(least), float(largest)), angle)
+    return Sticking(tensor, where, (float(lowest), float(highest)), angle)
 
 
 def _axis_angle(axis: Floats) -> float:
@@ -655,11 +655,11 @@ def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
 def _interval_sum_of_squares(residuals: Floats) -> float:
     """Return the sum of squares at the ends of the 95 % interval, N^2."""
     max_correlation = 0.98  # of neighbouring points
-    least = float(residuals @ residuals)
-    correlation = float(residuals[1:] @ residuals[:-1]) / least if least > 0.0 else 0.0
+    smallest = float(residuals @ residuals)
+    correlation = float(residuals[1:] @ residuals[:-1]) / smallest if smallest > 0.0 else 0.0
     correlation = min(max(correlation, 0.0), max_correlation)
     freedom = max(len(residuals) * (1.0 - correlation) / (1.0 + correlation) - 1.0, 1.0)
-    return least * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
+    return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
 def _interval_end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:

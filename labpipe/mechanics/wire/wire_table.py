@@ -578,12 +578,12 @@ class LawFamily:
         curve = built.compute_curve(corners)
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
         slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
-        least = min_slider_share * slopes[0]
+        min_stiffness = min_slider_share * slopes[0]
         share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
         law = replace(
             self.base,
             stiffness=float(slopes[-1]),
-            stiffnesses=np.maximum(-np.diff(slopes), least),
+            stiffnesses=np.maximum(-np.diff(slopes), min_stiffness),
         )
         if share > 0.0:
             strands = make_strand_slider(built.section, law, factor * self.scale)

@@ -177,10 +177,10 @@ def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
     moves = np.append(problem.free, problem.gain > 0.0)
-    tight = np.where(moves, problem.find_precision(0.0)[: P + 1], 0.0)
-    away = problem.find_offsets(fit.unknowns)[: P + 1]
-    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
-    matrix[range(P + 1), range(P + 1)] += tight
+    precision = np.where(moves, problem.find_precision(0.0)[: P + 1], 0.0)
+    offsets = problem.find_offsets(fit.unknowns)[: P + 1]
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
+    matrix[range(P + 1), range(P + 1)] += precision
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():
         unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
@@ -248,16 +248,16 @@ def compute_quantiles(
     error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     half_range = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
-    least, most = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
+    lower, upper = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
 
     def quantile_at(share: float) -> Floats:
         def excess(value: Floats, row: Floats) -> Floats:
-            own = row.astype(np.int64)
-            t = (value[:, None] - centre[own]) / error[own]
+            numbers = row.astype(np.int64)
+            t = (value[:, None] - centre[numbers]) / error[numbers]
             return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - share)
 
-        rows = np.arange(len(least), dtype=np.float64)
-        return np.asarray(elementwise.find_root(excess, (least, most), args=(rows,)).x)
+        rows = np.arange(len(lower), dtype=np.float64)
+        return np.asarray(elementwise.find_root(excess, (lower, upper), args=(rows,)).x)
 
     return quantile_at(tail), quantile_at(1.0 - tail)
 
@@ -300,5 +300,5 @@ def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     max_scatter_factor = 1000.0  # times the estimated scatter
     n_scatters = 64
     least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
-    most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
-    return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2
+    largest = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
+    return np.geomspace(least_noise_share * least_scatter, largest, n_scatters) ** 2
