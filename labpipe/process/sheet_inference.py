@@ -18,11 +18,11 @@ from labpipe.errors import Fault, LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.checking import results_needing_span
 from labpipe.process.protocol_match import ProtocolMatch, load_all_protocols, match_protocols
+from labpipe.protocol.grammar import has_control_characters, is_test_name
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES
-from labpipe.protocol.grammar import has_control_characters, is_test_name
 from labpipe.readers import recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording

@@ -15,7 +15,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, compare_
 from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.messages import format_sentence
-from labpipe.protocol.plans import CalibrationPlan, Comparison
+from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec

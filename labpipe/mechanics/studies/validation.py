@@ -27,7 +27,7 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.wire_table import build_wire, find_linear_range, mass_per_length
-from labpipe.protocol.plans import CalibrationPlan
+from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
