@@ -52,8 +52,7 @@ from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.plans import PLAN_NAME
-from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME
 from labpipe.store.replace import locked
 
 _WITHOUT_SHEET = "without test.yaml"

@@ -131,7 +131,7 @@ def _describe_unusable_path(path: Path) -> str:
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the function that loads a plan or harness file; None for a protocol."""
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import PLAN_NAME, CalibrationPlan
+    from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

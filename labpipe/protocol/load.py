@@ -17,7 +17,13 @@ import yaml
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry, list_result_names
-from labpipe.protocol.sheet_grammar import COPY_REMEDY, SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import (
+    COPY_REMEDY,
+    SHEET_NAME,
+    CalibrationPlan,
+    CampaignPlan,
+    TestSheet,
+)
 from labpipe.protocol.source import ROLES, find_implausible_sizes
 from labpipe.protocol.yaml_text import (
     Document,
@@ -36,7 +42,6 @@ from labpipe.units import parse_count
 
 if TYPE_CHECKING:
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import CalibrationPlan, CampaignPlan
 
 _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -210,8 +215,6 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     ProtocolError
         If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CalibrationPlan  # imported on use: most commands need none
-
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
@@ -231,8 +234,6 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     ProtocolError
         If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CampaignPlan  # imported on use: most commands need none
-
     return validate_document(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 

@@ -26,9 +26,8 @@ from pydantic_core import core_schema
 from labpipe.messages import find_code, list_rooms, read_templates
 from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
-from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.sheet_grammar import CampaignPlan, TestSheet
 from labpipe.protocol.source import DIMENSION_KINDS, PLAUSIBLE_RANGES
 from labpipe.records.declarations import Limits, Needs, list_references
 from labpipe.records.quality import Severity
