@@ -472,13 +472,8 @@ class Protocol(Block):
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
         """Refuse implausible dimensions, and two uncertainties of one length."""
-        faults = [
-            fault
-            for key, block in (("specimen", self.specimen), ("rig", self.rig))
-            for fault in find_implausible_sizes(block, (key,), self.plausible)
-        ]
-        if self.markers is not None:
-            faults += find_implausible_sizes(self.markers, ("markers",), self.plausible)
+        blocks = {"specimen": self.specimen, "rig": self.rig, "markers": self.markers}
+        faults = [*find_implausible_sizes(blocks, (), self.plausible)]
         stated = self.specimen.uncertainty or SizeUncertainties()
         for number, result in enumerate(self.results):
             if not isinstance(result, BendingStiffness):

@@ -214,7 +214,7 @@ Plausible: TypeAlias = Annotated[
 
 
 def find_implausible_sizes(
-    block: BaseModel,
+    data: object,
     path: KeyPath,
     ranges: Mapping[str, PlausibleRange],
     *,
@@ -225,13 +225,13 @@ def find_implausible_sizes(
 
     Parameters
     ----------
-    block : validated
-    path : of the block in its file
+    data : blocks, validated, or blocks by key
+    path : of the data in their file
     ranges : plausible ranges by kind of dimension
     others : names of further lengths, whose kind of dimension is ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet
     """
-    for place, size in _list_numbers(block, path):
+    for place, size in _list_numbers(data, path):
         key = next(str(part) for part in reversed(place) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
         kind = kind or ("other" if key in others else None)

@@ -412,16 +412,14 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     ------
     Index of the column (0 for a missing one) and the fault.
     """
-    names = [normalise_heading(heading) for heading in headings]
-    intended = set(names)
+    names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
+    meant = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    intended = {*meant}
     for number, name in enumerate(names):
-        if name not in WireRow.model_fields:
-            meant = next((x for x in COLUMNS if _has_other_unit(name, x)), "")
-            intended |= {meant, *difflib.get_close_matches(name, WireRow.model_fields, n=1)}
-            fault = build_choice_fault(
-                (), headings[number], WireRow.model_fields, "one of the columns"
-            )
-            remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}." if meant else fault.remedy
+        if name not in columns:
+            fault = build_choice_fault((), headings[number], columns, "one of the columns")
+            unit = COLUMNS[meant[number]].unit if meant[number] in COLUMNS else ""
+            remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
             yield number, Fault.of("protocol.column_again", column=name)
@@ -430,14 +428,6 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
             yield 0, Fault.of("protocol.no_column", column=name)
     if not intended & set(STRAND_SIZE_COLUMNS):
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
-
-
-def _has_other_unit(name: str, column: str) -> bool:
-    """Return whether a name is a column with another unit or none: wire_diameter_in."""
-    field = get_spec_field(column)
-    suffix = name.removeprefix(field)
-    is_suffix = re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", suffix) is not None
-    return field != column and suffix != name and is_suffix
 
 
 FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
