@@ -455,17 +455,12 @@ class ChannelSource(_Channel):
 
     def _find_unit_faults(self, quantity: str, unit: str) -> Iterator[Fault]:
         """Find a unit or a calibration that does not give the SI unit of the quantity."""
-        si_unit, path = self.channel_unit, ("unit",)
+        si_unit, path, found = self.channel_unit, ("unit",), repr(unit)
         if si_unit is None:
-            yield Fault.of("protocol.no_unit", path, quantity="V", found=repr(unit))
-        elif remedy := suggest_unit(unit, si_unit):
+            yield Fault.of("protocol.no_unit", path, quantity="V", found=found)
+        elif hint := suggest_unit(unit, si_unit):
             yield Fault.of(
-                "protocol.wrong_unit",
-                path,
-                found=repr(unit),
-                quantity=quantity,
-                unit=si_unit,
-                remedy=remedy,
+                "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=found, hint=hint
             )
         elif self.calibration is not None:
             faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
@@ -526,15 +521,9 @@ class Source(_Channel):
             yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
         valid = MARKER_READERS if has_markers else {*READERS} - MARKER_READERS
         if not {*self.reader} <= valid:
-            content = "marker tracks" if has_markers else "channels"
-            found = ", ".join(map(repr, self.reader))
-            yield Fault.of(
-                "protocol.wrong_reader",
-                ("reader",),
-                found=found,
-                content=content,
-                valid=list_nearest("", valid),
-            )
+            content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
+            found, here = ", ".join(map(repr, self.reader)), ("reader",)
+            yield Fault.of("protocol.wrong_reader", here, content=content, found=found, valid=names)
         elif has_markers:
             for key in ["channels"] * ("channels" in stated) or keys[:1]:
                 yield Fault.of("protocol.channel_of_markers", (key,), key=key)
