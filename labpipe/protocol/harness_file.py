@@ -166,14 +166,14 @@ class SectionBlock(Block):
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find several sources or none, missing keys, and keys of other sources."""
-        stated = [key for key in data if data[key] is not None]
-        kinds = [name for name in _SECTION_KEYS if name in stated]
+        stated_keys = [key for key in data if data[key] is not None]
+        kinds = [name for name in _SECTION_KEYS if name in stated_keys]
         if len(kinds) != 1:
-            found = " and ".join(map(repr, kinds)) or "none of them"
-            yield Fault.of("protocol.no_one_section", found=found)
+            kind_names = " and ".join(map(repr, kinds)) or "none of them"
+            yield Fault.of("protocol.no_one_section", found=kind_names)
             return
         kind, own_keys = kinds[0], _SECTION_KEYS[kinds[0]]
-        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated}):
+        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated_keys}):
             remedy = _REQUIRED_KEYS[key]
             yield Fault.of(
                 "protocol.no_section_key", missing=key, key=key, kind=kind, remedy=remedy
@@ -422,8 +422,8 @@ def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
     for number, holder in _list_holders(harness).items():
         other = names.setdefault(holder.at, holder.name)
         if other != holder.name:
-            path, found = ("boundaries", number, "at"), _format_place(holder.at)
-            yield Fault.of("protocol.place_taken", path, found=found, other=other)
+            path, place = ("boundaries", number, "at"), _format_place(holder.at)
+            yield Fault.of("protocol.place_taken", path, found=place, other=other)
     if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
@@ -476,8 +476,8 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
             points = enumerate(boundary.path)
             turns = [(("path", i, "turn"), point.step, point.turn) for i, point in points]
         start, last_turn = 0, 0.0
-        for key, end, stated in turns:
-            turn, path = last_turn if stated is None else stated, ("boundaries", number, *key)
+        for key, end, angle in turns:
+            turn, path = last_turn if angle is None else angle, ("boundaries", number, *key)
             per_step = math.degrees(abs(turn - last_turn)) / (end - start)
             if per_step >= 180.0:
                 yield Fault.of("protocol.turn", path, found=per_step, start=start, end=end)
@@ -486,11 +486,11 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
 
 def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
     """Find a curl of more than 90 deg per element: elements are straight."""
-    spool, path, most = harness.line.spool, ("line", "spool", "curvature"), 90.0
+    spool, path, max_curl = harness.line.spool, ("line", "spool", "curvature"), 90.0
     element = 1e3 * max(harness.lengths) / harness.line.elements
     curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
-    if curl > most:
-        yield Fault.of("protocol.curl", path, most=most, element=element, found=curl)
+    if curl > max_curl:
+        yield Fault.of("protocol.curl", path, most=max_curl, element=element, found=curl)
 
 
 def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
@@ -498,17 +498,17 @@ def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> It
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
-            here, found = path or ("boundaries", number, "at"), 1e3 * place
-            yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=found)
+            here, gap = path or ("boundaries", number, "at"), 1e3 * place
+            yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=gap)
     for one, other in combinations(_list_places(harness, length), 2):
         reach = 1e3 * (other.along - one.along + one.string_length + other.string_length)
         rows = min(len(one.path), len(other.path))
         distances = 1e3 * np.linalg.norm(one.path[:rows] - other.path[:rows], axis=1)
-        found, step = distances.max(), distances.argmax()
-        if found > reach * REACH_FACTOR:
+        gap, step = distances.max(), distances.argmax()
+        if gap > reach * REACH_FACTOR:
             here = path or ("boundaries", max(one.number, other.number))
             yield Fault.of(
-                "protocol.too_far", here, reach=reach, one=one, other=other, found=found, step=step
+                "protocol.too_far", here, reach=reach, one=one, other=other, found=gap, step=step
             )
     yield from _find_distant_rings(harness, length, path)
 
@@ -522,9 +522,9 @@ def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> I
             away = 1e3 * np.array([math.dist(ring.position, place.path[-1]) for place in fixed])
             needed = np.concatenate([away[:1], away[:-1] + away[1:], away[-1:]])
             span, here = np.argmin(needed - available), path or ("boundaries", number)
-            reach, found = available[span], needed[span]
-            if found > reach * REACH_FACTOR:
-                yield Fault.of("protocol.ring_too_far", here, ring=ring, reach=reach, found=found)
+            reach, gap = available[span], needed[span]
+            if gap > reach * REACH_FACTOR:
+                yield Fault.of("protocol.ring_too_far", here, ring=ring, reach=reach, found=gap)
 
 
 class _HeldPlace(NamedTuple):

@@ -474,12 +474,12 @@ class Protocol(Block):
         """Refuse implausible dimensions, and two uncertainties of one length."""
         blocks = {"specimen": self.specimen, "rig": self.rig, "markers": self.markers}
         faults = [*find_implausible_sizes(blocks, (), self.plausible)]
-        stated = self.specimen.uncertainty or SizeUncertainties()
+        uncertainties = self.specimen.uncertainty or SizeUncertainties()
         for number, result in enumerate(self.results):
             if not isinstance(result, BendingStiffness):
                 continue
             key = "length" if result.support == "cantilever" else "span"
-            here, there = result.length_uncertainty, getattr(stated, key)
+            here, there = result.length_uncertainty, getattr(uncertainties, key)
             if here is not None and there is not None and here != there:
                 path = ("results", number, "length_uncertainty")
                 here_mm, there_mm = f"{1e3 * here:.6g} mm", f"{1e3 * there:.6g} mm"

@@ -147,14 +147,14 @@ class PlausibleRange(Block):
     """Such as 2 kN."""
 
 
-def _complete_ranges(stated: object) -> Any:
+def _complete_ranges(data: object) -> Any:
     """Fill in the shipped ranges and ends of ranges that a file leaves out."""
-    if not isinstance(stated, Mapping):
-        return stated
+    if not isinstance(data, Mapping):
+        return data
     shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE_RANGES.items()}
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
-        for kind, ends in stated.items()
+        for kind, ends in data.items()
     }
     return shipped | ranges
 
@@ -455,12 +455,12 @@ class ChannelSource(_Channel):
 
     def _find_unit_faults(self, quantity: str, unit: str) -> Iterator[Fault]:
         """Find a unit or a calibration that does not give the SI unit of the quantity."""
-        si_unit, path, found = self.channel_unit, ("unit",), repr(unit)
+        si_unit, path, text = self.channel_unit, ("unit",), repr(unit)
         if si_unit is None:
-            yield Fault.of("protocol.no_unit", path, quantity="V", found=found)
+            yield Fault.of("protocol.no_unit", path, quantity="V", found=text)
         elif hint := suggest_unit(unit, si_unit):
             yield Fault.of(
-                "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=found, hint=hint
+                "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=text, hint=hint
             )
         elif self.calibration is not None:
             faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
