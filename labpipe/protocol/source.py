@@ -467,8 +467,8 @@ class ChannelSource(_Channel):
             yield from _prefix(("calibration",), faults)
 
 
-class Source(_Channel):
-    """One export of a test, or several parts of one; its channel, or several."""
+class _Export(Block):
+    """Keys of an export."""
 
     reader: ReaderNames
     """Format of the export, or a list of possible formats."""
@@ -478,6 +478,11 @@ class Source(_Channel):
     """Of a load frame: the specimen or sheet, if an export has several."""
     optional: bool = False
     """Whether a test may lack it; steps and results that need it are then left out."""
+
+
+class Source(_Channel, _Export):
+    """One export of a test, or several parts of one; its channel, or several."""
+
     channels: dict[Snake, ChannelSource] | None = None
     _all_channels: dict[str, ChannelSource] = PrivateAttr({})
 
