@@ -248,7 +248,8 @@ class LocatedBlock(dict[str, Any]):
 class LocatedList(list[Any]):
     """A list as written, with the locations of its items."""
 
-    locations: list[Location]
+    def __init__(self) -> None:
+        self.locations: list[Location] = []
 
 
 @dataclass(slots=True)
@@ -387,27 +388,28 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
 
 def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
     """Convert a node to plain values with the locations of its parts."""
-    file, mark = document.location.file, _find_mark(node)
-    if id(node) in converted:
-        raise build_error([_place_fault(file, mark, Fault.of("protocol.alias", path))])
-    if len(path) >= MAX_DEPTH:
-        raise build_error([_place_fault(file, mark, Fault.of("protocol.too_deep", most=MAX_DEPTH))])
+    file = document.location.file
+    if id(node) in converted or len(path) >= MAX_DEPTH:
+        alias, too_deep = (
+            Fault.of("protocol.alias", path),
+            Fault.of("protocol.too_deep", most=MAX_DEPTH),
+        )
+        fault = alias if id(node) in converted else too_deep
+        raise build_error([_place_fault(file, _find_mark(node), fault)])
     converted.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
-        document.faults.append(_place_fault(file, mark, fault))
+        document.faults.append(_place_fault(file, _find_mark(node), fault))
+    if isinstance(node, yaml.ScalarNode):
+        return node.value if node.style or node.value not in ("", "~", "null") else None
     if isinstance(node, yaml.MappingNode):
         return _convert_mapping(node, path, document, converted)
-    if isinstance(node, yaml.SequenceNode):
-        items = LocatedList(
-            _convert_node(item, (*path, number), document, converted)
-            for number, item in enumerate(node.value)
-        )
-        marks = map(_find_mark, node.value)
-        items.locations = [Location(file, i, mark, mark) for i, mark in enumerate(marks)]
-        return items
-    is_quoted = isinstance(node, yaml.ScalarNode) and node.style
-    return node.value if is_quoted or node.value not in ("", "~", "null") else None
+    items = LocatedList()
+    for number, item in enumerate(node.value):
+        mark = _find_mark(item)
+        items.locations.append(Location(file, number, mark, mark))
+        items.append(_convert_node(item, (*path, number), document, converted))
+    return items
 
 
 def _convert_mapping(
@@ -415,17 +417,17 @@ def _convert_mapping(
 ) -> LocatedBlock:
     file, block = document.location.file, LocatedBlock()
     for key, value in node.value:
-        name, mark, fault = key.value, _find_mark(key), None
+        name, mark = key.value, _find_mark(key)
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
+            document.faults.append(_place_fault(file, mark, fault))
         elif name in block:
             line = block.locations[name].key[0]
             fault = Fault.of("protocol.key_again", (*path, name), key=name, line=line)
-        if fault is not None:
             document.faults.append(_place_fault(file, mark, fault))
-            continue
-        block.locations[name] = Location(file, name, mark, _find_mark(value))
-        block[name] = _convert_node(value, (*path, name), document, converted)
+        else:
+            block.locations[name] = Location(file, name, mark, _find_mark(value))
+            block[name] = _convert_node(value, (*path, name), document, converted)
     return block
 
 
