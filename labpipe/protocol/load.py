@@ -464,13 +464,8 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     for key in overrides:
         path: KeyPath = ("overrides", key, "value")
         if key in own:
-            yield Fault.of(
-                "protocol.override_twice",
-                path,
-                key=key,
-                here=sheet.at(path),
-                there=sheet.at(own[key]),
-            )
+            here, there = sheet.at(path), sheet.at(own[key])
+            yield Fault.of("protocol.override_twice", path, key=key, here=here, there=there)
         elif key == _FOLLOW_LINKS:
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:

@@ -172,20 +172,20 @@ class SheetBundle(Block):
 
 
 def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
-    bundle, stated = sheet_bundle.record, sheet_bundle.number
+    bundle, number = sheet_bundle.record, sheet_bundle.number
     total, parts = bundle.number, bundle.composition
-    if stated not in (None, total):
+    if number not in (None, total):
         yield Fault.of(
-            "protocol.number_of_wires", ("number",), total=total, parts=parts, found=stated
+            "protocol.number_of_wires", ("number",), total=total, parts=parts, found=number
         )
     if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
         yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
     areas = [wire.number * wire.diameter**2 for wire in bundle.wires if wire.diameter is not None]
     if bundle.conduit_bore is not None and len(areas) == len(bundle.wires):
-        least = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
+        min_bore = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
         bore, path = 1e3 * bundle.conduit_bore, ("conduit_bore",)
-        if bore < least:
-            yield Fault.of("protocol.bore_too_small", path, least=least, found=bore)
+        if bore < min_bore:
+            yield Fault.of("protocol.bore_too_small", path, least=min_bore, found=bore)
 
 
 def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
@@ -714,9 +714,9 @@ class ByName(Block):
         fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in exports.items()}
         first, expected = next(iter(fields.items()))
         faults = [
-            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=found)
-            for role, found in fields.items()
-            if found and found != expected
+            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=names)
+            for role, names in fields.items()
+            if names and names != expected
         ]
         empty = [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
         raise_faults(faults + empty)

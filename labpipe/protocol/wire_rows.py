@@ -170,9 +170,9 @@ class WireRow(Block):
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find stress tables together with the numbers that they replace."""
         for table, numbers in _REPLACED_COLUMNS.items():
-            stated = [name for name in numbers if data.get(name)]
-            if data.get(table) and stated:
-                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(stated))
+            filled = [name for name in numbers if data.get(name)]
+            if data.get(table) and filled:
+                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(filled))
 
     @model_validator(mode="before")
     @classmethod
@@ -262,19 +262,19 @@ def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
     if radii and row.layout != "compressed":
         yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
     elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
-        found = ";".join(f"{radius:g}" for radius in radii)
-        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=layers, found=found)
+        radius_texts = ";".join(f"{radius:g}" for radius in radii)
+        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=layers, found=radius_texts)
     yield from _find_size_faults(row)
 
 
 def _find_size_faults(row: WireRow) -> Iterator[Fault]:
     """Find missing and contradictory diameters and areas of the strands."""
     diameter, diameters, area = (getattr(row, name) for name in STRAND_SIZE_COLUMNS)
-    found, layers, path = len(diameters), len(row.strands_per_layer), ("strand_diameters_mm",)
+    count, layers, path = len(diameters), len(row.strands_per_layer), ("strand_diameters_mm",)
     if diameter and diameters:
         yield Fault.of("protocol.two_diameters", path)
-    elif diameters and found != layers:
-        yield Fault.of("protocol.strand_diameters", path, layers=layers, found=found)
+    elif diameters and count != layers:
+        yield Fault.of("protocol.strand_diameters", path, layers=layers, found=count)
     elif not (diameter or diameters or area):
         yield Fault.of("protocol.no_size", ("strand_diameter_mm",))
     elif area and abs(area / row.copper_area - 1.0) > MAX_AREA_DEVIATION:
@@ -311,8 +311,8 @@ def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
         for part in squares
     }
     mass = 1e-3 * math.pi / 4.0 * sum(densities[part] * squares[part] for part in squares)
-    stated = row.mass_per_length_g_per_m or mass
-    if not 1.0 / MAX_MASS_RATIO <= stated / mass <= MAX_MASS_RATIO:
+    row_mass = row.mass_per_length_g_per_m or mass
+    if not 1.0 / MAX_MASS_RATIO <= row_mass / mass <= MAX_MASS_RATIO:
         path = ("mass_per_length_g_per_m",)
         yield Fault.of("protocol.mass", path, row=row, mass=mass, densities=densities)
 
@@ -338,11 +338,11 @@ def build_wire_spec(
     The wire; its `defaults` describe each default value, and mention blank cells, because these
     may be an oversight.
     """
-    stated = {name: getattr(row, name) for name in COLUMNS.keys() & row.model_fields_set}
-    stated |= {"lay_angles_deg": row.lay_angles_deg}
+    cells = {name: getattr(row, name) for name in COLUMNS.keys() & row.model_fields_set}
+    cells |= {"lay_angles_deg": row.lay_angles_deg}
     values = {
         get_spec_field(name): COLUMNS[name].to_si(value)
-        for name, value in stated.items()
+        for name, value in cells.items()
         if name not in ("strands", *STRAND_SIZE_COLUMNS)
     }
     values |= {
@@ -412,16 +412,14 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     ------
     Index of the column (0 for a missing one) and the fault.
     """
-    names = [normalise_heading(heading) for heading in headings]
-    intended = set(names)
+    names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
+    meant = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    intended = {*meant}
     for number, name in enumerate(names):
-        if name not in WireRow.model_fields:
-            meant = next((x for x in COLUMNS if _has_other_unit(name, x)), "")
-            intended |= {meant, *difflib.get_close_matches(name, WireRow.model_fields, n=1)}
-            fault = build_choice_fault(
-                (), headings[number], WireRow.model_fields, "one of the columns"
-            )
-            remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}." if meant else fault.remedy
+        if name not in columns:
+            fault = build_choice_fault((), headings[number], columns, "one of the columns")
+            unit = COLUMNS[meant[number]].unit if meant[number] in COLUMNS else ""
+            remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
             yield number, Fault.of("protocol.column_again", column=name)
@@ -430,14 +428,6 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
             yield 0, Fault.of("protocol.no_column", column=name)
     if not intended & set(STRAND_SIZE_COLUMNS):
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
-
-
-def _has_other_unit(name: str, column: str) -> bool:
-    """Return whether a name is a column with another unit or none: wire_diameter_in."""
-    field = get_spec_field(column)
-    suffix = name.removeprefix(field)
-    is_suffix = re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", suffix) is not None
-    return field != column and suffix != name and is_suffix
 
 
 FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
@@ -477,8 +467,8 @@ def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, F
             return number, Fault.of("protocol.stress_falls", last=last_stress, found=stress)
         first_slope = first_slope or slope
         if slope > first_slope * (1.0 + 1e-6):
-            first, found = first_slope / 1e3, slope / 1e3
-            return number, Fault.of("protocol.curve_stiffens", first=first, found=found)
+            first, new_slope = first_slope / 1e3, slope / 1e3
+            return number, Fault.of("protocol.curve_stiffens", first=first, found=new_slope)
         last_strain, last_stress = strain, stress
     low, high = FIRST_SLOPES[column]
     if not first_slope:
