@@ -297,10 +297,10 @@ def resolve(
     if isinstance(protocol_file, Fault):
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
-    plain, merged = parse_yaml(text, name), parse_yaml(text, name)
+    merged = parse_yaml(text, name)
+    # Read before the overrides: a test folder from elsewhere must not allow links itself.
+    follow_links |= str(get_block(merged.data).get(_FOLLOW_LINKS)).lower() == "true"
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
-    # A test folder from elsewhere must not allow links itself.
-    follow_links |= str(get_block(plain.data).get(_FOLLOW_LINKS)).lower() == "true"
     faults = [
         *_find_role_faults(sheet, merged.data),
         *_find_link_faults(sheet, sheet_path.parent, followed=follow_links),
@@ -308,7 +308,7 @@ def resolve(
     ]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
-        is_valid_alone = isinstance(Protocol.read(plain.data), Protocol)
+        is_valid_alone = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
         placed = [*merged.faults, *map(sheet_document.place, faults)]
         for fault in protocol:
             in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
