@@ -167,7 +167,8 @@ class SheetBundle(Block):
     @model_validator(mode="after")
     def _check_wires(self) -> Self:
         """Refuse a number, an arrangement, positions and a bore that do not fit the wires."""
-        raise_faults([*_find_number_faults(self), *_find_position_faults(self.record)])
+        position_faults = [] if self.positions is None else _find_position_faults(self.record)
+        raise_faults([*_find_number_faults(self), *position_faults])
         return self
 
 
@@ -192,13 +193,11 @@ def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     """Find why the positions do not match the wires; of each wire, the first overlap."""
     total, count, path = bundle.number, len(bundle.positions), ("positions",)
     unknown = [repr(wire.type) for wire in bundle.wires if wire.diameter is None]
-    if not count:
+    if count != total:
+        yield Fault.of("protocol.number_of_places", path, total=total, found=count)
         return
-    if count != total or unknown:
-        if count != total:
-            yield Fault.of("protocol.number_of_places", path, total=total, found=count)
-        else:
-            yield Fault.of("protocol.no_diameter", path, found=", ".join(unknown))
+    if unknown:
+        yield Fault.of("protocol.no_diameter", path, found=", ".join(unknown))
         return
     wires = [wire for wire in bundle.wires for _ in range(wire.number)]
     diameters = np.array([wire.diameter for wire in wires], dtype=float)
