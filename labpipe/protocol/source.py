@@ -16,7 +16,6 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
 
@@ -191,25 +190,18 @@ def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange
     return ranges
 
 
-def _build_range_schema(low: str, high: str) -> dict[str, object]:
-    ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
-    return {"type": "object", "properties": ends, "additionalProperties": False}
+class StatedRange(Block):
+    """Ends of a plausible range; a missing end is that of the shipped range."""
+
+    start: Text | None = Field(None, alias="from")
+    stop: Text | None = Field(None, alias="to")
 
 
 Plausible: TypeAlias = Annotated[
     dict[_Kind, PlausibleRange],
-    BeforeValidator(_complete_ranges),
+    BeforeValidator(_complete_ranges, json_schema_input_type=dict[_Kind, StatedRange]),
     AfterValidator(_check_ranges),
     Field(validate_default=True),
-    WithJsonSchema(
-        {
-            "type": "object",
-            "properties": {
-                kind: _build_range_schema(*ends) for kind, (_, *ends) in PLAUSIBLE_RANGES.items()
-            },
-            "additionalProperties": False,
-        }
-    ),
 ]
 
 
