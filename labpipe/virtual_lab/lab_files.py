@@ -280,14 +280,14 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     clock = record.clock
     saved = run.started + timedelta(seconds=round(float(clock[-1])))
     limit = np.finfo(np.float64).max
-    one, two, double = np.int32(1), np.int32(2), np.int32(4)
+    one, two, data_type = np.int32(1), np.int32(2), np.int32(4)
     raster = "HostService"
     fields = "Name Type Data Unit Raster Device XIndex DownSampling Description DisplayIdentifier"
     fields += " Path Flags Min Max MinWeak MaxWeak"
     channels = []
     for path, values in sorted(record.signals.items()):
         data = _compact_integers(values)[None, :]
-        head = (PORT, double, data, "", raster, "Platform", one, one, "", "", path, two)
+        head = (PORT, data_type, data, "", raster, "Platform", one, one, "", "", path, two)
         channels.append((*head, -limit, limit, -limit, limit))
     origin = (
         "Software revision: virtual_lab.sdf\r\nVariable description: virtual_lab.sdf\r\n"
@@ -295,7 +295,7 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     )
     content = {
         "Info": {"RevisionMajor": two, "RevisionMinor": one, "MeasurementID": one},
-        "X": {"Name": "", "Type": double, "Data": clock[None, :], "Unit": "", "Raster": raster},
+        "X": {"Name": "", "Type": data_type, "Data": clock[None, :], "Unit": "", "Raster": raster},
         "Y": np.array([channels], dtype=[(field, object) for field in fields.split()]),
         "Description": {
             "General": {

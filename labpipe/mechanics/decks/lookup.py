@@ -16,7 +16,7 @@ from labpipe.mechanics.decks.deck_law import (
     collect_card_numbers,
     describe_deck_losses,
     describe_masing_losses,
-    describe_memoryless_loss,
+    describe_turn_loss,
     fill_template,
     find_mass,
     list_facts,
@@ -45,7 +45,7 @@ def write_lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    loss = describe_memoryless_loss(table)
+    loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
     form = release_without_memory(table)
     numbers = {name: getattr(table, name) for name in COLUMNS}
     numbers["is_doubtful"] = table.is_doubtful.astype(int)
