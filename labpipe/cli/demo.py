@@ -132,9 +132,11 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     ]
     statuses = []
     for command in commands:
-        words = [str(shorten_path(word) if isinstance(word, Path) else word) for word in command]
-        print(f"\n$ labpipe {shlex.join(words)}", flush=True)
-        statuses.append(main(words))
+        arguments = [
+            str(shorten_path(word) if isinstance(word, Path) else word) for word in command
+        ]
+        print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
+        statuses.append(main(arguments))
     return max(statuses)
 
 
