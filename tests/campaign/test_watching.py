@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +183,22 @@ def test_locked_file_is_reported_and_awaited(
     assert "WELL" in bench.go(3)
 
 
+def test_files_are_awaited_while_they_change(bench: Bench, exports: dict[str, bytes]) -> None:
+    folder = put(bench, "A2-085-1", exports)
+    for count in (1, 2, 3):
+        (folder / "take.csv").write_bytes(exports["take.csv"][: 1000 * count])
+        assert bench.go(0.9, step=0.1) == ""
+    (folder / "take.csv").write_bytes(exports["take.csv"])
+    os.utime(folder / "force.mat", (1.0, 1.0))  # it changes at the same size
+    assert bench.go(0.9, step=0.1) == ""
+    (folder / "take.csv").unlink()
+    assert bench.go(10) == "A2-085-1: waits for markers"
+    put(bench, "A2-085-1", exports)
+    assert bench.go(0.9, step=0.1) == ""
+    assert "A2-085-1: WELL" in bench.go(1.0, step=0.1)
+    assert bench.campaign.asked == ["A2-085-1"]
+
+
 def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[str, bytes]) -> None:
     put(bench, "A2-085-1", exports)
     bench.go(3)
@@ -339,8 +355,8 @@ def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     campaign = WatchedCampaign(kept.folders, kept.stand_in)
     assert campaign.read_group_values(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
-    other = replace(row, specimen='{"length": 1, "sample": "2", "type": "A"}')
-    longer = replace(row, specimen='{"type": "A", "length": 2}')
+    other = row._replace(specimen='{"length": 1, "sample": "2", "type": "A"}')
+    longer = row._replace(specimen='{"type": "A", "length": 2}')
     assert make_group_key(row) == make_group_key(other) != make_group_key(longer)
 
 
