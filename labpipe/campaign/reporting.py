@@ -36,6 +36,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol, SpecimenBlock
 from labpipe.records.arrays import Floats, Ints, average_blocks
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.declarations import Output
 from labpipe.records.group import Campaign, Group, LotRule, Sample, SampleCurve
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.html_pages import render_test
