@@ -18,18 +18,25 @@ from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Kind
-from labpipe.results.least_squares import (
+from labpipe.results.curves import (
+    Quantity,
+    SampleNoise,
     compute_polynomial_weights,
     compute_slope,
     compute_zero_crossing,
     find_finite_samples,
     fit_chosen_lines,
+    make_trace,
     require_samples,
 )
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
-from labpipe.results.sample_noise import Quantity, SampleNoise
+from labpipe.results.kinds import (
+    NO_LOADING,
+    Computed,
+    FailurePoint,
+    Kind,
+    ReducedTest,
+    compute_loading_sign,
+)
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 

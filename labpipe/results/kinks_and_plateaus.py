@@ -16,16 +16,16 @@ from labpipe.records.declarations import CURVE, Length, Output, Share, Stiffness
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import make_trace, select_first_loading
-from labpipe.results.cycles import find_cut_cycle
-from labpipe.results.kinds import Computed, Kind, find_marked_slips
-from labpipe.results.least_squares import (
+from labpipe.results.curves import (
     CommonPath,
     compute_slope,
     find_finite_samples,
+    make_trace,
     require_samples,
+    select_first_loading,
 )
-from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.cycles import find_cut_cycle
+from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers

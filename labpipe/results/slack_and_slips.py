@@ -17,14 +17,14 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import select_first_loading, shift_displacement_by
-from labpipe.results.kinds import Computed, Kind, compute_scale_error
-from labpipe.results.least_squares import (
+from labpipe.results.curves import (
     compute_zero_crossing,
     find_finite_samples,
     require_samples,
+    select_first_loading,
+    shift_displacement_by,
 )
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import Computed, Kind, ReducedTest, compute_scale_error
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
@@ -585,7 +585,7 @@ def find_linear_region(
     Returns
     -------
     The samples. The slack is the zero of the line through them:
-    `labpipe.results.least_squares.compute_zero_crossing`.
+    `labpipe.results.curves.compute_zero_crossing`.
 
     Raises
     ------

@@ -25,7 +25,17 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results.curves import (
+    compute_polynomial_weights,
+    compute_slope,
+    compute_zero_crossing,
+    find_finite_samples,
+    fit_chosen_lines,
+    make_trace,
+    require_samples,
+    require_travel,
+    select_first_loading,
+)
 from labpipe.results.cycles import (
     FOOT_LIMIT_FACTOR,
     PerCycle,
@@ -38,22 +48,15 @@ from labpipe.results.cycles import (
     select_cycle,
 )
 from labpipe.results.kinds import (
+    NO_LOADING,
     Computed,
     Kind,
     Outcome,
+    ReducedTest,
+    Stiffness,
     find_machine_compliance,
     find_marked_slips,
 )
-from labpipe.results.least_squares import (
-    compute_polynomial_weights,
-    compute_slope,
-    compute_zero_crossing,
-    find_finite_samples,
-    fit_chosen_lines,
-    require_samples,
-    require_travel,
-)
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine_numbers, read_part

@@ -25,10 +25,16 @@ from labpipe.records.declarations import Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Kind, find_machine_compliance
-from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
+from labpipe.results.curves import make_trace, require_samples
+from labpipe.results.kinds import (
+    NO_LOADING,
+    Computed,
+    FailurePoint,
+    Kind,
+    ReducedTest,
+    compute_loading_sign,
+    find_machine_compliance,
+)
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Trace

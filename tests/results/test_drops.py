@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
-from labpipe.results.curve_replicates import add_slips_back
+from labpipe.results.curves import add_slips_back
 from labpipe.results.failures import (
     LossOfForce,
     find_loss_start,

@@ -11,9 +11,8 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import make_trace, select_first_loading
-from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
-from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.curves import make_trace, select_first_loading
+from labpipe.results.kinds import ClockResult, Computed, FailurePoint, Kind, Outcome, ReducedTest
 
 
 class ByLine(Kind):

@@ -5,14 +5,14 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure, return_failure
+from labpipe.results.bending import fit_secant_stiffness
+from labpipe.results.curves import CommonPath, find_finite_samples
 from labpipe.results.cycles import (
     UnloadingEnd,
     find_unloading_end,
     integrate_energy,
 )
-from labpipe.results.least_squares import CommonPath, find_finite_samples
-from labpipe.results.reduced_test import compute_loading_sign
-from labpipe.results.shapes import fit_secant_stiffness
+from labpipe.results.kinds import compute_loading_sign
 from tests.builders.noise_rows import KINDS, noise_rows
 
 STIFFNESS = 20.0

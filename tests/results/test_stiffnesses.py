@@ -8,13 +8,13 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.beam import (
+from labpipe.results.bending import (
     Rollers,
     compute_beam_factor,
     compute_roller_load,
     compute_stiffness_ratio,
 )
-from labpipe.results.least_squares import (
+from labpipe.results.curves import (
     compute_polynomial_weights,
     compute_slope,
     compute_zero_crossing,

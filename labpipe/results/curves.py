@@ -1,20 +1,22 @@
-"""Draw replicates of the curve of a test."""
+"""Replicates of the curve of a test, and least-squares lines of many curves at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.records import causes
-from labpipe.records.arrays import Floats, Ints, average_between
+from labpipe.records.arrays import Flags, Floats, Ints, average_between, divide
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
-from labpipe.records.signals import Clocks, FilterFunction, Signal
-from labpipe.results.reduced_test import FailurePoint, ReducedTest
-from labpipe.results.sample_noise import have_no_filter_effect
+from labpipe.records.estimates import UnavailableError
+from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
+from labpipe.results.kinds import FailurePoint, ReducedTest
+from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
@@ -24,7 +26,393 @@ from labpipe.uncertainty.replicates import (
     count_spline_intervals,
     draw_replicates,
     fit_smooth_curve,
+    make_generator,
 )
+
+
+def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
+    """Raise ``too_few_samples`` if there are fewer samples than needed."""
+    if count < needed:
+        raise UnavailableError.of(
+            "results.too_few_samples", count=count, where=where, needed=needed
+        )
+
+
+def require_travel(values: Floats, quantity: str = "displacement") -> None:
+    """Raise ``no_travel`` if a quantity is constant."""
+    if np.ptp(values) == 0.0:
+        raise UnavailableError.of("results.no_travel", quantity=quantity)
+
+
+def compute_slope(x: Floats, y: Floats) -> Floats:
+    """Return the slope of the least-squares line of each row.
+
+    Parameters
+    ----------
+    x, y : shape (..., n), without NaN; either may be shape (n,), the same for all rows
+
+    Returns
+    -------
+    Shape (...): sum (x - mean x) y / sum (x - mean x)^2; NaN if `x` is constant.
+
+    Examples
+    --------
+    >>> compute_slope(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 2.0, 6.0], [5.0, 5.0, 5.0]]))
+    array([2.5, 0. ])
+    """
+    lever = x - x.mean(axis=-1, keepdims=True)
+    return divide(np.vecdot(lever, y), np.vecdot(lever, lever))
+
+
+def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
+    """Return the zero of the rising least-squares line of each row.
+
+    Parameters
+    ----------
+    x, y : shape (..., n), without NaN
+
+    Returns
+    -------
+    Shape (...), in the unit of `x`; NaN if the line does not rise.
+
+    Examples
+    --------
+    >>> rows = np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]])
+    >>> compute_zero_crossing(np.array([5.0, 6.0, 7.0]), rows)
+    array([ 4., nan])
+    """
+    slope = compute_slope(x, y)
+    slope = np.where(slope > 0.0, slope, np.nan)
+    zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
+    return zero
+
+
+def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit the least-squares line through chosen samples of each row.
+
+    Parameters
+    ----------
+    chosen : shape (rows, n)
+    x, y : shape (rows, n) or (n,); NaN only where not chosen
+
+    Returns
+    -------
+    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN without a line.
+    """
+    count = chosen.sum(axis=1)
+    x, y = (np.where(chosen, values, 0.0) for values in (x, y))
+    middle, level = (divide(values.sum(axis=1), count) for values in (x, y))
+    lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
+    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * middle**2
+    return middle, level, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
+
+
+def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
+    """Return the weights of values in their least-squares polynomial.
+
+    Parameters
+    ----------
+    x : shape (n,), positions of the values, best near zero
+    degree : of the polynomial
+
+    Returns
+    -------
+    Shape (degree + 1, n): their products with the values, shape (..., n), are the coefficients, the
+    constant first.
+
+    Examples
+    --------
+    >>> weights = compute_polynomial_weights(np.arange(4.0), degree=2)
+    >>> (weights @ np.array([5.0, 6.0, 9.0, 14.0])).round(12).tolist()
+    [5.0, 0.0, 1.0]
+    """
+    scale = float(np.abs(x).max()) or 1.0
+    powers = np.arange(degree + 1.0)[:, np.newaxis]
+    weights: Floats = np.linalg.pinv((x / scale) ** powers).T / scale**powers
+    return weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonPath:
+    """Displacements of a reference curve, at which the forces of other curves are compared.
+
+    Parameters
+    ----------
+    samples : shape (k,), samples of a curve; None for all in order
+    displacement : shape (k,), m
+    slope : shape (k,), N/m
+    """
+
+    samples: Ints | None
+    displacement: Floats
+    slope: Floats
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats, samples: Ints) -> CommonPath:
+        """Compute slopes of a curve over a fiftieth of its samples on each side.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time
+        samples : shape (k,), samples with both quantities, in any order
+
+        Notes
+        -----
+        If the displacement does not increase there, the slope is that from the first to the last
+        sample.
+        """
+        in_time = np.argsort(samples)
+        d, f = displacement[samples[in_time]], force[samples[in_time]]
+        last = len(d) - 1
+        rows, reach = np.arange(last + 1), max(1, last // 50)
+        low, high = np.maximum(rows - reach, 0), np.minimum(rows + reach, last)
+        run, rise, stroke = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
+        overall = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
+        slope = np.empty(last + 1)
+        slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
+        is_all = np.array_equal(samples, np.arange(len(force)))
+        return cls(None if is_all else samples, displacement[samples], slope)
+
+    def move_force(self, force: Floats, displacement: Floats | None = None) -> Floats:
+        """Move forces of curves to the displacements of the reference curve.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, of curves with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        f - (df/dd) (d - d_0), shape (..., k), N: to first order, the force of a curve sampled at
+        other displacements. With a displacement from cameras, noise gives each replicate its own
+        displacements; a function that is linear in the force at fixed displacements then applies to
+        all of them. Second order is neglected: noise of the displacement makes a least-squares
+        slope smaller, by its variance over that of the displacements.
+        """
+        on_path = self._take_samples(force)
+        if displacement is None:
+            return on_path
+        moved = self._take_samples(displacement) - self.displacement
+        return on_path - self.slope * moved if moved.any() else on_path
+
+    def _take_samples(self, values: Floats) -> Floats:
+        if self.samples is None:
+            return values
+        selected: Floats = np.take(values, self.samples, axis=-1)
+        return selected
+
+
+def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
+    """Return the samples with both quantities, in order of time.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), NaN where unknown
+    """
+    return np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+
+
+Quantity: TypeAlias = Literal["force", "displacement"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleNoise:
+    """Single samples of a quantity around a sample of the curve.
+
+    Parameters
+    ----------
+    smooth : shape (n,), m or N, the curve without noise
+    deviations : shape (n,), m or N, of single samples from the mean of their block
+    unfiltered : the same before all filters
+    filters : of the quantity; they act piece by piece
+    cuts : samples at which a new piece begins
+    blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
+        the noise of single samples, and deviations are those from the smooth curve
+    chance : generator that draws the random parts, with a fixed seed
+    """
+
+    smooth: Floats
+    deviations: Floats
+    unfiltered: Floats
+    filters: tuple[Filter, ...]
+    cuts: tuple[int, ...]
+    blocks: Ints | None
+    chance: np.random.Generator
+
+    @classmethod
+    def around(
+        cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, at: int
+    ) -> SampleNoise | None:
+        """Select the samples of a quantity around a sample of the curve.
+
+        Parameters
+        ----------
+        test : with a curve
+        trace : the curve without noise, as the replicates have it
+        quantity : whose samples are needed
+        stretch : samples of `trace` that may be used
+        at : one of them, such as the peak
+
+        Returns
+        -------
+        None if the replicates have all samples, or too few of them are known.
+        """
+        max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
+        signal, chance = (
+            _select_signal(test, quantity),
+            make_generator(test.seed, f"single {quantity}"),
+        )
+        block_samples = _mean_step(trace.time) / _mean_step(signal.time)
+        if block_samples < min_block_samples:
+            return None
+        n_blocks = max(1, int(max_samples / block_samples))
+        part = slice(max(stretch.start, at - n_blocks), min(stretch.stop, at + n_blocks + 1))
+        block_time = trace.time[part]
+        ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
+        low, high = np.searchsorted(signal.time, ends).tolist()
+        time = test.clocks.to_curve(signal.time[low:high], signal.clock)
+        smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
+        raw, filters = _read_unfiltered(test, quantity, signal)
+        rows = np.stack([signal.values[low:high] - smooth, raw[low:high] - smooth])
+        is_valid = ~np.isnan(rows).any(axis=0)
+        if is_valid.sum() < min_samples:
+            return None
+        time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
+        turns = [at for _, at in _list_turns(trace) if time[0] < at < time[-1]]
+        cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
+        if _has_single_samples(test, quantity):
+            rows -= rows.mean(axis=1, keepdims=True)
+            return cls(smooth, rows[0], rows[1], filters, cuts, None, chance)
+        blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
+        counts = np.maximum(np.bincount(blocks), 1)
+        rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
+        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, chance)
+
+    def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
+        """Return the effect of noise on the largest sample, shape (replicates,).
+
+        Parameters
+        ----------
+        noise : shape (replicates, samples of the curve), of the quantity
+        sense : sign of loading
+        """
+        # Standard deviations of noise below the peak up to which a sample may be the largest.
+        max_deviations = 8.0
+        smooth = sense * self.smooth
+        variance = self.deviations.var()
+        if self.blocks is not None:
+            variance += noise[:, self.blocks[0] : self.blocks[-1] + 1].var()
+        near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
+        # Of more than half of the samples, every position would have the same deviations.
+        near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
+        filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
+        part = slice(
+            max(int(near_peak[0]) - filter_reach, 0),
+            min(int(near_peak[-1]) + filter_reach + 1, len(smooth)),
+        )
+        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
+        rows = self.chance.integers(0, len(windows), len(noise))
+        cuts = [cut - part.start for cut in self.cuts]
+        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - part.start]
+        if self.blocks is not None:
+            samples += noise[:, self.blocks[near_peak]]
+        raised: Floats = (smooth[near_peak] + sense * samples).max(axis=1) - smooth.max()
+        return sense * raised
+
+    def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
+        """Return deviations of random single samples from their block."""
+        if self.blocks is None:
+            return np.zeros(shape)
+        return self.chance.choice(self.deviations, size=shape)
+
+
+def _read_unfiltered(
+    test: ReducedTest, quantity: Quantity, signal: Signal
+) -> tuple[Floats, tuple[Filter, ...]]:
+    """Return the samples of a quantity before its filters, and those filters."""
+    signals = test.signals
+    name = signals.force if quantity == "force" else signals.displacement
+    filters = signals.filters.get(name, ())
+    raw = test.unfiltered if quantity == "force" else signals.raw[name]
+    if raw is None or len(raw.time) != len(signal.time):
+        return signal.values, ()
+    return raw.values, filters
+
+
+def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
+    """Measure how many samples on each side of a pulse filters reach."""
+    middle = 2000
+    pulse = np.eye(1, 2 * middle + 1, middle)[0]
+    response = np.abs(filter_pieces(pulse, (), filters))
+    return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
+
+
+def have_no_filter_effect(filters: list[FilterFunction]) -> bool:
+    """Check whether filters leave a pulse of a single sample unchanged."""
+    pulse = np.eye(1, 101, 50)[0]
+    return all(np.array_equal(filter_function(pulse), pulse) for filter_function in filters)
+
+
+def _select_signal(test: ReducedTest, quantity: Quantity) -> Signal:
+    """Select the signal with all samples of a quantity."""
+    if quantity == "force" and test.force.clock != test.clocks.curve:
+        return test.force
+    curve = test.required_curve
+    values = curve.force if quantity == "force" else curve.displacement
+    return replace(test.displacement, time=curve.time, values=values, perturbed={})
+
+
+def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:
+    """Check whether the curve has single samples of a faster signal."""
+    filters = test.signals.filters.get(test.signals.force, ())
+    is_fast = quantity == "force" and test.force.clock != test.clocks.curve
+    return is_fast and have_no_filter_effect([filter_function for filter_function, _ in filters])
+
+
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
+    """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
+
+    Parameters
+    ----------
+    trace, values : the curve, and its quantity
+    time : shape (n,), s on its clock
+    part : samples of the curve around those times
+    """
+    interpolated = np.empty(len(time))
+    inner = [(x, at) for x, at in _list_turns(trace) if part.start < x < part.stop]
+    for (start, begin), (stop, end) in pairwise(
+        [(part.start, -np.inf), *inner, (part.stop, np.inf)]
+    ):
+        low, high = np.searchsorted(time, [begin, end], side="right")
+        interpolated[low:high] = _interpolate_linearly(
+            time[low:high], trace.time[start:stop], values[start:stop]
+        )
+    return interpolated
+
+
+def _list_turns(trace: Trace) -> list[tuple[int, float]]:
+    """Return the samples of a curve at which a piece begins, and their times."""
+    turns = {branch.start: branch.start_time for branch in trace.branches}
+    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
+    if trace.failed_at is not None:
+        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
+    return sorted(turns.items())
+
+
+def _mean_step(time: Floats) -> float:
+    return float(time[-1] - time[0]) / max(len(time) - 1, 1)
+
+
+def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
+    """Interpolate values, with linear extrapolation at both ends."""
+    interpolated = np.interp(at, time, values)
+    if len(time) < 2:
+        return interpolated
+    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+        (before, after), (low, high) = time[pair], values[pair]
+        interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
+    return interpolated
+
 
 _CAUSES_BY_FRAME = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
 """Causes whose effect is computed frame by frame, from markers with noise."""
