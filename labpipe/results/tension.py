@@ -167,20 +167,24 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         noise=_noise(stress),
         strain_noise=_noise(strain),
     )
-    line = return_failure(_add_elastic_line)(pull, choice)
-    return replace(pull, without_line=line) if isinstance(line, Failure) else line
-
-
-def _add_elastic_line(pull: Pull, choice: ElasticWindow) -> Pull:
-    window = _choose_elastic_part(pull.strain, pull.stress, choice)
-    x, y = _few_samples(pull.strain[window], pull.stress[window])
-    require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
-    fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+    try:
+        window = _choose_elastic_part(strain, stress, choice)
+        x, y = _few_samples(strain[window], stress[window])
+        require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
+        fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+        if fit.coefficients[1] <= 0.0:
+            raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
+    except UnavailableError as error:
+        return replace(pull, without_line=error.failure)
     slope, level = fit.estimate(1), float(fit.coefficients[0])
-    if slope.value <= 0.0:
-        raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
-    pull = replace(pull, slope_estimate=slope, slope=slope.value, window=window)
-    return replace(pull, centre=float(x.mean()), level=level)
+    return replace(
+        pull,
+        window=window,
+        slope_estimate=slope,
+        slope=slope.value,
+        centre=float(x.mean()),
+        level=level,
+    )
 
 
 def _select_new_strains(trace: Trace) -> Ints:
@@ -318,19 +322,21 @@ class TensionResult(Kind):
         pull = test.require(test.pull)
         if pull.without_line is not None and self.needs_line:
             raise UnavailableError(pull.without_line)
-        numbers = enumerate(self.list_numbers(test, pull))
         return Computed(
-            tuple(self._measure_number(test, pull, number, output) for output, number in numbers)
+            tuple(
+                self._measure_number(test, pull, number, output)
+                for output, number in enumerate(self.list_numbers(test, pull))
+            )
         )
 
     def _measure_number(
         self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
     ) -> Result:
-        value, errors = number.compute(pull), dict[str, float]()
+        value, errors, doubts = number.compute(pull), dict(number.errors), number.doubts
         for cause, changed in _change_inputs(test, pull):
             change = number.compute(changed) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
-        outcome, doubts = Estimate(value, 0.0, pull.slope_estimate.n), number.doubts
+        outcome = Estimate(value, 0.0, pull.slope_estimate.n)
         if number.compute is _slope:
             outcome = pull.slope_estimate
         elif number.has_line:
@@ -338,14 +344,9 @@ class TensionResult(Kind):
             outcome = replace(outcome, error=abs(number.compute(steeper) - value))
         if number.has_line:
             doubts = (*_list_line_doubts(test, pull, number.compute), *doubts)
-        start, stop = (float(pull.time[min(end, len(pull.time) - 1)]) for end in number.during)
+        start, stop = pull.time[np.minimum(number.during, len(pull.time) - 1)].tolist()
         return self.make_result(
-            test,
-            outcome,
-            {**errors, **number.errors},
-            output=output,
-            during=(start, stop),
-            doubts=doubts,
+            test, outcome, errors, output=output, during=(start, stop), doubts=doubts
         )
 
 
@@ -416,8 +417,8 @@ def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
     if not is_jump.any():
         return ()
     place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
-    facts = float(steps[place]), 1e-6 * float(pull.stress[place])
-    return (Reason.of("results.strain_jumps", jump=facts[0], stress=facts[1]),)
+    stress = 1e-6 * float(pull.stress[place])
+    return (Reason.of("results.strain_jumps", jump=float(steps[place]), stress=stress),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -443,18 +444,15 @@ class ElasticModulus(TensionResult):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure the slope, and return the line for figures."""
-        computed, pull, sizes = (
-            super(ElasticModulus, self).measure(test),
-            test.pull,
-            test.setup.sizes,
-        )
+        computed, pull = super(ElasticModulus, self).measure(test), test.pull
         if not isinstance(pull, Pull):
             return computed
-        window = test.required_curve.displacement[_select_new_strains(make_trace(test))]
-        low, high = (float(end(window[pull.window])) for end in (np.nanmin, np.nanmax))
+        path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
+        low, high = (float(end(path)) for end in (np.nanmin, np.nanmax))
         strain = float(np.nanmin(pull.strain[pull.window]))
-        level = compute_area(sizes) * (pull.level + pull.slope * (strain - pull.centre))
-        slope = pull.slope * compute_area(sizes) / find_gauge_length(sizes)
+        area, length = compute_area(test.setup.sizes), find_gauge_length(test.setup.sizes)
+        level = area * (pull.level + pull.slope * (strain - pull.centre))
+        slope = pull.slope * area / length
         return replace(computed, lines=(FittedLine("elastic_modulus", slope, level, low, high),))
 
 
@@ -519,14 +517,14 @@ class YieldStress(TensionResult):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the stress at the first fall, and the lowest stress while it yields."""
         del test
-
-        def select(pull: Pull, sample: int) -> float:
-            return float(pull.stress[sample])
-
         return [
-            TensionNumber(partial(select, sample=sample), (sample, sample), has_line=False)
+            TensionNumber(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
             for sample in _yield_samples(pull)
         ]
+
+
+def _read_stress(pull: Pull, sample: int) -> float:
+    return float(pull.stress[sample])
 
 
 def _yield_samples(pull: Pull) -> tuple[int, int]:
@@ -579,8 +577,8 @@ class TensileStrength(TensionResult):
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the largest stress."""
-        during, doubts = (0, pull.peak), _ends_at_peak(test, pull)
-        strength = lambda pull: float(np.nanmax(pull.stress))  # noqa: E731
+        strength, during = partial(_read_stress, sample=pull.peak), (0, pull.peak)
+        doubts = _ends_at_peak(test, pull)
         return [TensionNumber(strength, during, has_line=False, doubts=doubts)]
 
 
