@@ -31,16 +31,9 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
+from labpipe.results import kinds
 from labpipe.results.curves import require_samples
-from labpipe.results.kinds import (
-    Computed,
-    Kind,
-    Outcome,
-    ReducedTest,
-    SpanBend,
-    Stiffness,
-    compute_scale_error,
-)
+from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
@@ -245,7 +238,8 @@ class BendingStiffness(FromStiffness):
         "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
     ]
     length_uncertainty: Annotated[
-        Distance | None, "Standard uncertainty of L, where specimen.uncertainty does not say it"
+        Distance | None,
+        "Standard uncertainty of L, where specimen.uncertainty does not say it",
     ] = None
     name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
     corrections: Annotated[
@@ -286,7 +280,7 @@ class BendingStiffness(FromStiffness):
         key, formula = _FORMULAS[self.support]
         return (f"{self.of} x {formula}, L = specimen.{key}",)
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and its length."""
         key, sizes = _FORMULAS[self.support][0], test.setup.sizes
         if key not in sizes:
@@ -502,7 +496,10 @@ class MidSpan(Window):
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
         Output(
-            "mid_span_bending_stiffness", "N*m^2", "Mid-span bending stiffness", (*CURVE, _SPAN)
+            "mid_span_bending_stiffness",
+            "N*m^2",
+            "Mid-span bending stiffness",
+            (*CURVE, _SPAN),
         ),
         Output("mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _SPAN)),
     )
@@ -540,7 +537,7 @@ class MidSpan(Window):
                 # Half-widths of rectangular distributions.
                 errors[SHAPE] = abs(other.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
-                errors |= compute_scale_error(test, outcome) if output == 0 else {}
+                errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
             during = test.find_loading_interval()
             results.append(self.make_result(test, outcome, errors, output=output, during=during))
         return Computed(tuple(results))
@@ -571,7 +568,7 @@ class _SpanFrames:
     time : shape (frames,), s, on the clock of the curve; seed : of draws
     """
 
-    bend: SpanBend
+    bend: kinds.SpanBend
     curve: Curve
     loading: Branch
     time: Floats

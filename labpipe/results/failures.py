@@ -24,15 +24,9 @@ from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Stretch
+from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
-from labpipe.results.cycles import (
-    PeakForce,
-    PerCycle,
-    choose_work_samples,
-    estimate_rise_beyond_top,
-    find_cycle_samples,
-    find_loading_sign,
-)
+from labpipe.results.cycles import PeakForce, PerCycle
 from labpipe.results.kinds import NO_LOADING, Computed, FailurePoint, Kind, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
@@ -266,7 +260,7 @@ def _choose_by_force(
     breaks : whether the specimen breaks up to a step after that sample
     """
     sense, draw_noise = (
-        find_loading_sign(trace, trace.force),
+        cycles.find_loading_sign(trace, trace.force),
         _make_noise_function(test, trace, sample),
     )
 
@@ -310,7 +304,7 @@ def _measure_loss_before(test: ReducedTest) -> tuple[float, bool]:
     failure, curve = test.failure, test.required_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
         return 0.0, False
-    sense = find_loading_sign(curve, curve.force)
+    sense = cycles.find_loading_sign(curve, curve.force)
     fall = sense * float(curve.force[failure.sample - 1] - curve.force[failure.sample])
     if not fall > 0.0:
         return 0.0, False
@@ -366,16 +360,16 @@ class PeakForceDisplacement(PerCycle):
 
         If the specimen breaks there, the peak lies up to a step after the sample.
         """
-        part = find_cycle_samples(trace, number)
+        part = cycles.find_cycle_samples(trace, number)
         finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
         place, force = (
-            find_loading_sign(trace, values) * values[finite]
+            cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
         top = int(np.argmax(force))
-        breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+        breaks = cycles.estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
         reading = _choose_by_force(
             test,
             trace,
@@ -414,7 +408,9 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
-    work = choose_work_samples(trace, slice(find_loading_before(trace, sample).start, sample + 1))
+    work = cycles.choose_work_samples(
+        trace, slice(find_loading_before(trace, sample).start, sample + 1)
+    )
     step, _ = _measure_next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:

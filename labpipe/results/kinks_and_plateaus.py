@@ -16,14 +16,7 @@ from labpipe.records.declarations import CURVE, Length, Output, Share, Stiffness
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
-from labpipe.results.curves import (
-    CommonPath,
-    compute_slope,
-    find_finite_samples,
-    make_trace,
-    require_samples,
-    select_first_loading,
-)
+from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
 from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
@@ -63,7 +56,7 @@ class Hinges:
     moved : on that scale, from the optimum over the places to the global optimum of that curve
     """
 
-    path: CommonPath
+    path: curves.CommonPath
     x: Floats
     places: Floats
     residual: float
@@ -90,9 +83,9 @@ class Hinges:
             increase over the stretch.
         """
         min_samples = 16
-        finite = find_finite_samples(displacement, force)
+        finite = curves.find_finite_samples(displacement, force)
         d = displacement[finite]
-        require_samples(len(d), min_samples)
+        curves.require_samples(len(d), min_samples)
         if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
             raise UnavailableError.of("results.not_increasing", begin=d[0], end=d[-1])
         order = finite[np.argsort(d, kind="stable")]
@@ -100,9 +93,9 @@ class Hinges:
         x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
         margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(x) // 8)) - 1
         places = np.linspace(x[margin], x[-1 - margin], 300)
-        residuals = y - y.mean() - compute_slope(x, y) * (x - x.mean())
+        residuals = y - y.mean() - curves.compute_slope(x, y) * (x - x.mean())
         residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
-        hinges = cls(CommonPath.of(displacement, force, order), x, places, residual)
+        hinges = cls(curves.CommonPath.of(displacement, force, order), x, places, residual)
         best = hinges._find_global_break(residuals)
         return replace(hinges, moved=best - float(hinges._find_breaks(y[None])[0]))
 
@@ -314,7 +307,7 @@ class _TwoLines(Window):
         require : requires such a break of the curve, as `require_bend`
         """
         numbers, curve = test.measure(self.decide), test.require(test.replicates).smooth
-        _, hinges = self._choose_places(make_trace(test))
+        _, hinges = self._choose_places(curves.make_trace(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         reading = return_failure(self.decide)(curve)
         if isinstance(reading, Reading):
@@ -355,7 +348,7 @@ class _TwoLines(Window):
 
     def _choose_places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
-        stretch = select_first_loading(trace)
+        stretch = curves.select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
         stop = stretch.stop if window.stop is None else stretch.start + window.stop
         part = slice(stretch.start + window.start, stop)
@@ -455,7 +448,7 @@ class Tangents:
     last : shape (m,), numbers of the samples of the first tangent
     """
 
-    path: CommonPath
+    path: curves.CommonPath
     length: float
     places: Floats
     rows: Floats
@@ -488,7 +481,7 @@ class Tangents:
         that the curvature of the curve is not taken for noise. A stretch contains the samples from
         when the curve first reached its start to when it first reached its end.
         """
-        samples = find_finite_samples(displacement, force)
+        samples = curves.find_finite_samples(displacement, force)
         d = displacement[samples]
         if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
@@ -496,13 +489,13 @@ class Tangents:
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         places = np.arange(high, low, -length / _TANGENTS_PER_LENGTH)
         inside, levels, slopes, counts = _weigh_parabolas(d, places, length)
-        require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
+        curves.require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
         is_known = np.isfinite(levels[:, 0])
         if not is_known[0]:
             raise UnavailableError.of("results.displacement_jumps")
         usable = slice(int(np.argmin([*is_known, False])))
         rows, first = _expand(inside, slopes, len(d))[usable], _expand(inside, levels, len(d))[0]
-        path = CommonPath.of(displacement, force, samples)
+        path = curves.CommonPath.of(displacement, force, samples)
         return cls(path, length, places[usable], rows, first, inside[0][inside[0] < len(d)])
 
     @property
@@ -769,7 +762,7 @@ class Plateau(Kind):
         slips, gap = find_marked_slips(test, initial.bends_with), _find_gap_at_end(test, first[0])
         doubts = slips or find_cut_cycle(test, first, CURVE) or gap
         end = self.make_result(test, outcome, during=during, doubts=doubts)
-        onset, trace = self._measure_onset(test, initial, end), make_trace(test)
+        onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
         if onset is None and end.interval is not None:
             note = Finding.of(
@@ -916,7 +909,7 @@ class Plateau(Kind):
 
 def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
     """Return displacement and force of the first loading."""
-    stretch = select_first_loading(trace)
+    stretch = curves.select_first_loading(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 

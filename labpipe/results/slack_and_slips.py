@@ -18,13 +18,7 @@ from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.results.curves import (
-    compute_zero_crossing,
-    find_finite_samples,
-    require_samples,
-    select_first_loading,
-    shift_displacement_by,
-)
+from labpipe.results import curves
 from labpipe.results.kinds import Computed, Kind, ReducedTest, compute_scale_error
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
@@ -492,9 +486,10 @@ class SlipResults(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Return position and drop of each slip of the ledger."""
-        numbers, time = list[Result](), test.required_curve.time
+        numbers = list[Result]()
         doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
         for count, slip in enumerate(test.slips, start=1):
+            time = test.required_curve.time
             position, lost = slip.position_interval, slip.drop_interval
             place = Estimate(slip.position, position.standard_error, 1, position)
             drop = Estimate(slip.drop, lost.standard_error, 1, lost)
@@ -550,9 +545,9 @@ def find_linear_region(
     2.0
     """
     min_region_samples = 8
-    finite = find_finite_samples(displacement, force)
+    finite = curves.find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    require_samples(len(d), min_region_samples, "")
+    curves.require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
     first, last = (
         _find_rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
@@ -561,9 +556,9 @@ def find_linear_region(
         raise UnavailableError.of(
             "results.begins_above", begin=f[0], share=start_share, largest=f[top]
         )
-    require_samples(max(last - first, 0), min_region_samples, " in the linear region")
+    curves.require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
-    if np.isnan(compute_zero_crossing(d[region], f[region])):
+    if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
     return as_slice(finite[region])
 
@@ -594,14 +589,14 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
     UnavailableError
         As `find_linear_region`.
     """
-    stretch = select_first_loading(trace)
+    stretch = curves.select_first_loading(trace)
     region = find_linear_region(
         trace.displacement[stretch],
         trace.force[stretch],
         start_share=start_share,
         stop_share=stop_share,
     )
-    slack = read_part(compute_zero_crossing, (stretch, region))
+    slack = read_part(curves.compute_zero_crossing, (stretch, region))
     return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
@@ -630,7 +625,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    moved = partial(shift_displacement_by, by=-error)
+    moved = partial(curves.shift_displacement_by, by=-error)
     of_slack = Input(SLACK, moved, draws=draws / error, doubts=list_slack_doubts(measured_slack))
     return corrected.shift_displacement(-measured_slack.value, of_slack)
 
@@ -644,7 +639,9 @@ def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return shift_displacement_by(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
+        return curves.shift_displacement_by(
+            quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more
+        )
 
     return replace(quantity, perturb=moved)
 

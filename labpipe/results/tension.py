@@ -25,16 +25,9 @@ from labpipe.records.declarations import Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
+from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
-from labpipe.results.kinds import (
-    NO_LOADING,
-    Computed,
-    FailurePoint,
-    Kind,
-    ReducedTest,
-    compute_loading_sign,
-    find_machine_compliance,
-)
+from labpipe.results.kinds import Computed, Kind, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Trace
@@ -150,14 +143,16 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     trace = make_trace(test)
     part = _select_new_strains(trace)
     if len(part) < 2:
-        raise test.make_error(NO_LOADING)
+        raise test.make_error(kinds.NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
-    stress = compute_loading_sign(force) * force / compute_area(sizes)
+    stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
-    strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
+    strain = (
+        kinds.compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
+    )
     pull = Pull(
         time=trace.time[part],
         strain=strain,
@@ -199,7 +194,7 @@ def _select_new_strains(trace: Trace) -> Ints:
             continue
         loading = np.arange(branch.start, min(branch.stop, end))
         displacement = trace.displacement[loading]
-        displacement = compute_loading_sign(displacement) * displacement
+        displacement = kinds.compute_loading_sign(displacement) * displacement
         is_new = np.fmax.accumulate(displacement) > farthest
         samples.append(loading[int(np.argmax(is_new)) :] if is_new.any() else loading[:0])
         farthest = max(farthest, float(np.fmax.reduce(displacement)))
@@ -392,7 +387,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = find_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        yield from find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
+        yield from kinds.find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
     elif travel is not None:
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
@@ -584,7 +579,7 @@ class TensileStrength(TensionResult):
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Return a doubt if the record ends without a break: the force may rise again."""
-    if isinstance(test.failure, FailurePoint):
+    if isinstance(test.failure, kinds.FailurePoint):
         return ()
     stress = pull.stress[~np.isnan(pull.stress)]
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
