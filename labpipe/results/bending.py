@@ -314,26 +314,20 @@ class BendingStiffness(FromStiffness):
         span = sizes.get("span")
         if not self.corrections or span is None:
             return 1.0, ""
-        ratio, corrections = 1.0, []
-        for number, name in enumerate(_ORDER):
+        ratio, radius, friction, effects = 1.0, 0.0, 0.0, list[str]()
+        roller = self.roller or Roller()
+        for name in _ORDER:
             if name not in self.corrections:
                 continue
-            active_corrections = [name for name in _ORDER[: number + 1] if name in self.corrections]
-            rollers = self._make_rollers(active_corrections, span, sizes.get("outer_diameter", 0.0))
+            if name == "roller-radius":
+                radius = 0.5 * ((roller.diameter or 0.0) + sizes.get("outer_diameter", 0.0))
+            if name == "roller-friction":
+                friction = roller.friction or 0.0
+            rollers = Rollers(span, radius, friction)
             next_ratio = compute_stiffness_ratio(rollers, low=window[0], high=window[1])
-            corrections.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
+            effects.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
             ratio = next_ratio
-        return ratio, f"corrected as an elastic beam: {', '.join(corrections)}"
-
-    def _make_rollers(
-        self, active_corrections: Sequence[str], span: float, depth: float
-    ) -> Rollers:
-        radius = friction = 0.0
-        if "roller-radius" in active_corrections and self.roller is not None:
-            radius = 0.5 * ((self.roller.diameter or 0.0) + depth)
-        if "roller-friction" in active_corrections and self.roller is not None:
-            friction = self.roller.friction or 0.0
-        return Rollers(span, radius, friction)
+        return ratio, f"corrected as an elastic beam: {', '.join(effects)}"
 
 
 def fit_secant_stiffness(

@@ -580,9 +580,7 @@ def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats
 def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
     """Return the force of the curve, and the unfiltered one with slips added back."""
     force = _sample_on_curve(test, unfiltered, curve.time)
-    repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
-    if repaired:
-        force = add_slips_back(force, repaired)
+    force = add_slips_back(force, _list_repaired(test))
     # The filter bridges missing samples.
     force = np.where(np.isnan(force), curve.force, force)
     return curve.force, np.where(np.isnan(curve.force), np.nan, force)
@@ -594,25 +592,18 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
         return test.clocks.interpolate(signal, time)
     step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
     # Ends of the means less half a step: each sample is the mean of a step around it.
-    ends = np.array([time - half, time + half])
-    ends = test.clocks.from_curve(ends, signal.clock) - 0.5 * step
-    is_inside = (ends >= signal.time[0] - step).all(axis=0) & (ends < signal.time[-1]).all(axis=0)
-    inside = ends[:, is_inside]
-    samples = np.searchsorted(signal.time, inside, side="right")  # that contain the ends
-    before = np.where(samples > 0, signal.time[samples - 1], signal.time[0] - step)
-    shares = (inside - before) / (signal.time[samples] - before)
+    ends = test.clocks.from_curve(np.array([time - half, time + half]), signal.clock) - 0.5 * step
+    knots, is_blank = np.append(signal.time[0] - step, signal.time), np.isnan(signal.values)
+    is_inside = (ends >= knots[0]).all(axis=0) & (ends < knots[-1]).all(axis=0)
 
-    def around(values: Floats) -> Floats:
-        whole = np.add.reduceat(values, samples.T.ravel())[::2] if samples.size else inside[0]
-        low, high = shares * values[samples]
-        sums: Floats = np.where(samples[1] > samples[0], whole, 0.0) + high - low
-        return sums
+    def integrate(values: Floats) -> Floats:
+        low, high = np.interp(ends, knots, np.append(0.0, np.cumsum(values)))
+        return np.where(is_inside, high - low, 0.0)
 
-    is_blank, counts = np.isnan(signal.values), samples[1] - samples[0] + shares[1] - shares[0]
-    if is_blank.any():
-        counts = around((~is_blank).astype(np.float64))
-    sums, mean = around(np.where(is_blank, 0.0, signal.values)), np.full(len(time), np.nan)
-    mean[is_inside] = np.where(counts > 0.5, sums / np.where(counts > 0.5, counts, 1.0), np.nan)
+    level = float(np.nanmean(signal.values))  # without it, sums would lose digits
+    sums = integrate(np.where(is_blank, 0.0, signal.values - level))
+    counts = integrate((~is_blank).astype(np.float64))
+    mean = level + sums / np.where(counts > 0.5, counts, np.nan)
     return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
 
 
@@ -650,7 +641,7 @@ def _list_inputs(
     test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]
 ) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
-    yield from _list_scales_and_zeros(test)
+    yield from _list_scales(test)
     yield from _list_force_levels(test, starts)
     displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
@@ -664,55 +655,55 @@ def _list_inputs(
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
         yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
-    beyond = partial(_end_later, step=len(starts) / len(time))
-    yield Input(causes.STEP, beyond, law="step", moves_curve=False)
-    repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
-    for number, slip in enumerate(repaired, start=1):
-        sample = int(np.searchsorted(starts, slip.stop))
-        back = partial(_add_slip_back, by=slip.drop_interval.standard_error, sample=sample)
+    step = len(starts) / len(time)  # of the curve, as a share of a step of the grid
+
+    def end_later(trace: Trace, x: float) -> Trace:
+        return replace(trace, steps_beyond=x * step)
+
+    yield Input(causes.STEP, end_later, law="step", moves_curve=False)
+    for number, slip in enumerate(_list_repaired(test), start=1):
+        is_behind = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
+        back = partial(_add_force, by=slip.drop_interval.standard_error * is_behind)
         yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
-def _list_scales_and_zeros(test: ReducedTest) -> Iterator[Input]:
+def _list_scales(test: ReducedTest) -> Iterator[Input]:
+    """Yield scale and zero of both quantities, as far as they are uncertain."""
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
 
     def gain(trace: Trace, x: float) -> Trace:
-        return _add_force(trace, x * force.relative_error * trace.force, compliance)
+        return _add_force(trace, x, by=force.relative_error * trace.force, compliance=compliance)
 
     def scaled(trace: Trace, x: float) -> Trace:
         whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
         return shift_displacement_by(trace, x * displacement.relative_error, by=whole)
 
-    if force.relative_error:
-        yield Input(causes.SCALE_OF_FORCE, gain)
-    if force.zero_error:
-        yield Input(causes.ZERO_OF_FORCE, _make_force_shift(test, force.zero_error))
-    if displacement.relative_error:
-        yield Input(causes.SCALE_OF_DISPLACEMENT, scaled)
-    if displacement.zero_error:
-        yield Input(
-            causes.ZERO_OF_DISPLACEMENT, partial(shift_displacement_by, by=displacement.zero_error)
-        )
+    raised = partial(_add_force, by=force.zero_error, compliance=compliance)
+    shifted = partial(shift_displacement_by, by=displacement.zero_error)
+    for cause, error, perturb in (
+        (causes.SCALE_OF_FORCE, force.relative_error, gain),
+        (causes.ZERO_OF_FORCE, force.zero_error, raised),
+        (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scaled),
+        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shifted),
+    ):
+        if error:
+            yield Input(cause, perturb)
 
 
 def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
+    curve, add = test.required_curve, partial(_add_force, compliance=test.compliance)
     if test.unfiltered is not None and (coarse := _find_converter_step(test.unfiltered.values)):
-        yield Input(
-            causes.RESOLUTION, _make_force_shift(test, coarse / np.sqrt(12.0)), law="uniform"
-        )
-    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.required_curve.force)))
-    since = np.abs(_average_blocks(test.required_curve.time, starts) - _find_zero_time(test))
+        yield Input(causes.RESOLUTION, partial(add, by=coarse / np.sqrt(12.0)), law="uniform")
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
+    since = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
     for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
-        yield Input(
-            causes.DRIFT_OF_ZERO,
-            _make_force_shift(test, wave),
-            stream=f"{causes.DRIFT_OF_ZERO} {number}",
-        )
+        stream = f"{causes.DRIFT_OF_ZERO} {number}"
+        yield Input(causes.DRIFT_OF_ZERO, partial(add, by=wave), stream=stream)
 
 
-def _make_force_shift(test: ReducedTest, by: float | Floats) -> Callable[[Trace, float], Trace]:
-    return lambda trace, x: _add_force(trace, x * by, test.compliance)
+def _list_repaired(test: ReducedTest) -> list[Slip]:
+    return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
 
 
 def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
@@ -770,10 +761,10 @@ def _find_zero_time(test: ReducedTest) -> float:
     return first if first - time[0] < time[-1] - last else last
 
 
-def _add_force(trace: Trace, more: float | Floats, compliance: float) -> Trace:
-    """Add force to a trace, and subtract the displacement of the frame."""
-    displacement = trace.displacement - compliance * np.nan_to_num(more)
-    return replace(trace, force=trace.force + more, displacement=displacement)
+def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float = 0.0) -> Trace:
+    """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
+    moved = x * compliance * np.nan_to_num(by)
+    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - moved)
 
 
 def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:
@@ -796,13 +787,3 @@ def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
 
 def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
-
-
-def _end_later(trace: Trace, x: float, *, step: float) -> Trace:
-    """End a trace later by a multiple of a step of the curve, which is a share of a grid step."""
-    return replace(trace, steps_beyond=x * step)
-
-
-def _add_slip_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:
-    behind = np.arange(len(trace.time)) >= sample
-    return replace(trace, force=trace.force + x * by * behind)
