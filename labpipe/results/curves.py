@@ -663,7 +663,7 @@ def _list_inputs(
     yield Input(causes.STEP, end_later, law="step", moves_curve=False)
     for number, slip in enumerate(_list_repaired(test), start=1):
         is_behind = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
-        back = partial(_add_force, by=slip.drop_interval.standard_error * is_behind)
+        back = partial(_add_force, by=np.where(is_behind, slip.drop_interval.standard_error, 0.0))
         yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
