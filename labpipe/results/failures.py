@@ -18,7 +18,7 @@ import numpy as np
 
 from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.declarations import CURVE, Area, Force, FromCard, Needs, Output, WholeNumber
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
@@ -197,16 +197,14 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Measure displacement and force at the last sample before the final loss of force."""
-        failure = test.require(test.failure)
+        during, doubts = _describe_failure(test)
         place, force = test.measure(partial(_choose_failure_samples, test))
-        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         at_end = during[1], during[1]
-        return Computed(
-            (
-                self.make_result(test, place, during=at_end, doubts=doubts),
-                self.make_result(test, force, output=1, during=during, doubts=doubts),
-            )
+        results = (
+            self.make_result(test, place, during=at_end, doubts=doubts),
+            self.make_result(test, force, output=1, during=during, doubts=doubts),
         )
+        return Computed(results)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
@@ -259,21 +257,16 @@ def _choose_by_force(
     find : returns the place among them for each row of forces, in the sense of loading
     breaks : whether the specimen breaks up to a step after that sample
     """
-    sense, draw_noise = (
-        cycles.find_loading_sign(trace, trace.force),
-        _make_noise_function(test, trace, sample),
-    )
+    sense = cycles.find_loading_sign(trace, trace.force)
+    draw_noise = _make_noise_function(test, trace, sample)
 
-    def numbers(trace: Trace) -> tuple[Floats, Floats]:
+    def numbers(trace: Trace) -> tuple[Floats, ...]:
         place, force = trace.displacement[..., finite], trace.force[..., finite]
         at = np.asarray(find(sense * force))[..., np.newaxis]
         place = place + np.gradient(place, axis=-1) * trace.steps_beyond * breaks
-        first, second = (
-            np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force)
-        )
-        return first, second
+        return tuple(np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force))
 
-    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
+    def in_noise(drawn: Trace) -> tuple[Floats, ...]:
         return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
 
     return Reading(numbers, 1, in_noise)
@@ -283,17 +276,16 @@ def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Return a function that draws noise of single samples of a quantity before a failure."""
+    loading = slice(find_loading_before(trace, sample).start, sample + 1)
+    select_noise = cache(
+        lambda quantity: SampleNoise.around(test, trace, quantity, loading, sample)
+    )
 
-    @cache
-    def select_noise(quantity: Quantity) -> SampleNoise | None:
-        loading = slice(find_loading_before(trace, sample).start, sample + 1)
-        return SampleNoise.around(test, trace, quantity, loading, sample)
-
-    def drawn(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
+    def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
         return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
-    return drawn
+    return draw
 
 
 def _measure_loss_before(test: ReducedTest) -> tuple[float, bool]:
@@ -324,22 +316,21 @@ def _measure_next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _find_time_to_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
-    """Return the time from the start of the loading of the failure to the failure, s."""
-    curve = test.required_curve
+def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
+    """Return the time from the start of its loading to the failure, s, and the doubts about it.
+
+    It is doubtful if it was not the first sudden loss of force.
+    """
+    failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
-    return float(curve.time[start]), float(curve.time[failure.sample])
+    doubts = (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
+    return (float(curve.time[start]), float(curve.time[failure.sample])), doubts
 
 
 def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """Return the last loading branch that begins at or before a sample, or else the first one."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [part for part in loading if part.start <= sample or part is loading[0]][-1]
-
-
-def _find_step_doubts(failure: FailurePoint) -> tuple[Reason, ...]:
-    """Return a doubt if the failure was not the first sudden loss of force."""
-    return (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -370,14 +361,12 @@ class PeakForceDisplacement(PerCycle):
         )
         top = int(np.argmax(force))
         breaks = cycles.estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
-        reading = _choose_by_force(
-            test,
-            trace,
-            int(finite[top]),
-            finite,
-            lambda f: np.asarray(f.argmax(axis=-1)),
-            breaks=breaks,
-        )
+
+        def find(force: Floats) -> Ints:
+            return np.asarray(force.argmax(axis=-1))
+
+        sample = int(finite[top])
+        reading = _choose_by_force(test, trace, sample, finite, find, breaks=breaks)
         return replace(reading, n=len(finite))
 
 
@@ -397,9 +386,8 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Computed:
         """Integrate the force up to the failure."""
-        failure = test.require(test.failure)
+        during, doubts = _describe_failure(test)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
-        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))
 
 
@@ -491,9 +479,8 @@ class ForceLimit(Kind):
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
         (of_limit, of_share), status = self.list_methods(test), Status.OK
         peak = max(PeakForce().compute(test).results, key=lambda peak: peak.value or -inf)
-        reasons = tuple(
-            dict.fromkeys([*peak.reasons, *test.collect_doubts(("observation",), None)])
-        )
+        doubts = test.collect_doubts(("observation",), None)
+        reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
         if peak.value is None or reasons:
             status = Status.FAILED if peak.value is None else Status.DOUBTFUL
         share = replace(
@@ -502,9 +489,7 @@ class ForceLimit(Kind):
             value=None if peak.value is None else peak.value / limit,
             unit="1",
             interval=peak.interval
-            and replace(
-                peak.interval, lower=peak.interval.lower / limit, upper=peak.interval.upper / limit
-            ),
+            and Interval(peak.interval.lower / limit, peak.interval.upper / limit),
             status=status,
             reasons=reasons,
             method=of_share,
