@@ -30,10 +30,9 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
-from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import require_samples
-from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
@@ -392,7 +391,7 @@ class TipTravel(Kind):
         "largest distance of the last point of the shape from its mean over five frames"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the largest distance of the last point of the shape from its start."""
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
@@ -402,9 +401,7 @@ class TipTravel(Kind):
             raise UnavailableError.of("results.few_tips", count=len(tip))
         distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
         error = float(np.sqrt(2.0) * estimate_noise_level(distances))
-        return Computed(
-            (self.make_result(test, Estimate(float(distances.max()), error, len(tip))),)
-        )
+        yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -423,7 +420,7 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.bending
         if bending is None or isinstance(bending, Failure):
@@ -435,7 +432,7 @@ class MomentCurvature(Kind):
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
         doubts = tuple(self.list_doubts(test, bending, law))
-        return Computed((self.make_result(test, outcome, error, during=during, doubts=doubts),))
+        yield self.make_result(test, outcome, error, during=during, doubts=doubts)
 
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
         if self.at > (largest := float(law.curvature[-1])):
@@ -514,10 +511,10 @@ class MidSpan(Window):
             "curvature at mid-span where the motion turns, against rest",
         )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         frames = _SpanFrames.of(test)
-        shape, results = frames.bend.shape, list[Result]()
+        shape = frames.bend.shape
         outcomes, with_fewer_terms = (
             (
                 return_failure(self._fit_stiffness)(frames, curvature),
@@ -533,8 +530,7 @@ class MidSpan(Window):
                 errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
             during = test.find_loading_interval()
-            results.append(self.make_result(test, outcome, errors, output=output, during=during))
-        return Computed(tuple(results))
+            yield self.make_result(test, outcome, errors, output=output, during=during)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         curve, branch, time = frames.curve, frames.loading, frames.time
@@ -652,7 +648,7 @@ class Twist(Kind):
         "the motion turns"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the turn of a section where the motion turns, against rest."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
@@ -661,11 +657,10 @@ class Twist(Kind):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
         x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
-        note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
+        yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         other_twists = [shape.twist[:, other] for other in sections if other != section]
         similar = [other for other in other_twists if np.isfinite(other).any()]
         twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)
-        number = self.make_result(test, twist, during=test.find_loading_interval())
-        return Computed((number,), findings=(note,))
+        yield self.make_result(test, twist, during=test.find_loading_interval())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import ClassVar, Literal
@@ -16,10 +16,9 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
-from labpipe.results.kinds import Computed, Kind, ReducedTest
+from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 
@@ -272,19 +271,16 @@ class PerCycle(Kind):
         """Return further doubts about the number of a cycle: a sample missing at its peak."""
         return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure a number per cycle."""
-        if not test.cycles:
-            raise test.make_error(kinds.NO_LOADING)
-        results, rests_on = list[Result](), self.outputs[0].rests_on
-        for branches in test.cycles:
+        for branches in test.require(test.cycles or None):
             number, complete = branches[0].cycle, branches[: self.complete_branches]
             decide, values = self.make_decider(test, number), self.measure_directly(test, branches)
             outcome = return_failure(test.measure_one)(decide, values)
-            doubts = find_cut_cycle(test, complete, rests_on) + self.list_doubts(test, branches)
+            doubts = find_cut_cycle(test, complete, self.outputs[0].rests_on)
+            doubts += self.list_doubts(test, branches)
             during, part = _find_time_interval(branches, self.reads), f".{number}"
-            results.append(self.make_result(test, outcome, during=during, doubts=doubts, part=part))
-        return Computed(tuple(results))
+            yield self.make_result(test, outcome, during=during, doubts=doubts, part=part)
 
 
 def _find_gap_at_peak(

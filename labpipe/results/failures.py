@@ -27,7 +27,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
 from labpipe.results.cycles import PeakForce, PerCycle
-from labpipe.results.kinds import NO_LOADING, Computed, FailurePoint, Kind, ReducedTest
+from labpipe.results.kinds import NO_LOADING, FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -195,16 +195,13 @@ class FailureResult(Kind):
             "force at the first sample of the final loss",
         )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure displacement and force at the last sample before the final loss of force."""
         during, doubts = _describe_failure(test)
         place, force = test.measure(partial(_choose_failure_samples, test))
         at_end = during[1], during[1]
-        results = (
-            self.make_result(test, place, during=at_end, doubts=doubts),
-            self.make_result(test, force, output=1, during=during, doubts=doubts),
-        )
-        return Computed(results)
+        yield self.make_result(test, place, during=at_end, doubts=doubts)
+        yield self.make_result(test, force, output=1, during=during, doubts=doubts)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
@@ -384,11 +381,11 @@ class EnergyToBreak(Kind):
 
     method: ClassVar = "integral of force up to the failure, trapezoids"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Integrate the force up to the failure."""
         during, doubts = _describe_failure(test)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
-        return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))
+        yield self.make_result(test, outcome, during=during, doubts=doubts)
 
 
 def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
@@ -474,7 +471,7 @@ class ForceLimit(Kind):
             source = f"column {self.column} of a card: {self.card.source}"
         return source, "largest force over the smallest force allowed"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
         (of_limit, of_share), status = self.list_methods(test), Status.OK
@@ -497,7 +494,8 @@ class ForceLimit(Kind):
             budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
         )
         share = replace(share, remark=judge_sample(share).text)
-        return Computed((Result(FORCE_LIMIT, limit, "N", method=of_limit, remark=section), share))
+        yield Result(FORCE_LIMIT, limit, "N", method=of_limit, remark=section)
+        yield share
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:
         """Return the limit for a conductor, N, and the section that it holds for."""

@@ -9,7 +9,7 @@ Grammar, cross-checks, JSON Schema, descriptions and the reference page derive f
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
@@ -137,6 +137,7 @@ class Stiffness:
 
     Parameters
     ----------
+    name : of its result
     decide : chooses its samples on a curve
     estimate : N/m
     during : s, time interval of its samples
@@ -144,6 +145,7 @@ class Stiffness:
     bends_with : m, range of displacement in which a slip affects it; None if no slip does
     """
 
+    name: str
     decide: Decide
     estimate: Estimate
     during: Stretch | None
@@ -369,6 +371,9 @@ def compute_loading_sign(values: Floats) -> float:
 
 
 Outcome: TypeAlias = Measured | Estimate | Failure
+Part: TypeAlias = Result | Stiffness | FittedLine | Finding
+"""What a kind of result measures: numbers, stiffnesses for later entries, lines for figures, and
+notes on the test."""
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
@@ -386,9 +391,9 @@ class Computed:
     """
 
     results: tuple[Result, ...]
-    stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
-    lines: tuple[FittedLine, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    stiffnesses: Mapping[str, Stiffness]
+    lines: tuple[FittedLine, ...]
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -406,8 +411,8 @@ class Kind(ABC):
     methods: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def measure(self, test: ReducedTest) -> Computed:
-        """Measure the numbers of a test.
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
+        """Measure the numbers of a test, and yield them.
 
         Parameters
         ----------
@@ -432,24 +437,28 @@ class Kind(ABC):
         test : the test, with the stiffnesses of earlier entries
         """
         try:
-            return self.measure(test)
+            parts = list(self.measure(test))
         except UnavailableError as error:
-            parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
-            return Computed(
-                tuple(
-                    self.make_result(test, error.failure, output=place, part=part)
-                    for place, part in enumerate(parts)
-                )
-            )
+            endings = [
+                "" if output.first is None else f".{output.first}" for output in self.outputs
+            ]
+            parts = [
+                self.make_result(test, error.failure, output=place, part=ending)
+                for place, ending in enumerate(endings)
+            ]
+        return Computed(
+            results=tuple(part for part in parts if isinstance(part, Result)),
+            stiffnesses={part.name: part for part in parts if isinstance(part, Stiffness)},
+            lines=tuple(part for part in parts if isinstance(part, FittedLine)),
+            findings=tuple(part for part in parts if isinstance(part, Finding)),
+        )
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
-    ) -> tuple[Result, ...]:
+    ) -> Iterator[Result]:
         """Make the results of several outputs in order, from the `first`, as `make_result`."""
-        return tuple(
-            self.make_result(test, outcome, output=place, **common)
-            for place, outcome in enumerate(outcomes, start=first)
-        )
+        for place, outcome in enumerate(outcomes, start=first):
+            yield self.make_result(test, outcome, output=place, **common)
 
     def make_result(
         self,
@@ -593,14 +602,12 @@ class ClockResult(Kind):
     needs: ClassVar = Needs(clocks=True)
     method: ClassVar = "method by which the clocks of force and motion were joined"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return offset and drift of force time against marker time."""
-        fit = test.clocks.force
-        if fit is None:
-            raise test.make_error(Failure.of("results.one_clock"))
+        fit = test.require(test.clocks.force, Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure.of("results.one_event")
-        return Computed(self.make_results(test, (offset, drift), method=fit.method))
+        yield from self.make_results(test, (offset, drift), method=fit.method)

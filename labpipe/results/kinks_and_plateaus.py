@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, ClassVar, NamedTuple
@@ -18,7 +18,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
-from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness, find_marked_slips
+from labpipe.results.kinds import Computed, Kind, Part, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
@@ -377,7 +377,7 @@ class TwoSegments(_TwoLines):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit the best two segments that meet."""
         numbers, hinges = self.fit(test, require_bend)
         place, first, second, _ = numbers
@@ -386,23 +386,21 @@ class TwoSegments(_TwoLines):
             test.find_loading_interval(start, stop),
             find_marked_slips(test, hinges.ends),
         )
-        slopes = self.make_results(test, (first, second), during=during, doubts=doubts)
+        yield from self.make_results(test, (first, second), during=during, doubts=doubts)
         doubts += find_break_doubts(place.interval, hinges)
-        bend = self.make_result(test, place, output=2, during=during, doubts=doubts)
+        yield self.make_result(test, place, output=2, during=during, doubts=doubts)
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
-        stiffnesses = {
-            slope.name: Stiffness(
+        for number, window in enumerate(windows, start=1):
+            yield Stiffness(
+                self.outputs[number - 1].name,
                 partial(self.choose_one, number=number),
                 numbers[number].as_estimate,
                 during,
-                windows[number - 1],
+                window,
                 hinges.ends,  # a slip bends both lines
             )
-            for number, slope in enumerate(slopes, start=1)
-        }
-        first_name, second_name = stiffnesses
-        lines = _make_lines(numbers, hinges, (first_name, second_name))
-        return Computed((*slopes, bend), stiffnesses, lines)
+        names = self.outputs[0].name, self.outputs[1].name
+        yield from _make_lines(numbers, hinges, names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -415,15 +413,15 @@ class Kink(_TwoLines):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Find the decrease of the slope of the first loading."""
         numbers, hinges = self.fit(test, require_kink)
         place, _, _, level = numbers
         slips = find_marked_slips(test, hinges.ends)
         doubts = slips + find_break_doubts(place.interval, hinges)
         during = test.find_loading_interval(*hinges.ends)
-        results = self.make_results(test, (place, level), during=during, doubts=doubts)
-        return Computed(results, lines=_make_lines(numbers, hinges, ("before_kink", "behind_kink")))
+        yield from self.make_results(test, (place, level), during=during, doubts=doubts)
+        yield from _make_lines(numbers, hinges, ("before_kink", "behind_kink"))
 
 
 _TANGENTS_PER_LENGTH = 8
@@ -752,20 +750,20 @@ class Plateau(Kind):
         is_available = computed.results[0].value is not None
         return computed if is_available else replace(computed, results=computed.results[:1])
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
-        initial, findings = test.stiffnesses.get(self.of), list[Finding]()
-        if initial is None:
-            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
+        missing = Failure.of("results.no_stiffness", name=self.of)
+        initial = test.require(test.stiffnesses.get(self.of), missing)
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         first, during = test.cycles[0][:1], test.find_loading_interval()
         slips, gap = find_marked_slips(test, initial.bends_with), _find_gap_at_end(test, first[0])
         doubts = slips or find_cut_cycle(test, first, CURVE) or gap
         end = self.make_result(test, outcome, during=during, doubts=doubts)
+        yield end
         onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
         if onset is None and end.interval is not None:
-            note = Finding.of(
+            yield Finding.of(
                 "results.no_plateau",
                 test.signals.force,
                 over=1e3 * self.over,
@@ -776,17 +774,15 @@ class Plateau(Kind):
                 slope_below=1e2 * self.slope_below,
                 reached=1e3 * float(np.nanmax(d)),
             )
-            findings.append(note)
         method = (
             f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
             f"{self.of} up to the end of first loading"
         )
         common = {"method": method, "during": during, "doubts": slips or gap}
-        results = (end, *self.make_results(test, onset or (), first=1, **common))
+        yield from self.make_results(test, onset or (), first=1, **common)
         start, stop = tangents.ends
         slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)
-        line = FittedLine("slope_at_end", slope, level, start, stop)
-        return Computed(results, lines=(line,), findings=tuple(findings))
+        yield FittedLine("slope_at_end", slope, level, start, stop)
 
     def _choose_tangents(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import ClassVar
@@ -17,9 +17,8 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.results import curves
-from labpipe.results.kinds import Computed, Kind, ReducedTest, compute_scale_error
+from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
@@ -484,9 +483,8 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return position and drop of each slip of the ledger."""
-        numbers = list[Result]()
         doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
         for count, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
@@ -502,9 +500,8 @@ class SlipResults(Kind):
                 during=(float(time[slip.start]), float(time[slip.stop])),
                 part=f".{count}",
             )
-            numbers.append(make_result(place, slack, doubts=doubts))
-            numbers.append(make_result(drop, compute_scale_error(test, drop), output=1))
-        return Computed(tuple(numbers))
+            yield make_result(place, slack, doubts=doubts)
+            yield make_result(drop, compute_scale_error(test, drop), output=1)
 
 
 def find_linear_region(
@@ -656,7 +653,7 @@ class SlackResult(Kind):
 
     method: ClassVar = "toe compensation, ASTM D638 annex A1"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return the displacement at which the line of the linear region meets zero force."""
         slack, during = return_failure(test.require)(test.slack), test.find_loading_interval()
-        return Computed((self.make_result(test, slack, during=during),))
+        yield self.make_result(test, slack, during=during)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
@@ -27,7 +27,7 @@ from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.results import curves, cycles, kinds
 from labpipe.results.cycles import PerCycle
-from labpipe.results.kinds import Computed, Kind, ReducedTest, Stiffness
+from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine_numbers, read_part
@@ -556,11 +556,9 @@ class Hardening(Kind):
         "slope over {over_mm:g} mm from the onset of the force / that of cycle 1, scale cancelled"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
-        if not test.cycles:
-            raise test.make_error(kinds.NO_LOADING)
-        first, *later_cycles = test.cycles
+        first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
         before = stiffness.make_decider(test, 1)
         base = return_failure(test.measure_one)(before)
@@ -586,18 +584,14 @@ class Hardening(Kind):
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
             return ratio
 
-        return Computed(
-            tuple(
-                self.make_result(
-                    test,
-                    measure_ratio(later),
-                    doubts=doubts + stiffness.list_doubts(test, later),
-                    during=(first[0].start_time, later[0].stop_time),
-                    part=f".{later[0].cycle}",
-                )
-                for later in later_cycles
+        for later in later_cycles:
+            yield self.make_result(
+                test,
+                measure_ratio(later),
+                doubts=doubts + stiffness.list_doubts(test, later),
+                during=(first[0].start_time, later[0].stop_time),
+                part=f".{later[0].cycle}",
             )
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -655,14 +649,14 @@ class InitialStiffness(Window):
         "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope between two displacements, with time as instrument."""
         window = self.start, self.stop
         decide = partial(_choose_secant_window, low=self.start, high=self.stop)
         outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
         number = self.make_result(test, outcome, during=during)
-        stiffness = Stiffness(decide, outcome.as_estimate, during, window)
-        return Computed((number,), {number.name: stiffness})
+        yield number
+        yield Stiffness(number.name, decide, outcome.as_estimate, during, window)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -681,10 +675,11 @@ class LineStiffness(InitialStiffness):
         """Return the method: time is the instrument if the test has a shape."""
         return (self.method if test.shape is None else InitialStiffness.method,)
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
-            return super(LineStiffness, self).measure(test)
+            yield from super(LineStiffness, self).measure(test)
+            return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
         window = self.samples(curve)
         d = curve.displacement[window]
@@ -696,12 +691,10 @@ class LineStiffness(InitialStiffness):
         )
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
-        number = self.make_result(test, slope, during=during, doubts=doubts)
-        stiffness = Stiffness(
-            self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
-        )
-        line = FittedLine(self.name, slope.value, level, low, high)
-        return Computed((number,), {self.name: stiffness}, (line,))
+        yield self.make_result(test, slope, during=during, doubts=doubts)
+        window_ends, estimate = (max(low, 0.0), high), slope.as_estimate
+        yield Stiffness(self.name, self.decide, estimate, during, window_ends, (low, high))
+        yield FittedLine(self.name, slope.value, level, low, high)
 
     def samples(self, trace: Trace) -> Ints:
         """Return the samples in the window of the first loading, up to the failure.
@@ -746,16 +739,15 @@ class FromStiffness(Kind):
         del test, stiffness
         return {}
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number from the stiffness."""
-        stiffness = test.stiffnesses.get(self.of)
-        if stiffness is None:
-            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
+        missing = Failure.of("results.no_stiffness", name=self.of)
+        stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_number)(test, stiffness)
         context = {"during": stiffness.during, **self.find_context(test, stiffness)}
         slips = kinds.find_marked_slips(test, stiffness.bends_with)
         context["doubts"] = slips + context.get("doubts", ())
-        return Computed((self.make_result(test, outcome, **context),))
+        yield self.make_result(test, outcome, **context)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -889,10 +881,10 @@ class ComplianceResult(Kind):
         "displacement against force from {start:g} N to {stop:g} N, the bar assumed rigid"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit displacement against force, with a rigid bar."""
         compliance = test.measure_one(self.decide)
-        return Computed((self.make_result(test, compliance, during=test.find_loading_interval()),))
+        yield self.make_result(test, compliance, during=test.find_loading_interval())
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.

@@ -27,7 +27,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
-from labpipe.results.kinds import Computed, Kind, ReducedTest
+from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Trace
@@ -312,17 +312,13 @@ class TensionResult(Kind):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the numbers of a pull, in the order of the outputs."""
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure each number, also with every input changed by its standard uncertainty."""
         pull = test.require(test.pull)
         if pull.without_line is not None and self.needs_line:
             raise UnavailableError(pull.without_line)
-        return Computed(
-            tuple(
-                self._measure_number(test, pull, number, output)
-                for output, number in enumerate(self.list_numbers(test, pull))
-            )
-        )
+        for output, number in enumerate(self.list_numbers(test, pull)):
+            yield self._measure_number(test, pull, number, output)
 
     def _measure_number(
         self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
@@ -437,18 +433,17 @@ class ElasticModulus(TensionResult):
         window, doubts = pull.window, _jump_of_strain(pull, pull.window.stop)
         return [TensionNumber(_slope, (window.start, window.stop), doubts=doubts)]
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and return the line for figures."""
-        computed, pull = super(ElasticModulus, self).measure(test), test.pull
-        if not isinstance(pull, Pull):
-            return computed
+        yield from super(ElasticModulus, self).measure(test)
+        pull = test.require(test.pull)
         path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
         low, high = (float(end(path)) for end in (np.nanmin, np.nanmax))
         strain = float(np.nanmin(pull.strain[pull.window]))
         area, length = compute_area(test.setup.sizes), find_gauge_length(test.setup.sizes)
         level = area * (pull.level + pull.slope * (strain - pull.centre))
         slope = pull.slope * area / length
-        return replace(computed, lines=(FittedLine("elastic_modulus", slope, level, low, high),))
+        yield FittedLine("elastic_modulus", slope, level, low, high)
 
 
 def _slope(pull: Pull) -> float:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reaso
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curves import make_trace, select_first_loading
-from labpipe.results.kinds import ClockResult, Computed, FailurePoint, Kind, Outcome, ReducedTest
+from labpipe.results.kinds import ClockResult, FailurePoint, Kind, Outcome, Part, ReducedTest
 
 
 class ByLine(Kind):
@@ -20,7 +21,7 @@ class ByLine(Kind):
     outputs = (Output("stiffness", "N/m", rests_on=("force", "displacement")),)
     method = "by a line"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         raise test.make_error(Failure("none", ""))
 
 
