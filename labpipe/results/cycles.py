@@ -14,13 +14,13 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, as_slice, divide
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Failure, UnavailableError, return_failure
+from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
+from labpipe.uncertainty.extractors import Reading, Trace, read_part
 
 
 def integrate_energy(displacement: Floats, force: Floats) -> Floats:
@@ -258,10 +258,6 @@ class PerCycle(Kind):
         number : of the cycle, from 1
         """
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Return a function that chooses the samples of a cycle on a curve."""
-        return partial(self.choose, test, number=number)
-
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is measured from other samples than those of the curve."""
         del test, branches
@@ -275,7 +271,8 @@ class PerCycle(Kind):
         """Measure a number per cycle."""
         for branches in test.require(test.cycles or None):
             number, complete = branches[0].cycle, branches[: self.complete_branches]
-            decide, values = self.make_decider(test, number), self.measure_directly(test, branches)
+            decide = partial(self.choose, test, number=number)
+            values = self.measure_directly(test, branches)
             outcome = return_failure(test.measure_one)(decide, values)
             doubts = find_cut_cycle(test, complete, self.outputs[0].rests_on)
             doubts += self.list_doubts(test, branches)
@@ -471,17 +468,9 @@ class ResidualDisplacement(PerCycle):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the samples, with limit of zero force and kind of end of the measured curve."""
-        measured = return_failure(self._find_end)(curves.make_trace(test), number)
-        like = None if isinstance(measured, Failure) else measured
-        return partial(self.choose, test, number=number, like=like)
-
-    def choose(
-        self, test: ReducedTest, trace: Trace, number: int, like: UnloadingEnd | None = None
-    ) -> Reading:
-        """Choose the samples at the end of the unloading branch."""
-        del test
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the samples at the end of the unloading branch, as on the measured curve."""
+        like = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
         ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
         return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
 

@@ -30,7 +30,7 @@ from labpipe.results.cycles import PerCycle
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine_numbers, read_part
+from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers, read_part
 from labpipe.uncertainty.intervals import Measured
 
 _MIN_FOOT_SAMPLES = 8
@@ -352,7 +352,7 @@ def choose_loading_window(
     force: Floats,
     *,
     length: float,
-    like: LoadingSlope | None = None,
+    limit: float | None = None,
     steps: int = 1,
 ) -> LoadingSlope:
     """Choose the samples for the stiffness of a loading branch.
@@ -361,7 +361,7 @@ def choose_loading_window(
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
     length : m, the length after the take-up
-    like : the choice on the measured branch, for a curve without noise
+    limit : N, up to which a force counts as zero, for a curve without noise
     steps : number of parts into which each sampling step has been divided
 
     Returns
@@ -380,11 +380,10 @@ def choose_loading_window(
     noise. If steps are divided, the branch does not count as taut before the machine moves, because
     samples at rest with a force above the noise would shift the line.
     """
-    limit = None if like is None else like.onset.limit
     onset = find_force_onset(displacement, force, limit=limit, steps=steps)
     begins, first_sample = onset.compute(displacement, force)
     start, first = float(begins), int(first_sample)
-    if like is not None and not np.isnan(onset.find(displacement, force)[0]):
+    if limit is not None and not np.isnan(onset.find(displacement, force)[0]):
         zero_time = float(onset.find(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
@@ -508,40 +507,27 @@ class LoadingStiffness(PerCycle):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the samples after the onset, with the limit of the measured curve."""
-        return partial(self.choose, test, number=number, like=self._fit_measured(test, number))
-
-    def choose(
-        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
-    ) -> Reading:
-        """Choose the samples after the onset of the force."""
-        del test
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the samples after the onset of the force, with the limit of the measured curve."""
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
-        fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
+        limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
+        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=trace.steps)
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
-    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Return the number of the measured curve, taut from the first sample above noise."""
-        fit = self._fit_measured(test, branches[0].cycle)
-        _, d, f = cycles.cut_branch(curves.make_trace(test), branches[0])
-        return None if fit is None else [float(fit.compute(d, f))]
-
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt if more than 10 % of the samples are at the start of the window."""
-        fit = self._fit_measured(test, branches[0].cycle)
-        if fit is None or fit.share_of_start <= 0.1:
+        fit = return_failure(self._fit_measured)(test, branches[0].cycle)
+        if isinstance(fit, Failure) or fit.share_of_start <= 0.1:
             return ()
         share, limit = fit.share_of_start, fit.onset.limit
         return (Reason.of("results.rest_in_window", share=share, limit=limit),)
 
-    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
+    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope:
         curve = curves.make_trace(test)
         parts = cycles.cut_branch(curve, cycles.select_cycle(curve, number)[0])
-        fit = return_failure(choose_loading_window)(*parts, length=self.over)
-        return None if isinstance(fit, Failure) else fit
+        return choose_loading_window(*parts, length=self.over)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -560,25 +546,22 @@ class Hardening(Kind):
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        before = stiffness.make_decider(test, 1)
-        base = return_failure(test.measure_one)(before)
-        plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
+        base = return_failure(test.measure_one)(partial(stiffness.choose, test, number=1))
+        doubts = stiffness.list_doubts(test, first)
 
-        def decide_first(trace: Trace) -> Reading:
-            reading = return_failure(before)(trace)
+        def choose_first(trace: Trace) -> Reading:
+            reading = return_failure(stiffness.choose)(test, trace, 1)
             if isinstance(reading, Failure):
                 raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
             return reading
 
         @return_failure
-        def measure_ratio(later: list[Branch]) -> Measured:
-            after, own = stiffness.make_decider(test, later[0].cycle), None
-            decide = combine_numbers(
-                lambda _, after, first: divide(after, first), after, decide_first
+        def measure_ratio(number: int) -> Measured:
+            choose = partial(stiffness.choose, test, number=number)
+            ratio = test.measure_one(
+                combine_numbers(lambda _, later, first: divide(later, first), choose, choose_first)
             )
-            if plain and (own := stiffness.measure_directly(test, later)):
-                own = [own[0] / plain[0]]
-            ratio, first_stiffness = test.measure_one(decide, own), test.require(base)
+            first_stiffness = test.require(base)
             if first_stiffness.value <= 3.0 * first_stiffness.error:
                 value = first_stiffness.value
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
@@ -587,7 +570,7 @@ class Hardening(Kind):
         for later in later_cycles:
             yield self.make_result(
                 test,
-                measure_ratio(later),
+                measure_ratio(later[0].cycle),
                 doubts=doubts + stiffness.list_doubts(test, later),
                 during=(first[0].start_time, later[0].stop_time),
                 part=f".{later[0].cycle}",
