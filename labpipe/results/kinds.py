@@ -283,11 +283,6 @@ class ReducedTest:
         branches = self.curve.branches if self.curve is not None else ()
         return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
 
-    @property
-    def slack_error(self) -> float:
-        """Return the standard error of the subtracted slack, m; 0 without slack."""
-        return self.slack.error if isinstance(self.slack, Measured) else 0.0
-
     def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
         """Find when the first loading went from one displacement to another.
 
@@ -310,28 +305,25 @@ class ReducedTest:
         stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
         return float(start), float(stop)
 
-    def find_doubts(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
-        """Return the doubts about a number that depends on a quantity in a time interval.
+    def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
+        """Return the doubts about a number that depends on quantities in a time interval.
 
         Parameters
         ----------
-        quantity : as for `Doubt`
+        quantities : as for `Doubt`
         during : s, on the clock of the curve; None for the whole record
 
         Returns
         -------
-        The first reason of each code whose time overlaps the interval, or the stretch in which the
-        quantity was zeroed.
+        The first reason of each code and quantity whose time overlaps the interval, or the stretch
+        in which the quantity was zeroed.
         """
-        reasons: dict[str, Reason] = {}
-        for doubt in self.findings.doubts:
-            if doubt.quantity == quantity and self._overlaps(doubt, during):
-                reasons.setdefault(doubt.reason.code, doubt.reason)
-        return tuple(reasons.values())
-
-    def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
-        """Return the doubts about a number that depends on several quantities."""
-        return [why for quantity in quantities for why in self.find_doubts(quantity, during)]
+        reasons: dict[tuple[str, str], Reason] = {}
+        for quantity in quantities:
+            for doubt in self.findings.doubts:
+                if doubt.quantity == quantity and self._overlaps(doubt, during):
+                    reasons.setdefault((quantity, doubt.reason.code), doubt.reason)
+        return list(reasons.values())
 
     def _overlaps(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:

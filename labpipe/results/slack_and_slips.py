@@ -485,14 +485,16 @@ class SlipResults(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return position and drop of each slip of the ledger."""
-        doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
+        error, doubts = 0.0, tuple[Reason, ...]()
+        if isinstance(test.slack, Measured):
+            error, doubts = test.slack.error, list_slack_doubts(test.slack)
         for count, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
             position, lost = slip.position_interval, slip.drop_interval
             place = Estimate(slip.position, position.standard_error, 1, position)
             drop = Estimate(slip.drop, lost.standard_error, 1, lost)
             travelled = test.displacement.relative_error * abs(place.value)
-            slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
+            slack = {SLACK: error, SCALE_OF_DISPLACEMENT: travelled}
             make_result = partial(
                 self.make_result,
                 test,
