@@ -61,6 +61,7 @@ class _Processes:
     lowest : rad per sample, below which flicker noise is constant
     """
 
+    lowest: float
     factor: Floats
     floor: Floats
     is_mirrored: Floats
@@ -68,7 +69,6 @@ class _Processes:
     time: Floats
     steep: Floats
     crossing: Floats
-    lowest: float
 
     def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
@@ -113,7 +113,7 @@ def _processes(longest: int, count: int) -> _Processes:
             for steep, rise in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
         ),
     ]
-    return _Processes(*np.array(rows).T, lowest=lowest)
+    return _Processes(lowest, *np.array(rows).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
