@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import calibration, house, load_frames, rods, two_segments, wire_model
+from benchmarks import calibration, growth, house, load_frames, rods, two_segments, wire_model
 from benchmarks.jobs import FULL, JOBS, NO_FIGURES, Place, cost, cost_of_floor, prepared, write_raw
 from benchmarks.timing import in_turn, labpipe, median, paired, timed
 from labpipe.signal.filters import moving_average
@@ -40,13 +40,13 @@ def people_wait_for(place: Place) -> None:
         spent = median([cost(job, place) for _ in range(min(job.runs, 3))])
         print(f"{job.name:<44}{spent.wall:>8.3f} {spent.cpu:>8.3f}{spent.memory:>6.0f}", flush=True)
         for how in job.floors:
-            found = in_turn(
+            ratios = in_turn(
                 partial(cost, job, place),
                 partial(cost_of_floor, job, place, how),
                 runs=min(job.runs, RUNS),
             )
-            told = f"  / {FLOORS.get(how, how)}"
-            print(f"{told:<44}{found.wall:>8.2f} {found.cpu:>8.2f}", flush=True)
+            remark = f"  / {FLOORS.get(how, how)}"
+            print(f"{remark:<44}{ratios.wall:>8.2f} {ratios.cpu:>8.2f}", flush=True)
 
 
 def full_size_test(place: Place) -> None:
@@ -58,9 +58,9 @@ def full_size_test(place: Place) -> None:
 
 def start_up() -> None:
     """Help against an empty interpreter."""
-    found = paired(labpipe("--help"), [sys.executable, "-c", "pass"], runs=15)
-    told = f"{1e3 * found.one.wall:.0f} ms"
-    show("labpipe --help / python -c pass", found.wall, "at most 4", told)
+    ratios = paired(labpipe("--help"), [sys.executable, "-c", "pass"], runs=15)
+    remark = f"{1e3 * ratios.one.wall:.0f} ms"
+    show("labpipe --help / python -c pass", ratios.wall, "at most 4", remark)
 
 
 def filters() -> None:
@@ -78,14 +78,14 @@ def load_frame_exports(place: Place) -> None:
     """A large csv end to end, and a workbook read, against the library alone."""
     csv, xlsx = (place.raw / name / f"pull.{name}" for name in ("csv", "xlsx"))
     pandas = [sys.executable, "-c", load_frames.READ_CSV, str(csv)]
-    found = paired(place.process(csv.parent.name, NO_FIGURES), pandas)
-    told = f"{found.one.wall:.2f} s; cpu {found.cpu:.2f}"
-    show("process 18 MB csv / pandas.read_csv", found.wall, "at most 2", told)
-    show("  peak memory, MB", found.one.memory, "")
+    ratios = paired(place.process(csv.parent.name, NO_FIGURES), pandas)
+    remark = f"{ratios.one.wall:.2f} s; cpu {ratios.cpu:.2f}"
+    show("process 18 MB csv / pandas.read_csv", ratios.wall, "at most 2", remark)
+    show("  peak memory, MB", ratios.one.memory, "")
     calamine = [sys.executable, "-c", load_frames.READ_XLSX, str(xlsx)]
-    found = paired(labpipe("inspect", xlsx), calamine)
-    told = f"{found.one.wall:.2f} s; cpu {found.cpu:.2f}"
-    show("inspect xlsx of 60 000 rows / calamine", found.wall, "at most 1.5", told)
+    ratios = paired(labpipe("inspect", xlsx), calamine)
+    remark = f"{ratios.one.wall:.2f} s; cpu {ratios.cpu:.2f}"
+    show("inspect xlsx of 60 000 rows / calamine", ratios.wall, "at most 1.5", remark)
 
 
 def lab_report(place: Place) -> None:
@@ -93,17 +93,17 @@ def lab_report(place: Place) -> None:
     result, out = place.out / "csv" / "result.h5", place.out / "report"
     tests = load_frames.copies(result, place.out / "large", 100)
     opened = [sys.executable, "-c", load_frames.OPEN_ALL, *map(str, tests)]
-    found = paired(labpipe("report", place.out / "large", "--out", out), opened, runs=3)
-    told = f"{found.one.wall:.2f} s; cpu {found.cpu:.2f}"
-    show("report of 100 large tests / opening them", found.wall, "under 10", told)
+    ratios = paired(labpipe("report", place.out / "large", "--out", out), opened, runs=3)
+    remark = f"{ratios.one.wall:.2f} s; cpu {ratios.cpu:.2f}"
+    show("report of 100 large tests / opening them", ratios.wall, "under 10", remark)
     load_frames.copies(result, place.out / "few", 25)
-    least = timed(labpipe("report", place.out / "few", "--out", out)).memory
-    most = found.one.memory
-    show("  memory of 100 tests / of 25", most / least, "flat", f"{most:.0f} MB")
+    few_cost = timed(labpipe("report", place.out / "few", "--out", out)).memory
+    peak_memory = ratios.one.memory
+    show("  memory of 100 tests / of 25", peak_memory / few_cost, "flat", f"{peak_memory:.0f} MB")
 
 
-def show(what: str, value: float, bound: str, remark: str = "") -> None:
-    print(f"{what:<44}{value:>8.2f}   ({bound})  {remark}", flush=True)
+def show(name: str, value: float, bound: str, remark: str = "") -> None:
+    print(f"{name:<44}{value:>8.2f}   ({bound})  {remark}", flush=True)
 
 
 def main() -> None:
@@ -116,6 +116,7 @@ def main() -> None:
         load_frame_exports(place)
         lab_report(place)
     filters()
+    growth.main()
     two_segments.main()
     wire_model.main()
     calibration.main()

@@ -16,7 +16,8 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 )
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.records.wire_calibration import Calibration, CalibrationFailure
-from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab import WireCampaign
+from labpipe.virtual_lab.campaigns import WireGroup
 from labpipe.virtual_lab.specimens import WIRES
 
 RUNS = 5
@@ -32,50 +33,50 @@ def curves() -> list[MeasuredCurve]:
     """Three samples of A2 at each of three lengths."""
     groups = tuple(WireGroup(WIRES["A2"], length) for length in LENGTHS)
     campaign = WireCampaign(groups=groups, samples=SAMPLES, cycles=1, has_mishaps=False)
-    found = []
+    measured = []
     for scenario, seed in campaign.scenarios(5):
         rig = scenario.mechanics
         stroke = min(rig.stroke, DEEPEST * rig.length)
         test = replace(scenario, mechanics=replace(rig, stroke=stroke))
-        seen = observe_loading(test, seed, n_points=POINTS)
-        slope = np.gradient(seen.true_force, seen.true_deflection)
+        observed = observe_loading(test, seed, n_points=POINTS)
+        slope = np.gradient(observed.true_force, observed.true_deflection)
         string = StringRig(
             rig.string_length, GRAVITY * rig.counterweight, rig.length, rig.string_length
         )
-        found.append(
+        measured.append(
             MeasuredCurve(
                 wire="A2",
                 test=scenario.name,
                 sample=scenario.name,
                 length=rig.length,
-                deflection=seen.deflection,
-                force=seen.force,
+                deflection=observed.deflection,
+                force=observed.force,
                 noise=np.hypot(scenario.load_cell.noise, slope * scenario.markers.noise),
                 rig=string,
                 self_weight=rig.self_weight,
             )
         )
-    return found
+    return measured
 
 
 def main() -> None:
     wire, tests = WIRES["A2"], curves()
-    own = Wire(wire.section(), wire.contacts())
+    wire_model = Wire(wire.section(), wire.contacts())
     clock, processor = [], []
 
     def work() -> Calibration | CalibrationFailure:
         begun, busy = time.perf_counter(), time.process_time()
-        done = calibrate(own, tests, Settings(gain=GAIN))
+        calibrated = calibrate(wire_model, tests, Settings(gain=GAIN))
         clock.append(time.perf_counter() - begun)
         processor.append(time.process_time() - busy)
-        return done
+        return calibrated
 
-    found = [work() for _ in range(RUNS)][-1]
-    if isinstance(found, CalibrationFailure):
-        message = f"{found.code}: {found.message}"
+    outcome = [work() for _ in range(RUNS)][-1]
+    if isinstance(outcome, CalibrationFailure):
+        message = f"{outcome.code}: {outcome.message}"
         raise RuntimeError(message)
-    what = f"calibration, {len(tests)} curves of {POINTS} points, s"
-    print(f"{what:<44}{min(clock):>8.2f}   (at most 2)  with profiles", flush=True)
+    label = f"calibration, {len(tests)} curves of {POINTS} points, s"
+    print(f"{label:<44}{min(clock):>8.2f}   (at most 2)  with profiles", flush=True)
     print(f"{'  processor time, s':<44}{min(processor):>8.2f}", flush=True)
 
 

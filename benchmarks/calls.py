@@ -8,12 +8,12 @@ import sys
 import threading
 from types import CodeType, FrameType
 
-seen: set[CodeType] = set()
+codes: set[CodeType] = set()
 
 
 def hook(frame: FrameType, event: str, _: object) -> None:
     if event == "call":
-        seen.add(frame.f_code)
+        codes.add(frame.f_code)
 
 
 threading.setprofile(hook)
@@ -41,7 +41,7 @@ ran = [
             code.co_flags & inspect.CO_NEWLOCALS and code.co_flags & inspect.CO_OPTIMIZED
         ),
     }
-    for code in seen
+    for code in codes
     if Path(code.co_filename).is_relative_to(package)
 ]
 Path(out).write_text(json.dumps({"status": status, "ran": ran}), encoding="utf-8")

@@ -69,14 +69,14 @@ def _line(rod: Any, n_elements: int) -> Line:
 def _boundaries(rod: Any, scenario: Any, line: Line) -> list[Boundary]:
     from cosseratbench.scenario import End, EndCondition
 
-    found: list[Boundary] = [Gravity(RAMP * np.array(scenario.gravity))]
+    boundaries: list[Boundary] = [Gravity(RAMP * np.array(scenario.gravity))]
     for end, node in ((End.START, 0), (End.END, -1)):
         condition = rod.condition(end)
         if condition is not EndCondition.FREE:
             is_clamped = condition is EndCondition.CLAMPED
             frame: Floats | None = line.frames[node] if is_clamped else None
-            found.append(Held(node, line.positions[node], frame))
+            boundaries.append(Held(node, line.positions[node], frame))
     for load in rod.loads:
         node = 0 if load.at is End.START else -1
-        found.append(Load(node, RAMP * np.array(load.force)))
-    return found
+        boundaries.append(Load(node, RAMP * np.array(load.force)))
+    return boundaries

@@ -92,10 +92,10 @@ def _true_loading(test: MechanicalTest, travel: Floats) -> tuple[Floats, Floats]
     wire = _stranded(test)
     solved = _plain_loadings(replace(test, wire=replace(wire, factor=1.0), cycles=1))
     deflection, force = np.tensordot(_shares(1.0 / wire.factor), solved, axes=1)
-    found = CubicSpline(_positions(test), np.column_stack([deflection, wire.factor * force]))(
-        travel
-    )
-    return found[:, 0], found[:, 1]
+    interpolated = CubicSpline(
+        _positions(test), np.column_stack([deflection, wire.factor * force])
+    )(travel)
+    return interpolated[:, 0], interpolated[:, 1]
 
 
 def _stranded(test: MechanicalTest) -> StrandedWire | BundleModel:

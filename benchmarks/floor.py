@@ -41,24 +41,24 @@ def exports(test: Path) -> dict[str, np.ndarray]:
 
 def raw_group(result: Path) -> dict[str, np.ndarray]:
     """All arrays of the raw group of a result file."""
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
 
     def take(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            found[name.replace("/", " ")] = item[()]
+            arrays[name.replace("/", " ")] = item[()]
 
     with h5py.File(result) as file:
         file["raw"].visititems(take)
-    return found
+    return arrays
 
 
-def write(arrays: Mapping[str, np.ndarray], path: Path, how: str) -> None:
+def write(arrays: Mapping[str, np.ndarray], path: Path, filtering: str) -> None:
     with h5py.File(path, "w") as file:
         for name, values in arrays.items():
-            if how == "isal" and values.size:
+            if filtering == "isal" and values.size:
                 write_deflated(file, name, np.ascontiguousarray(values))
             else:
-                options = FILTERS if how == "gzip" and values.size else {}
+                options = FILTERS if filtering == "gzip" and values.size else {}
                 file.create_dataset(name, data=values, **options)
 
 
@@ -77,17 +77,17 @@ def write_deflated(file: Any, name: str, values: np.ndarray) -> None:
         dataset.id.write_direct_chunk(corner, deflated, NO_CHECKSUM)
 
 
-def main(how: str, out: str, *sources: str) -> None:
+def main(filtering: str, out: str, *sources: str) -> None:
     begun, busy = time.perf_counter(), time.process_time()
     for number, source in enumerate(map(Path, sources)):
         if number == 1:
             begun, busy = time.perf_counter(), time.process_time()
         arrays = exports(source) if source.is_dir() else raw_group(source)
-        write(arrays, Path(out).with_suffix(".h5"), how)
+        write(arrays, Path(out).with_suffix(".h5"), filtering)
     counted = max(len(sources) - 1, 1)
     wall, cpu = time.perf_counter() - begun, time.process_time() - busy
-    told = {"wall": wall / counted, "cpu": cpu / counted}
-    Path(out).write_text(json.dumps(told), encoding="utf-8")
+    cost = {"wall": wall / counted, "cpu": cpu / counted}
+    Path(out).write_text(json.dumps(cost), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -87,12 +87,14 @@ def size_of(source: str) -> Size:
 
 def sizes(package: Path) -> dict[str, Size]:
     """Sizes by folder of the package, ``.`` for the files in none."""
-    found: dict[str, Size] = {}
+    by_folder: dict[str, Size] = {}
     for path in sorted(package.rglob("*.py")):
         folders = path.relative_to(package).parts[:-1]
         folder = "/".join(folders[: 2 if folders[:1] == ("mechanics",) else 1]) or "."
-        found[folder] = found.get(folder, Size()) + size_of(path.read_text(encoding="utf-8"))
-    return found
+        by_folder[folder] = by_folder.get(folder, Size()) + size_of(
+            path.read_text(encoding="utf-8")
+        )
+    return by_folder
 
 
 @dataclass(frozen=True)
@@ -118,14 +120,14 @@ def walk(tree: Path, test: Path, out: Path) -> Walk:
         env=os.environ | {"PYTHONPATH": str(tree)},
     )
     ran = json.loads(written.read_text(encoding="utf-8"))["ran"]
-    named = [each for each in ran if not each["name"].rpartition(".")[2].startswith("<")]
-    functions = [each for each in named if each["is_function"]]
+    named = [call for call in ran if not call["name"].rpartition(".")[2].startswith("<")]
+    functions = [call for call in named if call["is_function"]]
     return Walk(
         len(functions),
         len({function["file"] for function in functions}),
         len(named),
-        len({each["file"] for each in named}),
-        sum(each["name"] == "<module>" for each in ran),
+        len({call["file"] for call in named}),
+        sum(call["name"] == "<module>" for call in ran),
     )
 
 
@@ -138,41 +140,41 @@ def write_tests(folder: Path) -> dict[str, Path]:
 
 def show_sizes(tree: Path) -> None:
     """A line for each folder, and the whole."""
-    found = sizes(tree / "labpipe")
-    for name, size in {**found, "labpipe": sum(found.values(), Size())}.items():
-        told = f"{size.code:>6} lines in {size.files:>3} files"
-        print(f"{name:<14}{told}, docstrings {size.share:.1%}", flush=True)
+    rooms = sizes(tree / "labpipe")
+    for name, size in {**rooms, "labpipe": sum(rooms.values(), Size())}.items():
+        text = f"{size.code:>6} lines in {size.files:>3} files"
+        print(f"{name:<14}{text}, docstrings {size.share:.1%}", flush=True)
 
 
 def show_walks(tree: Path) -> None:
     """A line for each kind of test."""
     with tempfile.TemporaryDirectory() as folder:
         for protocol, test in write_tests(Path(folder)).items():
-            found = walk(tree, test, Path(folder))
-            told = (
-                f"{found.functions:>4} functions in {found.files_of_functions} files,"
-                f" {found.functions_and_classes:>4} functions and classes in {found.files},"
-                f" {found.imported} imported"
+            run = walk(tree, test, Path(folder))
+            text = (
+                f"{run.functions:>4} functions in {run.files_of_functions} files,"
+                f" {run.functions_and_classes:>4} functions and classes in {run.files},"
+                f" {run.imported} imported"
             )
-            print(f"{protocol:<16}{told}", flush=True)
+            print(f"{protocol:<16}{text}", flush=True)
 
 
 def measured(tree: Path) -> dict[str, int]:
     """Files and lines of code of each room of package and tests, words of docs, and walks."""
-    found: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     for top in ("labpipe", "tests"):
         rooms = sizes(tree / top)
         for room, size in {**rooms, "all": sum(rooms.values(), Size())}.items():
-            found |= {f"{top}/{room} files": size.files, f"{top}/{room} lines": size.code}
+            numbers |= {f"{top}/{room} files": size.files, f"{top}/{room} lines": size.code}
     pages = [tree / "README.md", tree / "CONTRIBUTING.md", *(tree / "docs").rglob("*.md")]
-    found["docs pages"] = len(pages)
-    found["docs words"] = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
+    numbers["docs pages"] = len(pages)
+    numbers["docs words"] = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
     with tempfile.TemporaryDirectory() as folder:
         for protocol, test in write_tests(Path(folder)).items():
             run = walk(tree, test, Path(folder))
-            found[f"{protocol} functions and classes"] = run.functions_and_classes
-            found[f"{protocol} files"] = run.files
-    return found
+            numbers[f"{protocol} functions and classes"] = run.functions_and_classes
+            numbers[f"{protocol} files"] = run.files
+    return numbers
 
 
 def most_of(line: Any) -> int:
@@ -196,43 +198,43 @@ def before(place: Path) -> dict[str, Any]:
 
 
 def faults(
-    found: dict[str, int], table: dict[str, Any], earlier: dict[str, Any], changelog: str
+    numbers: dict[str, int], table: dict[str, Any], earlier: dict[str, Any], changelog: str
 ) -> list[str]:
     """Lines of the table that are exceeded, or raised without a reason that the changelog holds.
 
     Parameters
     ----------
-    found : as `measured`
+    numbers : as `measured`
     table : number by name, or ``{most, because}`` where it was raised
     earlier : the table before
     changelog : text
     """
-    said = []
-    for name, number in found.items():
+    messages = []
+    for name, number in numbers.items():
         line = table.get(name, 0)
         most, reason, last = most_of(line), reason_of(line), earlier.get(name, line)
         if number > most:
-            said.append(
+            messages.append(
                 f"{TABLE.name}, {name}: expected at most {most}, found {number}. Take away as much"
                 " as came in, or raise the line with its reason in the changelog."
             )
         if most > most_of(last) and reason == reason_of(last):
-            said.append(
+            messages.append(
                 f"{TABLE.name}, {name}: expected at most {most_of(last)} as before, found {most}"
                 " without a new reason. Write {most = ..., because = ...}, and the reason in the"
                 " changelog, too."
             )
         if reason not in changelog:
-            said.append(
+            messages.append(
                 f"{TABLE.name}, {name}: its reason is not in the changelog. Write it there."
             )
-    return said
+    return messages
 
 
-def lowered(found: dict[str, int], table: dict[str, Any]) -> str:
+def lowered(numbers: dict[str, int], table: dict[str, Any]) -> str:
     """The table with what has shrunk, as text; what is not measured any more is left out."""
     text = ["# Written by: python -m benchmarks.house --lower\n"]
-    for name, number in found.items():
+    for name, number in numbers.items():
         line = table.get(name, number)
         if isinstance(line, dict) and most_of(line) <= number:
             text.append(f'"{name}" = {{ most = {line["most"]}, because = "{line["because"]}" }}\n')
@@ -252,15 +254,15 @@ def main(arguments: list[str] | None = None) -> int:
         show_sizes(tree)
         show_walks(tree)
         return 0
-    found, place = measured(tree), tree / "benchmarks" / TABLE.name
+    numbers, place = measured(tree), tree / "benchmarks" / TABLE.name
     table = tomllib.loads(place.read_text(encoding="utf-8")) if place.is_file() else {}
     if options.lower:
-        place.write_text(lowered(found, table), encoding="utf-8")
+        place.write_text(lowered(numbers, table), encoding="utf-8")
         return 0
     changelog = " ".join((tree / "CHANGELOG.md").read_text(encoding="utf-8").split())
-    said = faults(found, table, before(place) if table else {}, changelog)
-    print("\n".join(said) or "nothing has grown")
-    return int(bool(said))
+    messages = faults(numbers, table, before(place) if table else {}, changelog)
+    print("\n".join(messages) or "nothing has grown")
+    return int(bool(messages))
 
 
 if __name__ == "__main__":

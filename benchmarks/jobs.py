@@ -70,20 +70,20 @@ def cost(job: Job, place: Place) -> Cost:
     return _cost(job.command(place), place, writes_cost=job.writes_cost)
 
 
-def cost_of_floor(job: Job, place: Place, how: str) -> Cost:
+def cost_of_floor(job: Job, place: Place, filtering: str) -> Cost:
     """One run of the least that a job can cost."""
     if job.floor is None:
         message = f"{job.name} has no floor"
         raise ValueError(message)
-    return _cost(job.floor(place, how), place, writes_cost=job.writes_cost)
+    return _cost(job.floor(place, filtering), place, writes_cost=job.writes_cost)
 
 
 def _cost(command: list[str], place: Place, *, writes_cost: bool) -> Cost:
     spent = timed(command, tree=place.tree)
     if not writes_cost:
         return spent
-    told = json.loads((place.out / "cost.json").read_text(encoding="utf-8"))
-    return Cost(told["wall"], told["cpu"], spent.memory)
+    record = json.loads((place.out / "cost.json").read_text(encoding="utf-8"))
+    return Cost(record["wall"], record["cpu"], spent.memory)
 
 
 def _next(names: Sequence[str]) -> Callable[[Place], list[str]]:
@@ -93,11 +93,11 @@ def _next(names: Sequence[str]) -> Callable[[Place], list[str]]:
 
 def _floor(*names: str) -> Callable[[Place, str], list[str]]:
     script = [sys.executable, "-P", str(HERE / "floor.py")]
-    return lambda at, how: [*script, how, str(at.out / "cost.json"), *at.tests(names)]
+    return lambda at, filtering: [*script, filtering, str(at.out / "cost.json"), *at.tests(names)]
 
 
-def _floor_again(at: Place, how: str) -> list[str]:
-    script = [sys.executable, "-P", str(HERE / "floor.py"), how, str(at.out / "cost.json")]
+def _floor_again(at: Place, filtering: str) -> list[str]:
+    script = [sys.executable, "-P", str(HERE / "floor.py"), filtering, str(at.out / "cost.json")]
     return [*script, str(at.out / FULL / "result.h5")]
 
 

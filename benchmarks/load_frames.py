@@ -56,9 +56,9 @@ def write_csv_test(folder: Path, *, size: int = CSV_BYTES) -> Path:
     )
     line = '"{:.15g}","{:.15g}","{:.15g}"\r\n'
     lines = [line.format(*row) for row in pull(size // 40)]
-    kept = np.searchsorted(np.cumsum([len(line) for line in lines]), size)
+    n_lines = np.searchsorted(np.cumsum([len(line) for line in lines]), size)
     with export.open("w", encoding="utf-8", newline="") as file:
-        file.write(head + "".join(lines[:kept]))
+        file.write(head + "".join(lines[:n_lines]))
     _write_sheet(folder, export)
     return export
 
@@ -81,14 +81,14 @@ def write_xlsx_test(folder: Path) -> Path:
 
 def copies(result: Path, folder: Path, count: int) -> list[Path]:
     """As many processed tests as asked for, all alike but for their names and those of exports."""
-    made = [folder / f"test-{number:03d}" / result.name for number in range(count)]
-    for each in made:
-        each.parent.mkdir(parents=True)
-        shutil.copy(result, each)
-        with h5py.File(each, "r+") as file:
-            file.attrs["test"] = each.parent.name
-            file["raw"].visititems(partial(_rename, each.parent.name))
-    return made
+    paths = [folder / f"test-{number:03d}" / result.name for number in range(count)]
+    for path in paths:
+        path.parent.mkdir(parents=True)
+        shutil.copy(result, path)
+        with h5py.File(path, "r+") as file:
+            file.attrs["test"] = path.parent.name
+            file["raw"].visititems(partial(_rename, path.parent.name))
+    return paths
 
 
 def _rename(test: str, _: str, item: Any) -> None:

@@ -58,14 +58,14 @@ CHANCE = ("sha256", "run", "labpipe")
 def main() -> int:
     with ThreadPoolExecutor(2) as pool:
         numbers = list(pool.map(_numbers, SETTINGS))
-    worst = [_differences(numbers[0], other) for other in numbers[1:]]
+    worst = [_differences(numbers[0], numbers_of_setting) for numbers_of_setting in numbers[1:]]
     for setting, differences in zip(SETTINGS[1:], worst, strict=True):
         largest = max(differences.values(), default=0.0)
         print(f"{len(numbers[0])} numbers, largest difference {largest:.1e}: {setting}")
         for name, difference in sorted(differences.items(), key=lambda item: -item[1])[:10]:
             if difference > RELATIVE:
                 print(f"  {name}: {difference:.1e}")
-    return int(any(value > RELATIVE for found in worst for value in found.values()))
+    return int(any(value > RELATIVE for differences in worst for value in differences.values()))
 
 
 def _numbers(setting: dict[str, str]) -> dict[str, Any]:
@@ -73,18 +73,18 @@ def _numbers(setting: dict[str, str]) -> dict[str, Any]:
     chosen = {**setting}
     if "NPY_DISABLE_CPU_FEATURES" in chosen:
         chosen["NPY_DISABLE_CPU_FEATURES"] = " ".join(_chosen_by_processor())
-    found: dict[str, Any] = {}
+    numbers: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         for name, command in COMMANDS.items():
-            found |= _leaves(name, json.loads(_run([*command, *AS_JSON], here, chosen)))
+            numbers |= _leaves(name, json.loads(_run([*command, *AS_JSON], here, chosen)))
         _run(["demo", here, "--no-figures"], here, chosen)
         for file in sorted(here.rglob("summary.json")):
             for result in json.loads(file.read_text(encoding="utf-8"))["results"]:
-                found[f"{file.parent.name} {result['name']}"] = result
+                numbers[f"{file.parent.name} {result['name']}"] = result
         calibrated = json.loads(_run([*CALIBRATE, *AS_JSON], here, chosen))
-        found |= {each["name"]: each for each in calibrated["parameters"]}
-    return found
+        numbers |= {parameter["name"]: parameter for parameter in calibrated["parameters"]}
+    return numbers
 
 
 def _chosen_by_processor() -> list[str]:
@@ -94,7 +94,7 @@ def _chosen_by_processor() -> list[str]:
 
 
 def _run(command: list[str | Path], folder: Path, setting: dict[str, str]) -> str:
-    done = subprocess.run(
+    process = subprocess.run(
         labpipe(*command),
         cwd=folder,
         env=os.environ | setting,
@@ -102,7 +102,7 @@ def _run(command: list[str | Path], folder: Path, setting: dict[str, str]) -> st
         capture_output=True,
         text=True,
     )
-    return done.stdout
+    return process.stdout
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -118,22 +118,23 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _differences(one: dict[str, Any], other: dict[str, Any]) -> dict[str, float]:
+def _differences(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, float]:
     """Largest relative difference by name; infinite where a name or a status differs."""
+    shared = ours.keys() & theirs.keys()
     return {
-        name: _difference(one[name], other[name]) if name in one and name in other else np.inf
-        for name in {**one, **other}
+        name: _difference(ours[name], theirs[name]) if name in shared else np.inf
+        for name in ours.keys() | theirs.keys()
     }
 
 
-def _difference(one: Any, other: Any) -> float:
+def _difference(ours: Any, theirs: Any) -> float:
     width = 0.0
-    if isinstance(one, dict):  # a result, or a parameter
-        if any(one.get(key) != other.get(key) for key in ("status", "code", "verdict")):
+    if isinstance(ours, dict):  # a result, or a parameter
+        if any(ours.get(key) != theirs.get(key) for key in ("status", "code", "verdict")):
             return np.inf
-        one, other = ([part[key] for key in ("value", "lower", "upper")] for part in (one, other))
-        width = 0.0 if None in one else one[2] - one[1]
-    first, second = (np.asarray(values, dtype=np.float64) for values in (one, other))
+        ours, theirs = ([x[key] for key in ("value", "lower", "upper")] for x in (ours, theirs))
+        width = 0.0 if None in ours else ours[2] - ours[1]
+    first, second = (np.asarray(values, dtype=np.float64) for values in (ours, theirs))
     if first.shape != second.shape or np.any(np.isnan(first) != np.isnan(second)):
         return np.inf
     scale = 0.5 * width or np.nanmax(np.abs(first), initial=np.finfo(float).tiny)

@@ -19,10 +19,10 @@ SLOWER = 1.05
 
 def compare(job: Job, new: Place, old: Place, runs: int) -> None:
     """Print a line for a job; one that a twentieth more is asked for is marked."""
-    found = in_turn(lambda: cost(job, new), lambda: cost(job, old), runs=runs)
-    mark = "  slower" if max(found.wall, found.cpu) > SLOWER else ""
-    ratios = f"{found.wall:>7.3f} {found.cpu:>7.3f}"
-    seconds = f"{found.one.wall:>9.3f} {found.one.cpu:>9.3f}"
+    ratio = in_turn(lambda: cost(job, new), lambda: cost(job, old), runs=runs)
+    mark = "  slower" if max(ratio.wall, ratio.cpu) > SLOWER else ""
+    ratios = f"{ratio.wall:>7.3f} {ratio.cpu:>7.3f}"
+    seconds = f"{ratio.one.wall:>9.3f} {ratio.one.cpu:>9.3f}"
     print(f"{job.name:<40}{ratios} {seconds}{mark}", flush=True)
 
 

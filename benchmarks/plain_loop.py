@@ -130,7 +130,7 @@ def moments(wire: PlainWire, curvatures: list[float], laminae: int = LAMINAE) ->
     table = modulus_table(wire)
     bore = wire.wire_diameter - 2.0 * wire.wall
     tube = wire.insulation_modulus * math.pi / 64.0 * (wire.wire_diameter**4 - bore**4)
-    found = []
+    moment_list = []
     for kappa in curvatures:
         moment = tube * kappa
         for i, layer in enumerate(layer_of(wire)):
@@ -140,8 +140,8 @@ def moments(wire: PlainWire, curvatures: list[float], laminae: int = LAMINAE) ->
                 sine = wire.y[i] / radius
                 force = axial_force(wire, layer, wire.y[i], sine, kappa)
                 moment += force * wire.y[i] * math.cos(wire.lay_angles[layer])
-        found.append(moment)
-    return found
+        moment_list.append(moment)
+    return moment_list
 
 
 def tip_deflection(
@@ -191,7 +191,7 @@ def packed_energy(n_strands: int, bore_in_radii: float, seed: int, most_steps: i
     radius = (bore_in_radii - 1.0) * np.sqrt(rng.uniform(size=n_strands))
     turn = 2.0 * np.pi * rng.uniform(size=n_strands)
     start = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]).ravel()
-    found = minimize(
+    solution = minimize(
         overlap, start, args=(1.0, bore_in_radii), method="BFGS", options={"maxiter": most_steps}
     )
-    return float(found.fun)
+    return float(solution.fun)

@@ -101,8 +101,8 @@ def elastica_by_scipy(tolerance: float) -> Floats:
 
     s = np.linspace(0.0, 1.0, 21)
     guess = np.vstack([np.sin(0.5 * np.pi * s) * 1.4, np.cos(0.5 * np.pi * s), s, 0.5 * s])
-    found = solve_bvp(slopes, ends, s, guess, tol=tolerance)
-    return np.array([found.y[3, -1], 1.0 - found.y[2, -1]])
+    solution = solve_bvp(slopes, ends, s, guess, tol=tolerance)
+    return np.array([solution.y[3, -1], 1.0 - solution.y[2, -1]])
 
 
 def against_scipy() -> None:
@@ -112,12 +112,12 @@ def against_scipy() -> None:
         show(f"elastica of {elements} elements, ms", cost, "", _off(elastica(elements)))
     for tolerance in (1e-3, 1e-6):
         cost = 1e3 * least(partial(elastica_by_scipy, tolerance), runs=9)
-        told = _off(elastica_by_scipy(tolerance))
-        show(f"  scipy's solve_bvp to {tolerance:g}, ms", cost, "", told)
+        remark = _off(elastica_by_scipy(tolerance))
+        show(f"  scipy's solve_bvp to {tolerance:g}, ms", cost, "", remark)
 
 
-def _off(found: Floats) -> str:
-    return f"{np.max(np.abs(found - ELASTICA)):.1e} of the length off"
+def _off(tip: Floats) -> str:
+    return f"{np.max(np.abs(tip - ELASTICA)):.1e} of the length off"
 
 
 def suite() -> None:
@@ -137,14 +137,14 @@ def suite() -> None:
 def _solvers() -> dict[str, Any]:
     from benchmarks.cosserat_suite import LabpipeRod
 
-    found: dict[str, Any] = {"labpipe": LabpipeRod()}
+    solvers: dict[str, Any] = {"labpipe": LabpipeRod()}
     if find_spec("elastica") is None:
         print("PyElastica is not installed")
     else:
         from cosseratbench.solvers.pyelastica import PyElasticaSolver
 
-        found["PyElastica"] = PyElasticaSolver()
-    return found
+        solvers["PyElastica"] = PyElasticaSolver()
+    return solvers
 
 
 def _judged(experiment: Any, elements: int, name: str, solver: Any) -> None:
@@ -152,8 +152,8 @@ def _judged(experiment: Any, elements: int, name: str, solver: Any) -> None:
     trajectory = solver.run(scenario, n_elements=elements, n_frames=101)
     cost = least(lambda: solver.run(scenario, n_elements=elements, n_frames=101), runs=2)
     metric = next(iter(experiment.metrics))
-    told = f"{metric} {experiment.metrics[metric](scenario, trajectory):.1e}"
-    show(f"cosseratbench's {experiment.name}, {name}, s", cost, "", told)
+    remark = f"{metric} {experiment.metrics[metric](scenario, trajectory):.1e}"
+    show(f"cosseratbench's {experiment.name}, {name}, s", cost, "", remark)
 
 
 def against_mujoco() -> None:
@@ -180,14 +180,14 @@ def against_mujoco() -> None:
         return np.array([state.positions[-1, 1] for state in path.states])[5::5]
 
     theirs = tips(deck, loads)[:, 1]
-    told = f"{100.0 * np.max(np.abs(ours() / theirs - 1.0)):.2g} % apart"
-    show(f"a wire there and back, {HINGES} elements, s", least(ours), "", told)
+    remark = f"{100.0 * np.max(np.abs(ours() / theirs - 1.0)):.2g} % apart"
+    show(f"a wire there and back, {HINGES} elements, s", least(ours), "", remark)
     show("  the same in MuJoCo, s", least(lambda: tips(deck, loads)), "")
 
 
 def show(what: str, value: float, bound: str, remark: str = "") -> None:
-    told = f"({bound})" if bound else ""
-    print(f"{what:<50}{value:>10.3f}   {told}  {remark}", flush=True)
+    remark = f"({bound})" if bound else ""
+    print(f"{what:<50}{value:>10.3f}   {remark}  {remark}", flush=True)
 
 
 def main() -> None:

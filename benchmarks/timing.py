@@ -63,9 +63,9 @@ def timed(command: Sequence[str], *, tree: Path = REPOSITORY) -> Cost:
 @cache
 def _as_installed(tree: Path) -> dict[str, str]:
     """The environment of a user, whose modules were compiled when they were first imported."""
-    kept = Path(tempfile.gettempdir()) / "labpipe-bench-bytecode"
-    asked = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(kept)}
-    return os.environ | asked | {"PYTHONPATH": str(tree)}
+    cache_folder = Path(tempfile.gettempdir()) / "labpipe-bench-bytecode"
+    settings = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(cache_folder)}
+    return os.environ | settings | {"PYTHONPATH": str(tree)}
 
 
 def in_turn(

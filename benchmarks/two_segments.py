@@ -82,9 +82,9 @@ def main() -> None:
     for name, theirs, ours in comparisons():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = ratio(theirs, ours)
+            speed_ratio = ratio(theirs, ours)
         floor = "" if "standard_errors" in name else "   (at least 20)"
-        print(f"  {name:<46}{found:>7.1f}{floor}", flush=True)
+        print(f"  {name:<46}{speed_ratio:>7.1f}{floor}", flush=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from labpipe.mechanics.wire.cross_section import (
     lay_up,
     place_hexagon,
 )
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.mechanics.wire.packing import pack_strands

@@ -15,7 +15,6 @@ import pytest
 
 from labpipe.cli import build_parser, main
 from labpipe.errors import CODES
-from labpipe.protocol.cross_checks import RESULTS
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
@@ -25,6 +24,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.reference import list_note_kinds
+from labpipe.protocol.schema import RESULTS
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step

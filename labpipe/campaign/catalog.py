@@ -13,38 +13,29 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import astuple, dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import psutil
 
-from labpipe.campaign.catalog_rows import (
-    RESULT_COLUMNS,
-    TEST_COLUMNS,
-    Entry,
-    FileState,
-    Inputs,
-    ResultRow,
-    TestRow,
-)
+from labpipe.campaign.catalog_rows import NUMBERS, Entry, FileState, ResultRow, TestRow
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
-from labpipe.store.replace import storing
+from labpipe.store.replace import locked, storing
 
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 2
 """Version of the tables, in ``user_version`` of the file; a newer one is refused."""
 PROGRAM: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
-TABLES: Final = ("tests", "results", "inputs", "seen", "running")
 
 
 def _columns(row: type[TestRow | ResultRow]) -> str:
     """Return the columns of a table in SQL: text, or a number that may be missing."""
-    kinds = {"str": "text not null", "float | None": "real"}
-    return ", ".join(f"{field.name} {kinds[str(field.type)]}" for field in fields(row))
+    return ", ".join(
+        f"{name} {'real' if name in NUMBERS else 'text not null'}" for name in row._fields
+    )
 
 
 _TABLES = f"""
@@ -67,8 +58,7 @@ MAX_CLAIM_AGE = 24 * 3600.0
 """Age of a claim of another host, s, above which it is ignored; no test takes as long."""
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
+class Claim(NamedTuple):
     """The claim of a process on a test, which other processes then leave alone.
 
     Parameters
@@ -158,6 +148,10 @@ class Catalog:
         with sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
+    def _select(self, columns: str, table: str, folder: str | None) -> list[Any]:
+        where, values = ("", ()) if folder is None else (" where folder = ?", (folder,))
+        return self._all(f"select {columns} from {table}{where}", *values)
+
     def read_rows(self, folder: str | None = None) -> dict[str, TestRow]:
         """Read rows of ``tests`` by folder.
 
@@ -165,7 +159,7 @@ class Catalog:
         ----------
         folder : of one test; None for all tests
         """
-        rows = self._select("tests", TEST_COLUMNS, folder)
+        rows = self._select(", ".join(TestRow._fields), "tests", folder)
         return {row[0]: TestRow(*row) for row in rows}
 
     def read_file_states(self, folder: str | None = None) -> dict[str, FileState]:
@@ -175,12 +169,8 @@ class Catalog:
         ----------
         folder : of one test; None for all tests
         """
-        rows = self._select("seen", ("folder", "content", "marks"), folder)
+        rows = self._select("folder, content, marks", "seen", folder)
         return {folder: FileState(*state) for folder, *state in rows}
-
-    def _select(self, table: str, columns: Sequence[str], folder: str | None) -> list[Any]:
-        sql = f"select {', '.join(columns)} from {table}"
-        return self._all(sql) if folder is None else self._all(f"{sql} where folder = ?", folder)
 
     def read_results(self, folder: str) -> tuple[ResultRow, ...]:
         """Read the results of a test, in order.
@@ -189,7 +179,7 @@ class Catalog:
         ----------
         folder : of the test
         """
-        columns = ", ".join(RESULT_COLUMNS)
+        columns = ", ".join(ResultRow._fields)
         sql = f"select {columns} from results where folder = ? order by place"
         return tuple(ResultRow(*row) for row in self._all(sql, folder))
 
@@ -200,16 +190,6 @@ class Catalog:
             " where results.status = 'failed' and tests.state <> 'rejected' limit 1"
         )
         return bool(self._all(sql))
-
-    def read_inputs(self, folder: str) -> Inputs:
-        """Read role, file and SHA-256 of the exports of a test, in order.
-
-        Parameters
-        ----------
-        folder : of the test
-        """
-        sql = "select role, file, sha256 from inputs where folder = ? order by place"
-        return tuple(self._all(sql, folder))
 
     def put(self, entries: Iterable[Entry], before: Mapping[str, FileState] | None = None) -> None:
         """Write entries of tests.
@@ -225,7 +205,12 @@ class Catalog:
             for entry in entries:
                 folder = entry.row.folder
                 if before is None or stored.get(folder) == before.get(folder):
-                    _put(connection, entry)
+                    _delete(connection, folder)
+                    _insert(connection, "tests", [entry.row])
+                    _insert(connection, "seen", [(folder, *entry.file_state)])
+                    for table, rows in (("results", entry.results), ("inputs", entry.inputs)):
+                        numbered = [(folder, place, *row) for place, row in enumerate(rows)]
+                        _insert(connection, table, numbered)
 
     def remove(self, folders: Iterable[str]) -> None:
         """Remove tests.
@@ -236,14 +221,17 @@ class Catalog:
         """
         with self._writing() as connection:
             for folder in folders:
-                for table in ("tests", "results", "inputs", "seen"):
-                    connection.execute(f"delete from {table} where folder = ?", (folder,))
+                _delete(connection, folder)
 
     def read_claims(self) -> dict[str, Claim]:
-        """Read claims of live processes by folder of the test."""
-        rows = self._all("select folder, host, pid, process, since from running")
-        claims = {folder: Claim(*rest) for folder, *rest in rows}
-        return {folder: claim for folder, claim in claims.items() if is_alive(claim)}
+        """Read claims of live processes by folder of the test; delete those of dead ones."""
+        claims = {folder: Claim(*rest) for folder, *rest in self._all("select * from running")}
+        live = {folder: claim for folder, claim in claims.items() if is_alive(claim)}
+        if dead := [(folder, *claims[folder]) for folder in claims.keys() - live.keys()]:
+            sql = "delete from running where (folder, host, pid, process, since) = (?, ?, ?, ?, ?)"
+            with self._writing() as connection:
+                connection.executemany(sql, dead)
+        return live
 
     def claim(self, folder: str) -> bool:
         """Claim a test for this process.
@@ -257,10 +245,10 @@ class Catalog:
         False if another live process has claimed it.
         """
         with self._writing() as connection:
-            if folder in self.read_claims():
+            claims = self._all("select * from running where folder = ?", folder)
+            if any(is_alive(Claim(*claim[1:])) for claim in claims):
                 return False
-            values = (folder, *astuple(new_claim()))
-            connection.execute("insert or replace into running values (?, ?, ?, ?, ?)", values)
+            _insert(connection, "running", [(folder, *new_claim())])
         return True
 
     def release(self, *folders: str) -> None:
@@ -268,17 +256,11 @@ class Catalog:
 
         Parameters
         ----------
-        folders : of tests claimed by this process, or by dead ones
+        folders : of tests claimed by this process
         """
         with self._writing() as connection:
             sql = "delete from running where folder = ?"
             connection.executemany(sql, [(folder,) for folder in folders])
-
-    def release_dead(self) -> None:
-        """Delete the claims of processes that have ended."""
-        claimed = {folder for (folder,) in self._all("select folder from running")}
-        if dead := claimed - self.read_claims().keys():
-            self.release(*dead)
 
     @contextmanager
     def copy(self) -> Iterator[sqlite3.Connection]:
@@ -316,21 +298,17 @@ def _error_code(error: sqlite3.Error) -> int:
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
-def _put(connection: sqlite3.Connection, entry: Entry) -> None:
-    folder = entry.row.folder
-    state = (folder, *astuple(entry.file_state))
-    connection.execute("insert or replace into seen values (?, ?, ?)", state)
-    if entry.is_row_unchanged:
-        return
-    for table in ("tests", "results", "inputs"):
+def _delete(connection: sqlite3.Connection, folder: str) -> None:
+    """Delete a test from all tables."""
+    for table in ("tests", "results", "inputs", "seen"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
-    placeholders = ", ".join("?" * len(TEST_COLUMNS))
-    connection.execute(f"insert into tests values ({placeholders})", astuple(entry.row))
-    placeholders = ", ".join("?" * (len(RESULT_COLUMNS) + 2))
-    results = [(folder, place, *astuple(result)) for place, result in enumerate(entry.results)]
-    connection.executemany(f"insert into results values ({placeholders})", results)
-    inputs = [(folder, place, *export) for place, export in enumerate(entry.inputs)]
-    connection.executemany("insert into inputs values (?, ?, ?, ?, ?)", inputs)
+
+
+def _insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[Any]]) -> None:
+    """Insert rows with the columns of a table; rows with the same key are replaced."""
+    if rows:
+        places = ", ".join("?" * len(rows[0]))
+        connection.executemany(f"insert or replace into {table} values ({places})", rows)
 
 
 def _connect(path: Path | None) -> sqlite3.Connection:
@@ -343,40 +321,64 @@ def _connect(path: Path | None) -> sqlite3.Connection:
     return connection
 
 
-def can_write(path: Path) -> bool:
-    """Return whether a catalog, and files beside it, can be written.
-
-    Parameters
-    ----------
-    path : of the catalog
-    """
+def _can_write(path: Path) -> bool:
+    """Return whether a catalog, and files beside it, can be written."""
     return os.access(path.parent, os.W_OK | os.X_OK) and (
         not path.exists() or os.access(path, os.W_OK)
     )
 
 
-class NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
+class _NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
     """There is no usable catalog; the message says why."""
 
 
-def open_catalog(folder: Path) -> Catalog:
-    """Open the catalog of a campaign.
+def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -> Catalog:
+    """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
     ----------
-    folder : of the results; if read-only, a copy in memory is opened
+    folder : of the results, made if missing; if read-only, the catalog is in memory
+    notes : gets a message on a rebuilt catalog, or one in memory
+    start_empty : whether to make an empty one in any case
 
     Raises
     ------
-    NoCatalog
-        If there is none, or it is damaged.
-    UsageError
-        If it was made by a newer labpipe, or is not a catalog.
+    LabpipeError
+        If the catalog was made by a newer labpipe or another program, or cannot be made; with
+        `start_empty`, also if a process works on a test.
     """
-    path = folder / CATALOG
+    path, lock_timeout = folder / CATALOG, 30.0  # s to wait for a process that makes the catalog
+    if not start_empty:
+        with suppress(_NoCatalog):
+            return _open_file(path)
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not _can_write(path):
+        notes.append(format_sentence("campaign.catalog_in_memory", path=path))
+        return new_catalog(folder)
+    with locked(folder, patience=lock_timeout):
+        try:
+            catalog = _open_file(path)
+        except _NoCatalog as why:
+            if path.exists():
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
+            return new_catalog(folder)
+        if not start_empty:
+            return catalog  # another process has just made it
+        with closing(catalog):
+            for test, claim in catalog.read_claims().items():
+                raise StoreError.about(
+                    "campaign.process_at_work", path,
+                    pid=claim.pid, host=claim.machine, test=test,
+                )  # fmt: skip
+        return new_catalog(folder, keep_old=False)
+
+
+def _open_file(path: Path) -> Catalog:
+    """Open a catalog; a copy in memory if its folder is read-only."""
     if not path.is_file():
-        raise NoCatalog(format_sentence("campaign.missing_catalog"))
-    is_writable = can_write(path)
+        raise _NoCatalog(format_sentence("campaign.missing_catalog"))
+    is_writable = _can_write(path)
     try:
         with ExitStack() as opened:
             connection = opened.enter_context(closing(_connect(path)))
@@ -391,7 +393,7 @@ def open_catalog(folder: Path) -> Catalog:
         if is_writable and _error_code(error) in _BUSY | _REFUSED:
             with sqlite_errors(path):
                 raise
-        raise _damaged(error) from error
+        raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
 
 
 def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
@@ -408,7 +410,7 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
         If the system refuses.
     """
     path = folder / CATALOG
-    is_writable = can_write(path)
+    is_writable = _can_write(path)
     if is_writable:
         with storing(path):
             if path.exists() and keep_old:
@@ -428,18 +430,11 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     """Raise for newer, foreign and damaged files."""
     (program,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()
-    tables = {name for (name,) in connection.execute("select name from sqlite_schema")}
-    if program != PROGRAM and tables:
+    (n_tables,) = connection.execute("select count(*) from sqlite_schema").fetchone()
+    if program != PROGRAM and n_tables:
         raise UsageError.about("campaign.foreign_catalog", path)
     if version > SCHEMA:
         raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)
-    missing = {*TABLES} - tables
-    if missing or version != SCHEMA:
-        raise _damaged("without " + (", ".join(sorted(missing)) or "a version"))
     (sound,) = connection.execute("pragma quick_check(1)").fetchone()
-    if sound != "ok":
-        raise _damaged(sound)
-
-
-def _damaged(why: object) -> NoCatalog:
-    return NoCatalog(format_sentence("campaign.damaged_catalog", why=why))
+    if version != SCHEMA or sound != "ok":
+        raise sqlite3.DatabaseError("without a version" if version != SCHEMA else sound)

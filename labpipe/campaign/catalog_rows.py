@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from labpipe.campaign.campaign_folders import OutcomeFiles
 from labpipe.errors import StoreError
@@ -23,8 +22,7 @@ Inputs = tuple[tuple[str, str, str], ...]
 """Role, file and SHA-256 of the exports of a test."""
 
 
-@dataclass(frozen=True, slots=True)
-class TestRow:
+class TestRow(NamedTuple):
     """A row of the table ``tests``.
 
     Parameters
@@ -43,8 +41,6 @@ class TestRow:
     sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
     decided_by, decided : person and time of a rejection
     """
-
-    __test__ = False  # pytest must not collect it
 
     folder: str
     test: str = ""
@@ -72,9 +68,17 @@ class TestRow:
         """Return the key of the last attempt; empty without any."""
         return self.failed_run or self.run
 
+    @property
+    def is_due(self) -> bool:
+        """Return whether the test is to be processed."""
+        return self.state in {PENDING, STALE}
 
-@dataclass(frozen=True, slots=True)
-class ResultRow:
+
+TestRow.__test__ = False  # type: ignore[attr-defined]  # pytest must not collect it
+NUMBERS: Final = ("value", "lower", "upper", "level", "estimate")
+
+
+class ResultRow(NamedTuple):
     """A result in the catalog; numbers are SI, None if not available.
 
     Parameters
@@ -97,27 +101,20 @@ class ResultRow:
     seal: str = ""
 
 
-TEST_COLUMNS: Final = tuple(field.name for field in fields(TestRow))
-RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
-
-
-@dataclass(frozen=True, slots=True)
-class FileState:
+class FileState(NamedTuple):
     """State of the files of a test when its row was made.
 
     Parameters
     ----------
     content : inputs of the test, from `HashedInputs.to_json`; empty if not determined
-    outcome : `OutcomeFiles.signature`, followed by ``without test.yaml`` for a test
-        without a sheet
+    marks : all that the row depends on: outcome files, inputs, decisions
     """
 
     content: str = ""
-    outcome: str = ""
+    marks: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(NamedTuple):
     """Catalog entry of a test.
 
     Parameters
@@ -126,14 +123,12 @@ class Entry:
     file_state : state of its files
     inputs : exports of the last attempt
     results : of the last successful attempt
-    is_row_unchanged : whether only `file_state` is written, since the rest is still valid
     """
 
     row: TestRow
     file_state: FileState = FileState()
     inputs: Inputs = ()
     results: tuple[ResultRow, ...] = ()
-    is_row_unchanged: bool = False
 
 
 def encodable(value: object) -> str:
@@ -178,22 +173,21 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
     elif f"{SUMMARY_FILE}:" in files.signature:
         entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
     failure = _read_object(files.folder / FAILURE_FILE) or {} if files.has_failure else {}
-    run = encodable(failure.get("run") or "")
+    run = failure.get("run") or ""
     if not files.has_failure or (run and run == entry.row.run):
         return entry
-    row = replace(
-        entry.row,
-        failed_run=run,
+    row = entry.row._replace(
         state=FAILED,
-        code=encodable(failure.get("code") or "unknown"),
-        reason=encodable(failure.get("reason") or ""),
-        labpipe=encodable(failure.get("labpipe") or entry.row.labpipe),
+        failed_run=str(run),
+        code=str(failure.get("code") or "unknown"),
+        reason=str(failure.get("reason") or ""),
+        labpipe=str(failure.get("labpipe") or entry.row.labpipe),
     )
     try:
         inputs = _parse_inputs(failure.get("inputs") or [])
-        return replace(entry, row=replace(row, **_parse_hashes(failure)), inputs=inputs)
+        return entry._replace(row=row._replace(**_parse_hashes(failure)), inputs=inputs)
     except (KeyError, TypeError, AttributeError):
-        return replace(entry, row=row)
+        return entry._replace(row=row)
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
@@ -225,7 +219,7 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         code="" if doubtful is None else doubtful.code,
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
         specimen=encodable(as_json(specimen)),
-        **{key: encodable(text) for key, text in texts.items()},
+        **{key: str(text) for key, text in texts.items()},
         **_parse_hashes(content),
     )
     return Entry(row, inputs=_parse_inputs(content["inputs"]), results=results)
@@ -234,40 +228,39 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
 def _parse_hashes(content: Mapping[str, Any]) -> dict[str, str]:
     """Return the SHA-256 of test sheet and resolved protocol."""
     made_of = content.get("made_of") or {}
-    return {
-        "sheet": encodable(made_of.get("sheet", "")),
-        "resolved": encodable(made_of.get("protocol", "")),
-    }
+    return {"sheet": str(made_of.get("sheet", "")), "resolved": str(made_of.get("protocol", ""))}
 
 
 def _parse_inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
-    return tuple(
-        (encodable(entry["role"]), encodable(entry["file"]), encodable(entry["sha256"]))
-        for entry in entries
-    )
+    return tuple((str(file["role"]), str(file["file"]), str(file["sha256"])) for file in entries)
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
-    seal = encodable(entry.get("seal") or "")
+    seal = str(entry.get("seal") or "")
     if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
         raise ValueError(message)
-    numbers = ("value", "lower", "upper", "level", "estimate")
-    reasons = entry["reasons"]
-    fields: dict[str, Any] = {name: encodable(entry[name]) for name in ("name", "unit", "status")}
-    fields |= {name: None if entry[name] is None else float(str(entry[name])) for name in numbers}
+    fields: dict[str, Any] = {name: str(entry[name]) for name in ("name", "unit", "status")}
+    fields |= {name: None if entry[name] is None else float(str(entry[name])) for name in NUMBERS}
     return ResultRow(
         **fields,
-        code=encodable(", ".join(str(reason["code"]) for reason in reasons)),
-        reason=encodable("; ".join(str(reason["message"]) for reason in reasons)),
+        code=", ".join(str(reason["code"]) for reason in entry["reasons"]),
+        reason="; ".join(str(reason["message"]) for reason in entry["reasons"]),
         seal=seal,
     )
 
 
 def _read_object(path: Path) -> dict[str, Any] | None:
-    """Read the object of a JSON file; return None if the file has none."""
+    """Read the object of a JSON file, with encodable texts; return None if the file has none."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text, object_hook=_escape_texts if "\\u" in text else None)
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def _escape_texts(content: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: encodable(value) if isinstance(value, str) else value for key, value in content.items()
+    }

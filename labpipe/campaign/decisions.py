@@ -7,6 +7,7 @@ can be imported.
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
@@ -57,6 +58,9 @@ class Decision:
         return f"{self.because} ({', '.join(filter(None, (self.by, self.when)))})"
 
 
+_KEYS: Final = tuple(entry.name for entry in fields(Decision))
+
+
 @dataclass(frozen=True)
 class DecisionFile:
     """Content of a file of decisions.
@@ -77,9 +81,9 @@ class DecisionFile:
     @cached_property
     def by_test(self) -> Mapping[str, Sequence[Decision]]:
         """Return the decisions on each test, in order."""
-        decisions: dict[str, list[Decision]] = {}
+        decisions = defaultdict[str, list[Decision]](list)
         for decision in self.decisions:
-            decisions.setdefault(decision.test, []).append(decision)
+            decisions[decision.test].append(decision)
         return decisions
 
 
@@ -96,21 +100,10 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     The decisions; none without a file. Problems are in `faults`.
     """
     path = folder / DECISIONS_FILE
-    return read_decision_file(path, campaign) if path.exists() else DecisionFile()
+    return _read_file(path, campaign) if path.exists() else DecisionFile()
 
 
-def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
-    """Read decisions from any file.
-
-    Parameters
-    ----------
-    path : of the file
-    campaign : see `parse_decisions`
-
-    Returns
-    -------
-    The decisions. Problems, including a missing file, are in `faults`.
-    """
+def _read_file(path: Path, campaign: str) -> DecisionFile:
     try:
         size = path.stat().st_size
         if size > _MAX_FILE_BYTES:
@@ -150,12 +143,11 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
             "campaign.other_campaign", path, "campaign", own=campaign, found=named
         )
         faults.append(str(other))
-    keys = [decision_field.name for decision_field in fields(Decision)]
     for number, entry in enumerate(document["decisions"]):
         if fault := _find_entry_fault(entry):
             faults.append(_format_fault(path, f"decisions.{number}", *fault))
         else:
-            decisions.append(Decision(**{key: encodable(entry.get(key) or "") for key in keys}))
+            decisions.append(Decision(*(encodable(entry.get(key) or "") for key in _KEYS)))
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
@@ -173,8 +165,7 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     """Return what is expected of an entry, and what it is; None for a valid one."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
-    required_keys = ("test", "run", "decision", "because", "by")
-    missing = [key for key in required_keys if not str(entry.get(key) or "").strip()]
+    missing = [key for key in _KEYS[:-1] if not str(entry.get(key) or "").strip()]
     if missing:
         return "test, run, decision, because and by", f"missing or empty: {', '.join(missing)}"
     if entry["decision"] not in {ACCEPT, REJECT}:
@@ -273,34 +264,23 @@ def now() -> str:
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
-def find_decision_folder(test: Path, shared: Path) -> Path:
-    """Find the folder with the decisions on a test.
+def find_home(file: Path, shared: Path) -> tuple[Path, str]:
+    """Find the folder with the decisions on a test, and the label of the test in them.
 
     Parameters
     ----------
-    test : folder of its results
+    file : result.h5 of the test
     shared : folder of the campaign, used if no folder above the test contains decisions
 
     Returns
     -------
-    The nearest folder above the test with decisions, resolved.
-    """
-    parents = test.resolve().parents
-    return next(
-        (parent for parent in parents if (parent / DECISIONS_FILE).is_file()), shared.resolve()
-    )
-
-
-def find_label(file: Path, shared: Path) -> str:
-    """Find the label of a test in decisions: its folder below that of the decisions.
-
-    Parameters
-    ----------
-    file : its result.h5
-    shared : see `find_decision_folder`
+    home : the nearest folder above the test with decisions, resolved
+    label : folder of the test below it, with slashes
     """
     test = file.resolve().parent
-    return test.relative_to(find_decision_folder(test, shared)).as_posix()
+    homes = (above for above in test.parents if (above / DECISIONS_FILE).is_file())
+    home = next(homes, shared.resolve())
+    return home, test.relative_to(home).as_posix()
 
 
 def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
@@ -323,14 +303,12 @@ def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
     decisions: dict[Path, Sequence[Decision]] = {}
     read = cache(read_decisions)
     for file in files:
-        test = file.resolve().parent
-        home = find_decision_folder(test, test.parent)
-        if not (home / DECISIONS_FILE).is_file():
-            continue
+        home, label = find_home(file, file.parent)
         stored = read(home)
         if not stored.is_readable:
             raise StoreError("\n".join(stored.faults))
-        decisions[file] = stored.by_test.get(test.relative_to(home).as_posix(), ())
+        if stored.document:
+            decisions[file] = stored.by_test.get(label, ())
     return decisions
 
 
@@ -371,16 +349,16 @@ class ImportedDecisions:
     added : new decisions, in order
     n_known : number of decisions that were stored already
     not_imported : decisions that were not imported, and why
+    faults : messages on faults of the imported file or of single decisions
     """
 
     added: list[Decision] = field(default_factory=list)
     n_known: int = 0
     not_imported: list[tuple[Decision, str]] = field(default_factory=list)
+    faults: tuple[str, ...] = ()
 
 
-def import_decision_file(
-    folder: Path, campaign: str, file: Path
-) -> tuple[ImportedDecisions, tuple[str, ...]]:
+def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDecisions:
     """Import the decisions of a file that a page saved.
 
     Parameters
@@ -388,10 +366,6 @@ def import_decision_file(
     folder : of the results of the campaign
     campaign : its name
     file : in the format of ``decisions.json``, with any name
-
-    Returns
-    -------
-    The result, and messages on faults of the file or of single decisions.
 
     Raises
     ------
@@ -402,10 +376,10 @@ def import_decision_file(
         raise UsageError.about("campaign.no_saved_file", file)
     if file.resolve() == (folder / DECISIONS_FILE).resolve():
         raise UsageError.about("campaign.own_decisions", file)
-    saved = read_decision_file(file, campaign)
+    saved = _read_file(file, campaign)
     if not saved.is_readable:
         raise UsageError("\n".join(saved.faults))
-    return import_decisions(folder, campaign, saved.decisions), saved.faults
+    return replace(import_decisions(folder, campaign, saved.decisions), faults=saved.faults)
 
 
 def import_decisions(
@@ -431,29 +405,27 @@ def import_decisions(
     file and each file of decisions is read once, for any number of decisions.
     """
     files = files_below(folder, RESULT_FILE)
-    homes = {file: find_decision_folder(file.parent, folder) for file in files}
-    labels = {
-        file: file.resolve().parent.relative_to(home).as_posix() for file, home in homes.items()
-    }
-    files_by_label: dict[str, list[Path]] = {}
-    for file, label in labels.items():
+    homes = {file: find_home(file, folder) for file in files}
+    files_by_label = defaultdict[str, list[Path]](list)
+    for file, (_, label) in homes.items():
         for name in {label, file.parent.relative_to(folder).as_posix()}:
-            files_by_label.setdefault(name, []).append(file)
+            files_by_label[name].append(file)
     stored = {file: set(earlier) for file, earlier in read_decisions_on(files).items()}
     read_key = cache(_read_key)
     imported = ImportedDecisions()
-    added: dict[Path, list[Decision]] = {}
+    added = defaultdict[Path, list[Decision]](list)
     for decision in dict.fromkeys(decisions):
         decided, why = _find_result(decision, files_by_label.get(decision.test, ()), read_key)
         if decided is None:
             imported.not_imported.append((decision, why))
             continue
-        labelled = replace(decision, test=labels[decided])
+        home, label = homes[decided]
+        labelled = replace(decision, test=label)
         if labelled in stored.get(decided, ()):
             imported.n_known += 1
         else:
             imported.added.append(decision)
-            added.setdefault(homes[decided], []).append(labelled)
+            added[home].append(labelled)
     for home, new in added.items():
         add_decisions(home, campaign, new)
     return imported

@@ -1,21 +1,36 @@
-"""Executors process the tests of a campaign: on this machine, or on a cluster."""
+"""Process tests in parallel: in processes of this machine, or on a dask.distributed cluster.
+
+On a cluster, a test is one task, and a worker processes it in a child process: a crash in C does
+not end the worker. The scheduler moves the tests of a lost worker to others, as often as its
+``allowed-failures`` permits. It drops outcomes once they are fetched, so that its memory does not
+grow with the campaign.
+"""
 
 from __future__ import annotations
 
+import json
+import logging
 import os
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, suppress
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, cast
 
 import psutil
 
-from labpipe.campaign.workers import ProcessDied, run_as_completed
-from labpipe.errors import LabpipeError, UsageError
+from labpipe import __version__
+from labpipe.campaign.workers import WorkerProcess, run_as_completed
+from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.process.output_paths import refuse_duplicates
 from labpipe.process.run import (
+    PROCESSING_VERSION,
+    SUMMARY_FILE,
     Processed,
     Refused,
     Task,
@@ -26,6 +41,10 @@ from labpipe.process.run import (
 )
 from labpipe.records.result import Status
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+T = TypeVar("T")
 BYTES_PER_TEST = 750_000_000
 """Memory for the process of one test: a cantilever test of full size (70 MB of exports, figures as
 SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
@@ -40,21 +59,13 @@ def default_jobs() -> int:
     -------
     At least 1.
     """
-    free = int(psutil.virtual_memory().available)
+    free, cores = int(psutil.virtual_memory().available), os.cpu_count() or 1
+    with suppress(AttributeError):  # neither on Windows nor on macOS
+        cores = len(os.sched_getaffinity(0))
     with suppress(OSError, ValueError):  # "max" means no limit
         limit = int((_CONTROL_GROUP / "memory.max").read_text("ascii"))
         free = min(free, limit - int((_CONTROL_GROUP / "memory.current").read_text("ascii")))
-    return max(1, min(_count_cores(), free // BYTES_PER_TEST))
-
-
-def _count_cores() -> int:
-    """Count the cores available to this process."""
-    with suppress(AttributeError):  # neither on Windows nor on macOS
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-State: TypeAlias = Literal["ok", "doubtful", "failed"]
+    return max(1, min(cores, free // BYTES_PER_TEST))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +84,7 @@ class Outcome:
 
     sheet: Path
     folder: Path | None
-    state: State
+    state: Literal["ok", "doubtful", "failed"]
     code: str = ""
     reason: str = ""
     run: str = ""
@@ -92,13 +103,29 @@ def process_task(task: Task) -> Outcome:
     """
     done = attempt(task)
     if isinstance(done, Refused):
-        return _make_failed_outcome(done)
-    result = done.result
-    bad = next((entry for entry in result.results if entry.status is not Status.OK), None)
+        return _describe_refusal(done)
+    results, run = done.result.results, done.result.run
+    bad = next((result for result in results if result.status is not Status.OK), None)
     if bad is None:
-        return Outcome(task.sheet, done.folder, "ok", run=result.run)
+        return Outcome(task.sheet, done.folder, "ok", run=run)
     code, reason = bad.reasons[0].code, f"{bad.name}: {bad.reasons[0].message}"
-    return Outcome(task.sheet, done.folder, "doubtful", code, reason, result.run)
+    return Outcome(task.sheet, done.folder, "doubtful", code, reason, run)
+
+
+def record_failure(task: Task, error: LabpipeError) -> Refused:
+    """Record why a test failed, without reading its exports, which may have killed a process.
+
+    Parameters
+    ----------
+    task : the test
+    error : the reason
+    """
+    return refuse(task, error.code, str(error), is_read=False)
+
+
+def _describe_refusal(refused: Refused) -> Outcome:
+    code, reason, run = refused.code, refused.reason, refused.run
+    return Outcome(refused.test, refused.folder, "failed", code, reason, run)
 
 
 def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
@@ -111,38 +138,24 @@ def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
 
     Returns
     -------
-    The outcome; a failure if the process died.
-
-    Raises
-    ------
-    Exception
-        If the call raises any other error, which is a fault of labpipe.
+    The outcome; a failure if the process died. Any other error of the call is raised, as a fault
+    of labpipe.
     """
     try:
         return call()
-    except ProcessDied as died:
-        return record_failure(task, died.error(task.sheet))
-
-
-def record_failure(task: Task, error: LabpipeError) -> Outcome:
-    """Record why a test failed, without reading its exports, which may have killed a process.
-
-    Parameters
-    ----------
-    task : the test
-    error : the reason
-    """
-    return _make_failed_outcome(refuse(task, error.code, str(error), is_read=False))
-
-
-def _make_failed_outcome(refused: Refused) -> Outcome:
-    return Outcome(
-        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run
-    )
+    except ProcessingError as died:
+        return _describe_refusal(record_failure(task, died))
 
 
 Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
 """Takes a task whenever it can start one; yields outcomes in the order of completion."""
+
+
+def _run_tasks(
+    work: Callable[[Task], T], tasks: Iterable[Task], *, jobs: int, limit: float | None
+) -> Generator[tuple[Task, Future[T]], None, None]:
+    """Call a function on tests in parallel processes, see `run_as_completed`."""
+    return run_as_completed(work, tasks, jobs=jobs, limit=limit, about=lambda task: task.sheet)
 
 
 def local(jobs: int, *, limit: float | None = None) -> Executor:
@@ -155,7 +168,7 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
     """
 
     def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        with closing(run_as_completed(process_task, tasks, jobs=jobs, limit=limit)) as completed:
+        with closing(_run_tasks(process_task, tasks, jobs=jobs, limit=limit)) as completed:
             for task, future in completed:
                 yield await_outcome(task, future.result)
 
@@ -186,8 +199,6 @@ def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = 
     host, _, port = address.rpartition(":")
     if scheme not in _CLUSTERS or not host or not port.isdecimal():
         raise UsageError.about("campaign.bad_executor", "--executor", text=text)
-    from labpipe.campaign.cluster import process_on_cluster  # imports this module
-
     return partial(process_on_cluster, address=f"{_CLUSTERS[scheme]}{address}", limit=limit)
 
 
@@ -195,7 +206,7 @@ def process_tests(
     tests: Sequence[Path],
     *,
     out: Path | None = None,
-    figures: Callable[[Path], bool] = lambda _: True,
+    figures: bool = True,
     png: bool = False,
     follow_links: bool = False,
     jobs: int = 1,
@@ -207,8 +218,8 @@ def process_tests(
     Parameters
     ----------
     tests : test.yaml or result.h5 files
-    out, png, follow_links : see `labpipe.process.run.Task`; `out` gets a folder per test
-    figures : whether figures of a test are drawn
+    out : gets a folder per test; None for the folder beside ``raw``
+    figures, png, follow_links : see `labpipe.process.run.Task`
     jobs : number of tests at the same time; each of several has its own process
     limit : s, time limit of each of several tests; None for no limit
     on_outcome : called with each test at its end
@@ -226,10 +237,8 @@ def process_tests(
     tasks: list[Task] = []
     for test in tests:
         try:
-            results_folder = find_results_folder(test, out, partial(read_test_name, test))
-            tasks.append(
-                Task(test, results_folder, figures(test), png=png, follow_links=follow_links)
-            )
+            folder = find_results_folder(test, out, partial(read_test_name, test))
+            tasks.append(Task(test, folder, figures, png, follow_links))
         except LabpipeError as error:
             outcomes[test] = Refused(test, error.code, str(error))
     goals = [
@@ -237,16 +246,221 @@ def process_tests(
     ]
     refuse_duplicates(goals, "folder of results")
     if len(tests) == 1:
-        return [
-            *outcomes.values(),
-            *(attempt(task, is_alone=True) for task in tasks),
-        ]
-    with closing(run_as_completed(attempt, tasks, jobs=jobs, limit=limit)) as completed:
+        return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
+    with closing(_run_tasks(attempt, tasks, jobs=jobs, limit=limit)) as completed:
         for task, future in completed:
             on_outcome(task.sheet)
             try:
                 outcomes[task.sheet] = future.result()
-            except ProcessDied as died:
-                reason = died.error(task.sheet)
-                outcomes[task.sheet] = refuse(task, reason.code, str(reason), is_read=False)
+            except ProcessingError as died:
+                outcomes[task.sheet] = record_failure(task, died)
     return [outcomes[test] for test in tests]
+
+
+Versions: TypeAlias = tuple[str, int]
+_VERSIONS: Versions = (__version__, PROCESSING_VERSION)
+"""Version of labpipe, and processing version."""
+_CONNECT_TIMEOUT = 10.0
+"""s to wait for the scheduler, and for a first worker."""
+_OF_THREAD = threading.local()
+"""The process of each thread of a worker; it has imported all modules."""
+
+
+def check_worker(sheet: Path) -> tuple[Versions, bool]:
+    """Return the versions of a worker, and whether it sees a test sheet.
+
+    Parameters
+    ----------
+    sheet : absolute path of the test sheet
+    """
+    return _VERSIONS, sheet.exists()
+
+
+def process_on_worker(
+    task: Task, home: Path, limit: float | None, versions: Versions
+) -> Outcome | None:
+    """Process a test on a worker.
+
+    Parameters
+    ----------
+    task : the test
+    home : working folder of the client; relative paths start there
+    limit : s, time limit; None for no limit
+    versions : of the client
+
+    Returns
+    -------
+    The outcome; None if the worker has other versions, or does not see the test sheet.
+
+    Raises
+    ------
+    ProcessingError
+        If the process of the test died.
+    """
+    if check_worker(home / task.sheet) != (versions, True):
+        return None
+    process = vars(_OF_THREAD).setdefault("process", WorkerProcess())
+    outcome = process.call(partial(_process_at, home, task), about=task.sheet, limit=limit)
+    return cast("Outcome", outcome)
+
+
+def _process_at(home: Path, task: Task) -> Outcome:
+    """Process a test in the working folder of the client."""
+    with suppress(OSError):  # it may be missing if all paths are absolute
+        os.chdir(home)
+    return process_task(task)
+
+
+def process_on_cluster(
+    tasks: Iterable[Task], address: str, *, limit: float | None = None
+) -> Generator[Outcome, None, None]:
+    """Process tests on a cluster.
+
+    Parameters
+    ----------
+    tasks : the next one is taken whenever a worker becomes free
+    address : of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
+    limit : s, time limit of a test; None for no limit
+
+    Yields
+    ------
+    The outcomes, as tests are completed.
+
+    Raises
+    ------
+    UsageError
+        If `distributed` is not installed, there is no scheduler at the address, or no worker; or if
+        a worker has another labpipe or does not see the first test.
+    ProcessingError
+        If the scheduler or all workers are lost during the run, or a worker cannot run labpipe.
+    """
+    remaining = iter(tasks)
+    for first in islice(remaining, 1):
+        with _connect(address) as client:
+            try:
+                if first.sheet.exists():
+                    _check_workers(client, first)
+                with closing(_process_all(client, chain([first], remaining), limit)) as outcomes:
+                    yield from outcomes
+            except LabpipeError:
+                raise
+            except Exception as error:  # whatever a client raises that has lost its scheduler
+                raise ProcessingError.about(
+                    "campaign.lost_scheduler", "--executor", address=address
+                ) from error
+
+
+@contextmanager
+def _connect(address: str) -> Iterator[Client]:
+    """Connect to a scheduler; messages of the library on lost connections are suppressed."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise UsageError.about("campaign.no_distributed", "--executor") from error
+    log_level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    client = None
+    try:
+        url = address if "://" in address else f"tcp://{address}"
+        client = Client(url, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+        if not client.nthreads():
+            raise UsageError.about("campaign.no_worker", "--executor", version=__version__)
+        yield client
+    except (OSError, ValueError) as error:  # a TimeoutError is an OSError
+        raise UsageError.about("campaign.no_scheduler", "--executor", address=address) from error
+    finally:
+        with suppress(Exception):  # already lost
+            if client is not None:
+                client.close(timeout=_CONNECT_TIMEOUT)  # cancels what is submitted
+        logging.disable(log_level)
+
+
+def _check_workers(client: Client, task: Task) -> None:
+    """Refuse workers with another labpipe, and workers that do not see a test."""
+    answers = client.run(check_worker, Path.cwd() / task.sheet, on_error="return")
+    for answer in answers.values():
+        if isinstance(answer, Exception):
+            raise _describe_fault(answer) from answer
+        versions, is_visible = answer
+        if versions != _VERSIONS:
+            raise UsageError.about(
+                "campaign.other_versions", "--executor", version=__version__, found=versions[0]
+            )
+        if not is_visible:
+            error = UsageError.about("campaign.without_data", task.sheet)
+            raise UsageError(str(error), code="no_cluster")
+
+
+def _process_all(
+    client: Client, tasks: Iterator[Task], limit: float | None
+) -> Generator[Outcome, None, None]:
+    """Yield outcomes until all tests are done."""
+    from distributed import wait
+
+    look_interval = 5.0  # s between looks at the workers
+    max_looks_without_worker = 24
+    looks_without_worker = 0
+    submitted: dict[Any, Task] = {}
+    while looks_without_worker < max_looks_without_worker:
+        n_threads = sum(client.nthreads().values())
+        looks_without_worker = 0 if n_threads else looks_without_worker + 1
+        for task in islice(tasks, max(0, 2 * n_threads - len(submitted))):
+            future = client.submit(
+                process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
+            )
+            submitted[future] = task
+        if n_threads and not submitted:
+            return
+        if not n_threads:
+            time.sleep(look_interval)
+            continue
+        done: Iterable[Any] = ()
+        with suppress(TimeoutError), client.as_current():
+            done = wait([*submitted], look_interval, "FIRST_COMPLETED").done
+        for future in done:
+            yield _collect(submitted.pop(future), future)
+    raise TimeoutError
+
+
+def _collect(task: Task, future: Any) -> Outcome:
+    """Return the outcome of a completed test."""
+    from distributed import KilledWorker
+
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, KilledWorker):
+        times = error.allowed_failures + 1
+        error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
+    if isinstance(error, ProcessingError):
+        return _describe_refusal(record_failure(task, error))
+    if error is not None:
+        raise _describe_fault(error) from error
+    outcome = cast("Outcome | None", future.result())
+    if outcome is not None and _is_visible(outcome):
+        return outcome
+    if not task.sheet.exists():
+        return process_task(task)
+    unseen = UsageError.about("campaign.without_data", task.sheet)
+    return _describe_refusal(record_failure(task, unseen))
+
+
+def _describe_fault(error: BaseException) -> ProcessingError:
+    """Describe the error of a worker that cannot run labpipe."""
+    message = (str(error).splitlines() or [""])[0]
+    return ProcessingError.about(
+        "campaign.bad_cluster", "--executor", kind=type(error).__name__, message=message
+    )
+
+
+def _is_visible(outcome: Outcome) -> bool:
+    """Return whether the results of a worker are visible here; wait for a slow drive."""
+    if outcome.folder is None or outcome.state == "failed":
+        return True
+    end, key = time.monotonic() + 5.0, json.dumps(outcome.run)
+    while time.monotonic() < end:
+        with suppress(OSError):
+            if key in (outcome.folder / SUMMARY_FILE).read_text(encoding="utf-8"):
+                return True
+        time.sleep(0.1)
+    return False

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -89,10 +89,10 @@ def note_differing_settings(
     noted_keys = tuple(
         key for name in noted for key in (f"results.{name}.", f"curve.{name}.decision")
     )
-    blocks: dict[str, dict[str, TestsByValue]] = {}
+    blocks = defaultdict[str, dict[str, TestsByValue]](dict)
     for key, tests in find_differing_settings(settings).items():
         if not key.startswith(noted_keys):
-            blocks.setdefault(key.partition(".")[0], {})[key] = tests
+            blocks[key.partition(".")[0]][key] = tests
     notes = []
     for block, differences in blocks.items():
         key, text = next((key, describe_values(tests)) for key, tests in differences.items())
@@ -116,12 +116,11 @@ def find_differing_settings(settings: Mapping[str, Settings]) -> dict[str, Tests
     Tests by value, by key. If a test lacks an item of a list, the list is returned instead of the
     keys of the item.
     """
-    keys = dict.fromkeys(key for values in settings.values() for key in values)
     differing: dict[str, TestsByValue] = {}
-    for key in keys:
-        tests: dict[str, list[str]] = {}
+    for key in dict.fromkeys(key for values in settings.values() for key in values):
+        tests = defaultdict[str, list[str]](list)
         for test, values in settings.items():
-            tests.setdefault(values.get(key, _ABSENT), []).append(test)
+            tests[values.get(key, _ABSENT)].append(test)
         is_in_list = _ABSENT in tests and any(key.startswith(f"{path}.") for path in differing)
         if len(tests) > 1 and not is_in_list:
             differing[key] = tests
@@ -146,37 +145,34 @@ def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, 
     return (format_sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
 
 
-_NOT_STATED = ""
-"""Value of a field that a test sheet does not state."""
-_LENGTH = "length"
-
-
 class GroupKey(NamedTuple):
     """Fields that the samples of a group share.
 
     Parameters
     ----------
-    field_values : one per grouping field; empty if the sheet does not state it
+    fields : name and value of each grouping field; an empty value if the sheet does not state it
     protocol : name of the protocol
     further : fields and values that divide samples of one type, such as a length; empty if the
         grouping fields were chosen
     """
 
-    field_values: tuple[str, ...]
+    fields: tuple[tuple[str, str], ...]
     protocol: str
     further: tuple[tuple[str, str], ...] = ()
 
+    @property
+    def missing_fields(self) -> list[str]:
+        """Return the grouping fields that the sheets do not state."""
+        return [name for name, value in self.fields if not value]
 
-def find_group_key(sample: Sample, by: Sequence[str]) -> GroupKey:
-    """Return the key of the group of a sample.
-
-    Parameters
-    ----------
-    sample : with or without the fields
-    by : grouping fields
-    """
-    fields = list_fields(sample.specimen)
-    return GroupKey(tuple(fields.get(name, _NOT_STATED) for name in by), sample.protocol)
+    @property
+    def rank(self) -> tuple[object, ...]:
+        """Return the key to sort by: types alphabetically, other fields by their sizes or words."""
+        ranks = [
+            value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
+            for name, value in self.fields
+        ]
+        return (*ranks, self.protocol, *(make_field_sort_key(*field) for field in self.further))
 
 
 def divide_into_groups(
@@ -192,82 +188,53 @@ def divide_into_groups(
 
     Returns
     -------
-    Samples by group, in the order of `sort_groups`. Tests of two protocols are in two groups.
+    Samples by group, sorted. Tests of two protocols are in two groups.
     """
-    members: dict[GroupKey, list[Sample]] = {}
+    members = defaultdict[GroupKey, list[Sample]](list)
     for sample in samples:
-        members.setdefault(find_group_key(sample, by or (TYPE,)), []).append(sample)
-    if not by:
-        members = {
-            key._replace(further=tuple(part.fields.items())): list(part.samples)
-            for key, group_samples in members.items()
-            for part in divide_samples(group_samples)
-        }
-    return {key: members[key] for key in sort_groups(members, by or (TYPE,))}
+        stated = list_fields(sample.specimen)
+        fields = tuple((name, stated.get(name, "")) for name in by or (TYPE,))
+        members[GroupKey(fields, sample.protocol)].append(sample)
+    if by:
+        return {key: members[key] for key in sorted(members, key=lambda key: key.rank)}
+    parts = {
+        key._replace(further=tuple(part.fields.items())): list(part.samples)
+        for key, group_samples in members.items()
+        for part in divide_samples(group_samples)
+    }
+    return {key: parts[key] for key in sorted(parts, key=lambda key: key.rank)}
 
 
-def sort_groups(keys: Iterable[GroupKey], by: Sequence[str]) -> list[GroupKey]:
-    """Sort groups: types alphabetically, other fields by `make_field_sort_key`.
-
-    Parameters
-    ----------
-    keys : of the groups
-    by : grouping fields
-    """
-
-    def make_sort_key(key: GroupKey) -> tuple[object, ...]:
-        sort_values: list[object] = [
-            value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
-            for name, value in zip(by, key.field_values, strict=True)
-        ]
-        return (
-            *sort_values,
-            key.protocol,
-            *(make_field_sort_key(name, value) for name, value in key.further),
-        )
-
-    return sorted(keys, key=make_sort_key)
-
-
-def name_groups(keys: Sequence[GroupKey], by: Sequence[str]) -> dict[GroupKey, str]:
+def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
     """Name groups by their fields, and by their protocol if two share all fields.
 
     Parameters
     ----------
-    keys : of the groups
-    by : grouping fields; the name of a type, or of a length within a type, is its value
+    keys : of the groups; the name of a type, or of a length within a type, is its value
 
     Examples
     --------
-    >>> list(name_groups([GroupKey(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
-    ['wire B2, without taping']
-    >>> list(name_groups([GroupKey(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
-    ['A1, 85 mm']
+    >>> keys = [GroupKey((("wire", "B2"), ("taping", "")), "taped-bundle"),
+    ...         GroupKey((("type", "A1"),), "bend", (("length", "85 mm"),))]
+    >>> list(name_groups(keys).values())
+    ['wire B2, without taping', 'A1, 85 mm']
     """
-    n_protocols = Counter(
-        values for values, _ in {(key.field_values, key.protocol) for key in keys}
-    )
+    n_protocols = Counter(fields for fields, _ in {key[:2] for key in keys})
     names = {}
     for key in keys:
-        labels = [_name_field(*field) for field in zip(by, key.field_values, strict=True)]
-        labels += [key.protocol] if n_protocols[key.field_values] > 1 else []
-        labels += [
-            value if name == _LENGTH else _name_field(name, value) for name, value in key.further
-        ]
-        names[key] = ", ".join(labels)
+        labels = [_name_field(*field, plain=TYPE) for field in key.fields]
+        labels += [key.protocol] if n_protocols[key.fields] > 1 else []
+        names[key] = ", ".join(
+            [*labels, *(_name_field(*field, plain="length") for field in key.further)]
+        )
     return names
 
 
-def _name_field(name: str, value: str) -> str:
+def _name_field(name: str, value: str, *, plain: str) -> str:
     label = name.replace("_", " ")
-    if value == _NOT_STATED:
+    if not value:
         return f"without {label}"
-    return value if name == TYPE else f"{label} {value}"
-
-
-def list_missing_fields(key: GroupKey, by: Sequence[str]) -> list[str]:
-    """List the fields that the sheets of a group do not state."""
-    return [name for name, value in zip(by, key.field_values, strict=True) if value == _NOT_STATED]
+    return value if name == plain else f"{label} {value}"
 
 
 def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) -> None:
@@ -305,23 +272,19 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
     -------
     The samples, with the type before the name of such spools; and the original names of these.
     """
-    pairs = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
-    n_types = Counter(spool for spool, _ in pairs)
+    specimens = [sample.specimen for sample in samples]
+    n_types = Counter(spool for spool, _ in {(one.spool, one.type) for one in specimens})
+    renamed = [
+        replace(one, spool=f"{one.type} {one.spool}") if n_types[one.spool] > 1 else one
+        for one in specimens
+    ]
+    pairs = zip(samples, renamed, strict=True)
     shared = sorted(spool for spool, count in n_types.items() if count > 1)
-    renamed = []
-    for sample in samples:
-        specimen = sample.specimen
-        if specimen.spool in shared:
-            specimen = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
-            sample = replace(sample, specimen=specimen)  # noqa: PLW2901
-        renamed.append(sample)
-    return renamed, shared
+    return [replace(sample, specimen=specimen) for sample, specimen in pairs], shared
 
 
 _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
 """Fields in the order of a report; others follow."""
-
-
 QUESTIONS = "answers to questions"
 TYPES = "differences of types"
 OTHERS = "other main numbers"
@@ -359,31 +322,19 @@ def find_differences(
     `OTHERS`, the other main numbers in all these pairs. Pairs that `alone` excludes are not judged.
     """
     pairs = [
-        pair_differences
+        _compare(first, second, group_settings[first.protocol], settings, by)
         for first, second in combinations(groups, 2)
         if first.protocol == second.protocol
-        and (
-            pair_differences := _compare(
-                first, second, group_settings[first.protocol], settings, by
-            )
-        )
     ]
-    shown_pairs = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
-    flat = [difference for pair in sorted(shown_pairs, key=_rank_pair) for difference in pair]
-    return tuple(_judge(flat)), len(pairs) - len(shown_pairs)
-
-
-def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
-    """Yield differences in order; those of a family are judged together."""
-    families: dict[str, list[Difference]] = {}
-    for difference in differences:
-        families.setdefault(difference.family, []).append(difference)
-    judged_by_family = {
-        family: iter(judge_family(family, members) if family else members)
-        for family, members in families.items()
-    }
-    for difference in differences:
-        yield next(judged_by_family[difference.family])
+    pairs = [pair for pair in pairs if pair]
+    shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
+    differences = [difference for pair in sorted(shown, key=_rank_pair) for difference in pair]
+    for family in (QUESTIONS, TYPES, OTHERS):
+        places = [n for n, difference in enumerate(differences) if difference.family == family]
+        judged = judge_family(family, [differences[n] for n in places]) if places else []
+        for place, difference in zip(places, judged, strict=True):
+            differences[place] = difference
+    return tuple(differences), len(pairs) - len(shown)
 
 
 def _rank_pair(pair: Sequence[Difference]) -> tuple[int, str]:
@@ -401,26 +352,22 @@ def _compare(
     by: Sequence[str],
 ) -> list[Difference]:
     """Return the differences of a pair, with their family and caveats."""
-    fields = find_differing_fields(first, second, by)
-    is_single = len(fields) == 1
-    ((name, (before, after)), *_) = (*fields.items(), ("", ("", "")))
-    if (
-        is_single
-        and name != TYPE
-        and make_field_sort_key(name, after) < make_field_sort_key(name, before)
-    ):
-        first, second, fields = second, first, {name: (after, before)}
+    fields, family = find_differing_fields(first, second, by), ""
+    if len(fields) == 1:
+        ((name, (low, high)),) = fields.items()
+        family = TYPES if name == TYPE else QUESTIONS
+        if name != TYPE and make_field_sort_key(name, high) < make_field_sort_key(name, low):
+            first, second, fields = second, first, {name: (high, low)}
     tests = [sample.test for sample in (*first.samples, *second.samples)]
     caveats = describe_differing_settings({test: settings[test] for test in tests})
     names = group_settings.main or tuple(number.name for number in first.numbers[:1])
     compared = compare_groups(first, second, names=names, margin=group_settings.margin)
-    family = "" if not is_single else TYPES if name == TYPE else QUESTIONS
     return [
         replace(
             difference,
             caveats=(*difference.caveats, *caveats),
             fields=fields,
-            family=family if number == 0 or not is_single else OTHERS,
+            family=OTHERS if family and number else family,
         )
         for number, difference in enumerate(compared)
     ]

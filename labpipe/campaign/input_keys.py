@@ -9,12 +9,13 @@ system after a change.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import stat
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -148,10 +149,9 @@ class InputReader:
     """Reads the inputs of tests. One reader reads and resolves each protocol once."""
 
     def __init__(self) -> None:
-        self._protocol_files: dict[tuple[str, str], Path | Fault] = {}
-        self._protocol_hashes: dict[Path, str] = {}
+        self._find_protocol = cache(find_protocol)
+        self._hash_file = cache(lambda file: take_stamp(file).sha256)
         self._resolved: dict[str, tuple[str, Protocol]] = {}
-        self._cards_hash: str | None = None
 
     def read_inputs(self, sheet_path: Path, previous: HashedInputs | None = None) -> HashedInputs:
         """Read the inputs of a test.
@@ -174,95 +174,71 @@ class InputReader:
             stamps[name].sha256 == stamp.sha256 for name, stamp in previous.stamps.items()
         )
         dependencies = previous.dependencies
-        if (
-            is_same
-            and dependencies
-            and dependencies == self._hash_dependencies(folder, dependencies[0])
-        ):
+        if is_same and dependencies == self._hash_dependencies(folder, *dependencies[:1]):
             return previous if stamps == previous.stamps else replace(previous, stamps=stamps)
         return self._read_new_inputs(sheet_path, stamps)
 
     def _read_new_inputs(
         self, sheet_path: Path, previous_stamps: Mapping[str, FileStamp]
     ) -> HashedInputs:
-        folder = sheet_path.parent
+        folder, facts, protocol_name = sheet_path.parent, dict[str, str](), ""
         stamps = {SHEET_NAME: take_stamp(sheet_path, previous_stamps.get(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
             text = sheet_path.read_text(encoding="utf-8")
-        except (LabpipeError, OSError, ValueError):
-            return self._make_faulty_inputs(folder, stamps, "")
-        for names in sheet.files.values():
-            stamps |= {name: take_stamp(folder / name, previous_stamps.get(name)) for name in names}
-        try:
+            facts, protocol_name = _collect_sheet_facts(sheet), sheet.protocol
+            for name in itertools.chain(*sheet.files.values()):
+                stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
             resolved, protocol = self._resolve_protocol(sheet, sheet_path, text)
             cards = fingerprint_dialect_cards(protocol)
-        except LabpipeError:
-            return replace(
-                self._make_faulty_inputs(folder, stamps, sheet.protocol),
-                facts=_collect_sheet_facts(sheet),
-            )
+        except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
+            dependencies = self._hash_dependencies(folder, protocol_name)
+            hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
+            key = hash_text(json.dumps(["unfit", hashes, *dependencies[1:]]))
+            return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
         exports = list_named_exports(sheet, protocol)
         files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
-        key = make_input_key([(role, sha256) for role, _, sha256 in files], text, resolved)
         return HashedInputs(
-            key,
+            make_input_key([(role, sha256) for role, _, sha256 in files], text, resolved),
             tuple(files),
-            sheet_sha256=_hash_text(text),
-            protocol_sha256=_hash_text(resolved),
+            sheet_sha256=hash_text(text),
+            protocol_sha256=hash_text(resolved),
             stamps=stamps,
-            dependencies=self._hash_dependencies(folder, sheet.protocol),
-            facts=_collect_sheet_facts(sheet),
+            dependencies=self._hash_dependencies(folder, protocol_name),
+            facts=facts,
         )
 
-    def _make_faulty_inputs(
-        self, folder: Path, stamps: Mapping[str, FileStamp], protocol: str
-    ) -> HashedInputs:
-        """Return the inputs of a test whose sheet or protocol is faulty."""
-        dependencies = self._hash_dependencies(folder, protocol)
-        hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
-        parts = ["unfit", hashes, *dependencies[1:]]
-        return HashedInputs(_hash_text(json.dumps(parts)), stamps=stamps, dependencies=dependencies)
-
-    def _hash_dependencies(self, folder: Path, protocol: str) -> tuple[str, ...]:
+    def _hash_dependencies(self, folder: Path, protocol: str = "") -> tuple[str, ...]:
         """Return the name of a protocol, then the hashes of its file, the cards and the code."""
-        return protocol, self._hash_protocol(protocol, folder), self._hash_cards(), _hash_code()
+        return protocol, self._hash_protocol(protocol, folder), self._cards_hash, _hash_code()
 
     def _hash_protocol(self, name: str, folder: Path) -> str:
         """Return the hash of the file of a protocol; empty if there is no such file."""
         is_path = any(character in name for character in "/\\.")
-        lookup_key = (name, str(folder) if is_path else "")
-        if lookup_key not in self._protocol_files:
-            self._protocol_files[lookup_key] = find_protocol(name, beside=folder)
-        file = self._protocol_files[lookup_key]
-        if isinstance(file, Fault):
-            return ""
-        if file not in self._protocol_hashes:
-            self._protocol_hashes[file] = take_stamp(file).sha256
-        return self._protocol_hashes[file]
+        file = self._find_protocol(name, beside=folder if is_path else Path())
+        return "" if isinstance(file, Fault) else self._hash_file(file)
 
-    def _hash_cards(self) -> str:
+    @cached_property
+    def _cards_hash(self) -> str:
         """Return the hash of the dialect cards of the lab; empty if there are none."""
-        if self._cards_hash is None:
-            from labpipe.readers.load_frame.cards import lab_card_files
+        from labpipe.readers.load_frame.cards import lab_card_files
 
-            cards = [[file.name, take_stamp(file).sha256] for file in lab_card_files()]
-            self._cards_hash = _hash_text(json.dumps(cards)) if cards else ""
-        return self._cards_hash
+        cards = [[file.name, self._hash_file(file)] for file in lab_card_files()]
+        return hash_text(json.dumps(cards)) if cards else ""
 
     def _resolve_protocol(
         self, sheet: TestSheet, sheet_path: Path, text: str
     ) -> tuple[str, Protocol]:
         """Resolve the protocol of a test, once for all tests with the same keys that affect it."""
         sheet_data: Any = parse_yaml(text, str(sheet_path)).data
-        sheet_keys = {key: sheet_data[key] for key in sheet_data.keys() - _UNRESOLVED_SHEET_KEYS}
-        specimen = sheet_keys.get("specimen") or {}
-        sheet_keys["specimen"] = {
+        keys = {key: sheet_data[key] for key in sheet_data.keys() - _UNRESOLVED_SHEET_KEYS}
+        specimen = keys.get("specimen") or {}
+        keys["specimen"] = {
             key: specimen[key] for key in specimen.keys() - _UNRESOLVED_SPECIMEN_KEYS
         }
         protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
-        cache_key = json.dumps([protocol_hash, sorted(sheet.files), sheet_keys], sort_keys=True)
+        cache_key = json.dumps([protocol_hash, sorted(sheet.files), keys], sort_keys=True)
         if cache_key not in self._resolved:
             protocol = resolve(sheet, sheet_path, follow_links=True)
             self._resolved[cache_key] = dump_protocol(protocol), protocol
@@ -329,5 +305,6 @@ def describe_changes(
     return ", ".join(reasons) or "newer labpipe"
 
 
-def _hash_text(text: str) -> str:
+def hash_text(text: str) -> str:
+    """Return the SHA-256 of a text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()

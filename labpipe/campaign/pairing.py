@@ -21,16 +21,15 @@ from labpipe.process.sheet_inference import (
     safe_name,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
+from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
-from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
 """Keys of a specimen that are also columns of a campaign sheet."""
-_OTHER_ENDINGS = (".yaml", ".yml", ".md", ".ini")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ class Candidate:
     """
 
     folder: Path
-    files: Mapping[str, Path]
+    files: dict[str, Path]
     values: Mapping[str, str] = field(default_factory=dict)
     by_role: bool = False
 
@@ -140,9 +139,7 @@ def list_candidates(
     """
     if isinstance(plan.pair, ByFolder):
         return _list_by_folder(folder, plan.pair, is_skipped)
-    listing = _list_by_name(folder, plan.pair)
-    candidates = tuple(test for test in listing.candidates if not is_skipped(test.folder))
-    return replace(listing, candidates=candidates)
+    return _list_by_name(folder, plan.pair, is_skipped)
 
 
 _BAD_NAME = "its name has control characters; rename it"
@@ -151,34 +148,38 @@ _BAD_NAME = "its name has control characters; rename it"
 def _list_by_folder(
     folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
-    candidates, unmatched = list[Candidate](), dict[Path, str]()
-    for place in _walk_test_folders(folder, is_skipped):
-        files = {name: place / name for name in _list_names(place) if _may_be_export(name)}
-        for name in [file for file in files if has_control_characters(file)]:
+    loose = filter(_may_be_export, _scan(folder)[1])
+    unmatched = {folder / name: "it is not in the folder of a test" for name in loose}
+    candidates = []
+    for place, names in _walk_test_folders(folder, is_skipped):
+        files = {name: place / name for name in names if _may_be_export(name)}
+        for name in filter(has_control_characters, list(files)):
             unmatched[files.pop(name)] = _BAD_NAME
         values = {} if pair.pattern is None else pair.pattern.match(place.name)
         if values is None:
             why = f"the name of its folder does not fit {pair.name!r}"
             unmatched |= dict.fromkeys(files.values(), why)
-        elif files or (place / SHEET_NAME).exists():
+        elif files or SHEET_NAME in names:
             candidates.append(Candidate(place, files, values))
-    loose = [folder / name for name in _list_names(folder) if _may_be_export(name)]
-    unmatched |= dict.fromkeys(loose, "it is not in the folder of a test")
     return CandidateListing(tuple(candidates), unmatched)
 
 
-def _walk_test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[Path]:
-    """Yield the topmost folders with files below a folder."""
-    for place in _list_folders(folder):
+def _walk_test_folders(
+    folder: Path, is_skipped: Callable[[Path], bool]
+) -> Iterator[tuple[Path, list[str]]]:
+    """Yield the topmost folders with files below a folder, and the names of their files."""
+    for place in _scan(folder)[0]:
         if is_skipped(place):
             continue
-        if _list_names(place):
-            yield place
+        if names := _scan(place)[1]:
+            yield place, names
         else:
             yield from _walk_test_folders(place, is_skipped)
 
 
-def _list_by_name(folder: Path, pair: ByName) -> CandidateListing:
+def _list_by_name(
+    folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
+) -> CandidateListing:
     top, patterns = folder / pair.source, pair.patterns
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
@@ -196,45 +197,40 @@ def _list_by_name(folder: Path, pair: ByName) -> CandidateListing:
             ((role, values),) = fits.items()
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
             test = safe_name(values.get("test") or patterns[role].stem(name))
-            new = Candidate(folder / test, {}, values, by_role=True)
-            earlier = candidates.setdefault(key, new)
-            if role in earlier.files:
-                other = earlier.files[role].name
-                unmatched[top / name] = f"{other} is already the {role} of the same test"
-            else:
-                candidates[key] = replace(earlier, files={**earlier.files, role: top / name})
+            files = candidates.setdefault(key, Candidate(folder / test, {}, values, True)).files
+            if files.setdefault(role, top / name) != top / name:
+                why = f"{files[role].name} is already the {role} of the same test"
+                unmatched[top / name] = why
     ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
-    return CandidateListing(tuple(ordered), unmatched)
-
-
-def _list_names(folder: Path) -> list[str]:
-    """List the files of a folder by name, without hidden ones."""
-    with os.scandir(folder) as entries:
-        return sorted(
-            entry.name for entry in entries if entry.is_file() and not entry.name.startswith(".")
-        )
-
-
-def _list_folders(folder: Path) -> list[Path]:
-    with os.scandir(folder) as entries:
-        names = [
-            entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")
-        ]
-    return [folder / name for name in sorted(names)]
+    return CandidateListing(
+        tuple(candidate for candidate in ordered if not is_skipped(candidate.folder)), unmatched
+    )
 
 
 def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
     """Yield possible exports down to a depth, except those in a folder with a test sheet."""
-    if prefix and (top / SHEET_NAME).exists():
+    folders, names = _scan(top)
+    if prefix and SHEET_NAME in names:
         return
-    yield from (f"{prefix}{name}" for name in _list_names(top) if _may_be_export(name))
-    if depth > 1:
-        for place in _list_folders(top):
-            yield from _walk_exports(place, depth - 1, f"{prefix}{place.name}/")
+    yield from (f"{prefix}{name}" for name in names if _may_be_export(name))
+    for place in folders if depth > 1 else ():
+        yield from _walk_exports(place, depth - 1, f"{prefix}{place.name}/")
+
+
+def _scan(folder: Path) -> tuple[list[Path], list[str]]:
+    """List the folders and the names of files in a folder, sorted and without hidden ones."""
+    with os.scandir(folder) as entries:
+        visible = sorted(
+            (entry.name, entry.is_dir(), entry.is_file())
+            for entry in entries
+            if not entry.name.startswith(".")
+        )
+    folders = [folder / name for name, is_folder, _ in visible if is_folder]
+    return folders, [name for name, _, is_file in visible if is_file]
 
 
 def _may_be_export(name: str) -> bool:
-    return not name.casefold().endswith(_OTHER_ENDINGS)
+    return not name.casefold().endswith((".yaml", ".yml", ".md", ".ini"))
 
 
 def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
@@ -340,55 +336,46 @@ def _list_planned_roles(plan: CampaignPlan, candidate: Candidate) -> Sequence[st
 def _find_missing_roles(
     inferred: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
 ) -> tuple[str, ...]:
-    """Find the missing roles, from the inferred test and the protocols of other tests."""
-    if plan.wait_for is not None:
-        return tuple(role for role in plan.wait_for if role not in inferred.files)
-    needed, optional = _find_required_and_awaited(inferred, plan, others)
-    missing = [role for role in needed if role not in inferred.files]
-    late = [role for role in optional if role not in inferred.files]
-    return tuple(missing or (late if waited < plan.patience else []))
-
-
-def _find_required_and_awaited(
-    inferred: InferredTest, plan: CampaignPlan, others: Mapping[str, int]
-) -> tuple[list[str], list[str]]:
-    """Find the required roles of a test, and optional roles that are awaited for a while.
+    """Find the missing roles, from the inferred test and the protocols of other tests.
 
     If the plan names no protocol, the most frequent one of the other tests is assumed if its roles
-    include the exports. An optional export is awaited only if another protocol with these exports
-    requires it: one of the other tests, or, if none fits, any protocol.
+    include the exports. An optional export is awaited for a while if the plan names the protocol,
+    or if another protocol with these exports requires it: one of the other tests, or, if none
+    fits, any protocol.
     """
-    if plan.protocol:
+    needed: list[str] = [*(plan.wait_for or ())]
+    late: list[str] = []
+    if plan.wait_for is None and plan.protocol:
         sources = _find_sources(plan.protocol, inferred.folder)
+        needed, late = _list_required_roles(sources), [*sources]
+    elif plan.wait_for is None:
+        possible = _filter_sources(
+            inferred, (_find_sources(name, inferred.folder) for name in others)
+        ) or _filter_sources(inferred, (protocol.sources for protocol in load_all_protocols()))
+        sources = _find_sources(find_majority(others), inferred.folder)
+        if sources not in possible:
+            sources = _find_sources(inferred.values.get("protocol", ""), inferred.folder)
+        required_elsewhere = {role for other in possible for role in _list_required_roles(other)}
         needed = _list_required_roles(sources)
-        return needed, [role for role in sources if role not in needed]
-    sources_of_others = [_find_sources(name, inferred.folder) for name in others if name]
-    all_sources = (protocol.sources for protocol in load_all_protocols())
-    possible = _filter_sources(inferred, sources_of_others) or _filter_sources(
-        inferred, all_sources
-    )
-    usual = _find_sources(find_majority(others), inferred.folder)
-    sources = (
-        usual
-        if usual in possible
-        else _find_sources(inferred.values.get("protocol", ""), inferred.folder)
-    )
-    needed = _list_required_roles(sources)
-    awaited_roles = {role for sources in possible for role in _list_required_roles(sources)}
-    return needed, [role for role in sources if role in awaited_roles and role not in needed]
+        late = [role for role in sources if role in required_elsewhere]
+    missing = [role for role in needed if role not in inferred.files]
+    late = [role for role in late if role not in inferred.files and waited < plan.patience]
+    return tuple(missing or late)
 
 
 def _filter_sources(
     inferred: InferredTest, candidates: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
     """Return the sources of protocols that have all roles of the exports of a test."""
-    return [sources for sources in candidates if sources.keys() >= inferred.files.keys()]
+    return [
+        sources for sources in candidates if sources and sources.keys() >= inferred.files.keys()
+    ]
 
 
 def _find_sources(name: str, folder: Path) -> Mapping[Role, Source]:
     """Find the sources of a protocol by role; none for an unknown or faulty protocol."""
-    file = find_protocol(name, beside=folder) if name else None
     with suppress(LabpipeError):
+        file = find_protocol(name, beside=folder) if name else None
         return load_protocol(file).sources if isinstance(file, Path) else {}
     return {}
 
@@ -411,8 +398,7 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
         with storing(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
             with replacing(copy) as part:
-                shutil.copyfile(path, part)
-                shutil.copystat(path, part)
+                shutil.copy2(path, part)
         copies.append(copy)
     return copies
 

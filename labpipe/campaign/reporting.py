@@ -16,11 +16,10 @@ from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     applicable_decision,
-    find_label,
+    find_home,
     read_decisions_on,
 )
 from labpipe.campaign.report_samples import (
-    ResultKinds,
     add_sizes,
     choose_frames,
     classify_results,
@@ -37,7 +36,7 @@ from labpipe.process.output_paths import (
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.schema import Groups
+from labpipe.protocol.schema import Protocol
 from labpipe.records.group import Campaign, Group, LotRule, Sample
 from labpipe.report.html_pages import render_test
 from labpipe.report.lab_report import PLAIN, Letterhead, write_report
@@ -178,7 +177,7 @@ def report_tests(
             letterhead=options.letterhead,
             formats=options.formats,
             test_pages=pages,
-            is_journal="journal" in tests.styles,
+            is_journal=any(one.report.style == "journal" for one in tests.protocols.values()),
         )
         text = options.text(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
@@ -223,7 +222,11 @@ def _make_campaign(
     grouping.check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
     differences, n_hidden = grouping.find_differences(
-        groups, tests.group_settings, tests.settings, by=by, alone=options.alone
+        groups,
+        {name: protocol.groups for name, protocol in tests.protocols.items()},
+        tests.settings,
+        by=by,
+        alone=options.alone,
     )
     return Campaign(
         title=title,
@@ -251,23 +254,20 @@ class _Tests:
     Parameters
     ----------
     samples : in order, without those left out or rejected
-    group_settings, result_kinds : by protocol
+    protocols : by name
     settings : of processing, by test
     left_out, rejected : the reason, by file
     rejected_samples : in order
     decisions : all on these tests
-    styles : of figures, from the protocols
     """
 
     samples: list[Sample] = field(default_factory=list)
-    group_settings: dict[str, Groups] = field(default_factory=dict)
-    result_kinds: dict[str, ResultKinds] = field(default_factory=dict)
+    protocols: dict[str, Protocol] = field(default_factory=dict)
     settings: dict[str, grouping.Settings] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: dict[str, str] = field(default_factory=dict)
     rejected_samples: list[Sample] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
-    styles: set[str] = field(default_factory=set)
 
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
@@ -287,19 +287,16 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
             continue
         specimen = add_sizes(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = make_sample(sized, source=str(file), label=find_label(file, shared))
+        sample = make_sample(sized, source=str(file), label=find_home(file, shared)[1])
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
-        decision = applicable_decision(decisions, run=result.run)
-        if decision is not None:
+        if decision := applicable_decision(decisions, run=result.run):
             sample = replace(sample, decision=decision.describe())
-        if decision is not None and decision.decision == REJECT:
-            tests.rejected[str(file)] = sample.decision
-            tests.rejected_samples.append(sample)
-            continue
-        tests.styles.add(protocol.report.style)
-        tests.group_settings[result.protocol] = protocol.groups
-        tests.result_kinds[result.protocol] = classify_results(protocol)
+            if decision.decision == REJECT:
+                tests.rejected[str(file)] = sample.decision
+                tests.rejected_samples.append(sample)
+                continue
+        tests.protocols[result.protocol] = protocol
         tests.settings[sample.test] = grouping.list_settings(protocol)
         recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
@@ -314,13 +311,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
 
 
 def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
-    members, by = grouping.divide_into_groups(tests.samples, by), by or (TYPE,)
-    groups = []
-    for key, name in grouping.name_groups(list(members), by).items():
-        group_settings = tests.group_settings[key.protocol]
-        kinds = tests.result_kinds[key.protocol]
-        missing_fields = grouping.list_missing_fields(key, by)
-        group = _make_group(name, members[key], group_settings, kinds, missing_fields)
+    members, groups = grouping.divide_into_groups(tests.samples, by), []
+    for key, name in grouping.name_groups(list(members)).items():
+        group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         settings = {sample.test: tests.settings[sample.test] for sample in group.samples}
         notes = grouping.note_differing_settings(settings, noted)
@@ -329,11 +322,7 @@ def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
 
 
 def _make_group(
-    name: str,
-    members: Sequence[Sample],
-    settings: Groups,
-    kinds: ResultKinds,
-    missing_fields: Sequence[str],
+    name: str, members: Sequence[Sample], protocol: Protocol, missing_fields: Sequence[str]
 ) -> Group:
     samples, renamed_spools = grouping.rename_shared_spools(members)
     # Only results that describe the specimen are grouped.
@@ -341,6 +330,7 @@ def _make_group(
         replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))
         for sample in samples
     ]
+    settings, kinds = protocol.groups, classify_results(protocol)
     group = build_group(
         name,
         members[0].protocol,
@@ -353,15 +343,13 @@ def _make_group(
     numbers = {number.name: number for number in group.numbers}
     main = [numbers.pop(name) for name in settings.main if name in numbers]
     samples_by_source = {sample.source: sample for sample in samples}
+    ordered = [samples_by_source[sample.source] for sample in group.samples]
     return replace(
         group,
-        samples=tuple(samples_by_source[sample.source] for sample in group.samples),
+        samples=tuple(ordered),
         numbers=(*main, *numbers.values()),
         notes=(*make_grouping_notes(missing_fields, renamed_spools), *group.notes),
-        lot=judge_lot(
-            [samples_by_source[sample.source] for sample in group.samples],
-            LotRule(settings.coverage, settings.confidence),
-        ),
+        lot=judge_lot(ordered, LotRule(settings.coverage, settings.confidence)),
     )
 
 

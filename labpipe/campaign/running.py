@@ -1,20 +1,60 @@
-"""Run a campaign: process its new and changed tests, clear failures, record decisions."""
+"""Keep the catalog of a campaign up to date with its files, and process what is new or changed."""
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import CampaignFolders
-from labpipe.campaign.catalog_rows import FAILED, PENDING, STALE, TestRow
-from labpipe.campaign.decisions import Decision, add_decisions, now
+from labpipe.campaign.campaign_folders import (
+    CampaignFolders,
+    OutcomeFiles,
+    RawContent,
+    find_outcome,
+    list_processed,
+    list_raw,
+)
+from labpipe.campaign.catalog import Catalog, Claim, open_catalog
+from labpipe.campaign.catalog_rows import (
+    FAILED,
+    NEWER_RESULT,
+    PENDING,
+    REJECTED,
+    RUNNING,
+    STALE,
+    Entry,
+    FileState,
+    TestRow,
+    as_json,
+    encodable,
+    read_outcome,
+)
+from labpipe.campaign.decisions import (
+    REJECT,
+    Decision,
+    DecisionFile,
+    add_decisions,
+    applicable_decision,
+    find_unapplied_decisions,
+    now,
+    read_decisions,
+)
 from labpipe.campaign.executors import Executor, Outcome
-from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
-from labpipe.errors import StoreError, UsageError, sort_by_likeness
+from labpipe.campaign.input_keys import (
+    HashedInputs,
+    InputReader,
+    describe_changes,
+    hash_text,
+    parse_inputs,
+)
+from labpipe.campaign.pairing import list_candidates, read_plan
+from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Task
+from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.plans import PLAN_NAME
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
@@ -22,6 +62,265 @@ from labpipe.store.summaries import FAILURE_FILE
 _RETRY_DELAY = 1.0
 """Time between attempts to process a test that another process still writes, s."""
 _MAX_RETRIES = 60
+
+
+@dataclass(slots=True)
+class Overview:
+    """State of a campaign.
+
+    Parameters
+    ----------
+    rows : of all tests, by folder
+    claims : of processes at work, by folder of the test
+    raw : test sheets and files
+    decisions : all of the campaign, in order
+    notes : messages, such as on a rebuilt catalog or unreadable decisions
+    has_bad_input : whether a note is on a file that needs repair
+    has_failed_results : whether any result failed in a test that is not rejected
+    """
+
+    rows: dict[str, TestRow]
+    claims: dict[str, Claim]
+    raw: RawContent
+    decisions: tuple[Decision, ...]
+    notes: list[str]
+    has_bad_input: bool
+    has_failed_results: bool
+
+    def state_of(self, folder: str) -> str:
+        """Return the state of a test, ``running`` if a process works on it.
+
+        Parameters
+        ----------
+        folder : of the test, one of `rows`
+        """
+        return RUNNING if folder in self.claims else self.rows[folder].state
+
+    @property
+    def unapplied(self) -> list[tuple[Decision, str]]:
+        """Return the decisions that are not applied, and why."""
+        runs = {folder: row.attempt for folder, row in self.rows.items()}
+        return list(find_unapplied_decisions(self.decisions, runs))
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Return the number of tests by state."""
+        return Counter(map(self.state_of, self.rows))
+
+
+@contextmanager
+def open_campaign(
+    campaign: CampaignFolders, *, start_empty: bool = False, is_changed: bool = False
+) -> Iterator[CatalogSync]:
+    """Open the catalog of a campaign; make an empty one if there is no usable one.
+
+    Parameters
+    ----------
+    campaign : its folders
+    start_empty : whether to make an empty one in any case
+    is_changed : whether the campaign will be changed, so that it must be writable
+
+    Raises
+    ------
+    LabpipeError
+        If the catalog was made by a newer labpipe or another program, or cannot be made; with
+        `start_empty`, also if a process works on a test.
+    """
+    notes: list[str] = []
+    with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
+        if is_changed and catalog.in_memory:
+            raise StoreError.about("campaign.read_only", campaign.processed)
+        yield CatalogSync(campaign, catalog, notes)
+
+
+class CatalogSync:
+    """Keeps the catalog of a campaign up to date with its files.
+
+    Parameters
+    ----------
+    campaign : its folders
+    catalog : open
+    notes : messages so far
+    """
+
+    def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
+        self.campaign, self.catalog, self.notes = campaign, catalog, notes
+        self._input_reader = InputReader()
+        self._read_inputs: dict[str, HashedInputs] = {}
+        self._decisions: DecisionFile | None = None
+
+    def refresh(self) -> Overview:
+        """Update the catalog from all files.
+
+        Returns
+        -------
+        State of the campaign. Unchanged files are not opened.
+        """
+        raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
+        rows, states = self.catalog.read_rows(), self.catalog.read_file_states()
+        decisions = self._decisions = self._read_decisions()
+        changed: dict[str, Entry] = {}
+        folders = sorted(raw.sheets.keys() | outcomes.keys())
+        for folder in folders:
+            sheet, files = raw.sheets.get(folder), outcomes.get(folder)
+            entry = self._make_new_entry(folder, sheet, files, states.get(folder))
+            if entry is not None:
+                changed[folder] = entry
+        if changed:
+            self.catalog.put(changed.values(), states)
+        if gone := rows.keys() - folders:
+            self.catalog.remove(gone)
+        rows |= {folder: entry.row for folder, entry in changed.items()}
+        return Overview(
+            {folder: rows[folder] for folder in folders},
+            self.catalog.read_claims(),
+            raw,
+            decisions.decisions,
+            [*self.notes, *decisions.faults, *raw.problems],
+            has_bad_input=bool(decisions.faults or raw.problems),
+            has_failed_results=self.catalog.has_failed_results(),
+        )
+
+    def refresh_test(self, folder: str) -> TestRow:
+        """Update the catalog from the files of one test, and return its row.
+
+        Parameters
+        ----------
+        folder : of the test
+        """
+        if self._decisions is None:
+            self._decisions = self._read_decisions()
+        sheet = self.sheet(folder)
+        files = find_outcome(self.campaign, folder)
+        state = self.catalog.read_file_states(folder).get(folder)
+        entry = self._make_new_entry(folder, sheet if sheet.is_file() else None, files, state)
+        if entry is None:
+            return self.catalog.read_rows(folder)[folder]
+        self.catalog.put([entry])
+        return entry.row
+
+    def read_due_key(self, folder: str, *, is_forced: bool) -> str:
+        """Read the key of the inputs of a test; its next update does not read them again.
+
+        Parameters
+        ----------
+        folder : of the test
+        is_forced : whether it is to be processed even if nothing changed
+
+        Returns
+        -------
+        The key; empty if the test is not to be processed.
+        """
+        is_due = self.refresh_test(folder).is_due or is_forced
+        if not is_due or not self.sheet(folder).is_file():
+            return ""
+        content = self.catalog.read_file_states(folder).get(folder, FileState()).content
+        inputs = self._input_reader.read_inputs(self.sheet(folder), parse_inputs(content))
+        self._read_inputs[folder] = inputs
+        return inputs.key
+
+    def sheet(self, folder: str) -> Path:
+        """Return the path of the sheet of a test, which may be missing.
+
+        Parameters
+        ----------
+        folder : of the test
+        """
+        return self.campaign.raw / folder / SHEET_NAME
+
+    def _read_decisions(self) -> DecisionFile:
+        return read_decisions(self.campaign.processed, self.campaign.name)
+
+    def _make_new_entry(
+        self, folder: str, sheet: Path | None, files: OutcomeFiles | None, state: FileState | None
+    ) -> Entry | None:
+        """Make the entry of a test; return None if the catalog is up to date."""
+        signature = files.signature if files is not None else ""
+        stored = parse_inputs(state.content) if state is not None else None
+        inputs, key = self._read_inputs.pop(folder, stored), ""
+        if sheet is not None and signature:
+            inputs = self._input_reader.read_inputs(sheet, inputs)
+            key = inputs.key
+        decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
+        decided = hash_text(repr(decisions)) if decisions else ""
+        marks = f"{signature} {key or sheet is not None} {decided}"
+        if state is not None and state.marks == marks and inputs == stored:
+            return None
+        entry = read_outcome(folder, files)
+        decision = applicable_decision(decisions, run=_last_key(entry.row))
+        row = _complete_row(entry, inputs if key else None, decision)
+        content = inputs.to_json() if inputs is not None else ""
+        return entry._replace(row=row, file_state=FileState(content, marks))
+
+
+def _last_key(row: TestRow) -> str:
+    """Return the key of the last attempt of a test; empty for a failure without a key."""
+    return row.failed_run if row.state == FAILED else row.run
+
+
+def _complete_row(
+    outcome: Entry, inputs: HashedInputs | None, decision: Decision | None
+) -> TestRow:
+    """Add the facts of the test sheet, outdated inputs and a rejection to the row of a test."""
+    row, facts = outcome.row, {} if inputs is None else inputs.facts
+    row = row._replace(**{key: getattr(row, key) or encodable(facts[key]) for key in facts})
+    row = row._replace(test=row.test or row.folder.rpartition("/")[2])
+    if row.specimen == "{}":
+        specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
+        row = row._replace(specimen=as_json(specimen))
+    if row.code == NEWER_RESULT or row.state == PENDING:
+        return row
+    if inputs is not None and inputs.key != _last_key(row):
+        changes = describe_changes(
+            files=outcome.inputs,
+            sheet_sha256=row.sheet,
+            protocol_sha256=row.resolved,
+            current=inputs,
+        )
+        return row._replace(state=STALE, why=changes)
+    if decision is None or decision.decision != REJECT:
+        return row
+    by, when = decision.by, decision.when
+    return row._replace(state=REJECTED, why=decision.because, decided_by=by, decided=when)
+
+
+def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
+    """Find the files below the exports of a campaign that belong to no test.
+
+    Parameters
+    ----------
+    sync : of the catalog
+    overview : of the campaign
+
+    Returns
+    -------
+    Sorted paths below the campaign. The files that a test sheet names, the campaign YAML and the
+    exports that it pairs are known.
+    """
+    raw, states = sync.campaign.raw, sync.catalog.read_file_states()
+    known_files = {
+        f"{folder}/{name}" if folder else name
+        for folder, sheet in overview.raw.sheets.items()
+        for name in _list_files(sheet, parse_inputs(states[folder].content))
+    }
+    if (raw / PLAN_NAME).is_file():
+        known_files.add(PLAN_NAME)
+        with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
+            for candidate in list_candidates(raw, read_plan(raw)).candidates:
+                if candidate.by_role or not candidate.sheet.exists():
+                    files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
+                    known_files |= {path.relative_to(raw).as_posix() for path in files}
+    return sorted(file for file in overview.raw.files if file not in known_files)
+
+
+def _list_files(sheet: Path, inputs: HashedInputs | None) -> list[str]:
+    """List test sheet and exports of a test; only the sheet if it is faulty."""
+    if inputs is not None and inputs.stamps:
+        return [*inputs.stamps]
+    with suppress(LabpipeError):
+        files = load_test_sheet(sheet).files
+        return [SHEET_NAME, *(name for names in files.values() for name in names)]
+    return [SHEET_NAME]
 
 
 @dataclass(slots=True)
@@ -44,7 +343,6 @@ def run_campaign(
     campaign: CampaignFolders,
     executor: Executor,
     *,
-    only: Collection[str] | None = None,
     forced: Collection[str] = (),
     make_task: Callable[..., Task] = Task,
     begin: Callable[[int], None] = lambda _: None,
@@ -56,7 +354,6 @@ def run_campaign(
     ----------
     campaign : its folders
     executor : processes the tests
-    only : tests to consider; None for all
     forced : tests to process even if nothing changed
     make_task : makes the task of a test from its sheet, folder of results and key, such as a
         partial of `Task` with figures and links
@@ -72,20 +369,18 @@ def run_campaign(
     LabpipeError
         If the catalog is from a newer labpipe, or the folder of results cannot be written.
     """
-    with _open_writable(campaign) as sync:
-        sync.catalog.release_dead()
+    with open_campaign(campaign, is_changed=True) as sync:
         overview = sync.refresh()
         due = [
             folder
             for folder, row in overview.rows.items()
-            if folder in overview.raw.sheets
-            and (only is None or folder in only)
-            and (row.state in {PENDING, STALE} or folder in forced)
+            if folder in overview.raw.sheets and (row.is_due or folder in forced)
         ]
         begin(len(due))
-        run = _Run(sync, make_task, on_outcome)
-        run.process(executor, due, forced)
-        return RunSummary(sync.refresh() if due else overview, run.outcomes, run.elsewhere)
+        processed, elsewhere = _process(
+            sync, executor, due, forced, make_task=make_task, on_outcome=on_outcome
+        )
+        return RunSummary(sync.refresh() if due else overview, processed, elsewhere)
 
 
 def run_test(
@@ -110,85 +405,60 @@ def run_test(
     LabpipeError
         As `run_campaign`.
     """
-    with _open_writable(campaign) as sync:
-        sync.catalog.release_dead()
-        sync.read_decisions()
-        run = _Run(sync)
-        run.process(executor, [folder], [folder] if is_forced else ())
-        row = sync.refresh_test(folder)
-    return None if folder in run.elsewhere else row, run.outcomes.get(folder)
+    with open_campaign(campaign, is_changed=True) as sync:
+        forced = [folder] if is_forced else []
+        processed, elsewhere = _process(sync, executor, [folder], forced)
+        return None if elsewhere else sync.refresh_test(folder), processed.get(folder)
 
 
-@contextmanager
-def _open_writable(campaign: CampaignFolders) -> Iterator[CatalogSync]:
-    """Open a campaign to change it."""
-    with open_campaign(campaign) as sync:
-        if sync.catalog.in_memory:
-            raise StoreError.about("campaign.read_only", campaign.processed)
-        yield sync
+def _process(
+    sync: CatalogSync,
+    executor: Executor,
+    due: list[str],
+    forced: Collection[str],
+    *,
+    make_task: Callable[..., Task] = Task,
+    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
+) -> tuple[dict[str, Outcome], list[str]]:
+    """Process tests that no other labpipe has claimed; retry those that are being written.
 
+    Returns the outcomes by folder, and the tests that another labpipe processes.
+    """
+    claimed: dict[Path, str] = {}
+    outcomes: dict[str, Outcome] = {}
+    elsewhere: list[str] = []
+    retries = 0
 
-class _Run:
-    """Claims tests when an executor takes them, and records their outcomes."""
-
-    def __init__(
-        self,
-        sync: CatalogSync,
-        make_task: Callable[..., Task] = Task,
-        on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
-    ) -> None:
-        self._sync, self._make_task, self._on_outcome = sync, make_task, on_outcome
-        self._claimed: dict[Path, str] = {}
-        self._busy: list[str] = []
-        self.outcomes: dict[str, Outcome] = {}
-        self.elsewhere: list[str] = []
-
-    def process(self, executor: Executor, due: list[str], forced: Collection[str]) -> None:
-        """Process tests that no other labpipe has claimed; retry those that are being written."""
-        try:
-            self._process(executor, due, forced)
-            for _ in range(_MAX_RETRIES):
-                if not self._busy:
-                    break
-                time.sleep(_RETRY_DELAY)
-                unfinished, self._busy = self._busy, []
-                self._process(executor, unfinished, forced)
-        finally:
-            self._sync.catalog.release(*self._claimed.values())
-        self.elsewhere += self._busy
-
-    def _process(self, executor: Executor, due: list[str], forced: Collection[str]) -> None:
-        with closing(self._claim_tasks(due, forced)) as tasks:
-            for outcome in executor(tasks):
-                self._record(outcome)
-
-    def _claim_tasks(self, due: list[str], forced: Collection[str]) -> Generator[Task, None, None]:
+    def claim_tasks() -> Generator[Task, None, None]:
         """Claim tests one by one; skip those that another run has processed meanwhile."""
-        sync = self._sync
         for folder in due:
             if not sync.catalog.claim(folder):
-                self.elsewhere.append(folder)
+                elsewhere.append(folder)
                 continue
-            row = sync.refresh_test(folder)
-            sheet = sync.campaign.raw / folder / SHEET_NAME
-            if (row.state not in {PENDING, STALE} and folder not in forced) or not sheet.is_file():
-                sync.catalog.release(folder)
-                continue
-            self._claimed[sheet] = folder
-            key = sync.read_inputs(folder).key
-            yield self._make_task(sheet, sync.campaign.processed / folder, run=key)
+            claimed[sync.sheet(folder)] = folder
+            if key := sync.read_due_key(folder, is_forced=folder in forced):
+                yield make_task(sync.sheet(folder), sync.campaign.processed / folder, run=key)
+            else:
+                sync.catalog.release(claimed.pop(sync.sheet(folder)))
 
-    def _record(self, outcome: Outcome) -> None:
-        """Update the catalog from the outcome of a test, and release the test."""
-        folder = self._claimed.pop(outcome.sheet)
-        catalog = self._sync.catalog
-        if outcome.code == "in_use":  # a process that outlived its killed run
-            self._busy.append(folder)
-        else:
-            self._sync.refresh_test(folder)
-            self.outcomes[folder] = outcome
-            self._on_outcome(folder, outcome)
-        catalog.release(folder)
+    try:
+        while due and retries <= _MAX_RETRIES:
+            time.sleep(_RETRY_DELAY if retries else 0.0)
+            busy = []
+            with closing(claim_tasks()) as tasks:
+                for outcome in executor(tasks):
+                    folder = claimed.pop(outcome.sheet)
+                    if outcome.code == "in_use":  # a process that outlived its killed run
+                        busy.append(folder)
+                    else:
+                        sync.refresh_test(folder)
+                        outcomes[folder] = outcome
+                        on_outcome(folder, outcome)
+                    sync.catalog.release(folder)
+            due, retries = busy, retries + 1
+    finally:
+        sync.catalog.release(*claimed.values())
+    return outcomes, elsewhere + due
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:
@@ -239,9 +509,9 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     UsageError
         If `code` is not empty and no failure has it.
     """
-    with _open_writable(campaign) as sync:
-        overview = sync.refresh()
-        failed = {folder: row for folder, row in overview.rows.items() if row.state == FAILED}
+    with open_campaign(campaign, is_changed=True) as sync:
+        rows = sync.refresh().rows
+        failed = {folder: row for folder, row in rows.items() if row.state == FAILED}
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
@@ -277,9 +547,8 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     LabpipeError
         If there is no such test, it is not processed yet, or the decisions cannot be written.
     """
-    with _open_writable(campaign) as sync:
-        overview = sync.refresh()
-        row = _find_row(campaign, overview, test)
+    with open_campaign(campaign, is_changed=True) as sync:
+        row = _find_row(campaign, sync.refresh(), test)
         if not row.attempt:
             raise UsageError.about("campaign.unprocessed_test", test)
         entry = replace(decision, test=row.folder, run=row.attempt, when=now())

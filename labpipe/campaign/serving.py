@@ -20,7 +20,7 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
-    find_label,
+    find_home,
     import_decisions,
     parse_decisions,
     read_decisions_on,
@@ -283,7 +283,7 @@ def _find_file(path: list[str], site: Site) -> Path:
 def _find_result(page: str, site: Site) -> Path:
     """Find the result file of a test by the name of its page."""
     for file in files_below(site.results_folder, RESULT_FILE):
-        if name_page_file(find_label(file, site.results_folder)) == page:
+        if name_page_file(find_home(file, site.results_folder)[1]) == page:
             return file
     raise _not_found()
 

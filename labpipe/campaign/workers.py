@@ -11,52 +11,19 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import IO, NoReturn, TypeVar, cast
+from typing import IO, NoReturn, Self, TypeVar, cast
 
 from labpipe.errors import ProcessingError
 
 A = TypeVar("A")
 T = TypeVar("T")
-
-
-class ProcessDied(Exception):  # noqa: N818  an outcome
-    """The process of a call died before the call was completed.
-
-    Parameters
-    ----------
-    exit_code : of the process; minus the number of the signal that killed it
-    limit : time limit of the call, s, if it was exceeded; else None
-    """
-
-    def __init__(self, exit_code: int, limit: float | None = None) -> None:
-        super().__init__(exit_code, limit)
-        self.exit_code, self.limit = exit_code, limit
-
-    @property
-    def how(self) -> str:
-        """Return how the process died: by a signal, or with an exit code."""
-        if self.exit_code >= 0:
-            return f"with exit code {self.exit_code}"
-        with suppress(ValueError):
-            return f"by the signal {signal.Signals(-self.exit_code).name}"
-        return f"by the signal {-self.exit_code}"
-
-    def error(self, about: object) -> ProcessingError:
-        """Make the error for the user.
-
-        Parameters
-        ----------
-        about : subject of the call, such as the file of a test
-        """
-        if self.limit is not None:
-            return ProcessingError.about("campaign.time_limit", about, minutes=self.limit / 60.0)
-        return ProcessingError.about("campaign.process_died", about, how=self.how)
 
 
 class WorkerProcess:
@@ -72,17 +39,18 @@ class WorkerProcess:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
-    def call(self, work: Callable[[], T], *, limit: float | None = None) -> T:
+    def call(self, work: Callable[[], T], *, about: object, limit: float | None = None) -> T:
         """Run a call in the process and wait for it.
 
         Parameters
         ----------
         work : can be pickled, such as a partial of a module-level function; so can its result
+        about : subject of the call for messages, such as the file of a test
         limit : s, time limit, after which the process is killed; None for no limit
 
         Raises
         ------
-        ProcessDied
+        ProcessingError
             If the process was killed, crashed, ran out of memory or took too long.
         Exception
             If the call raises it.
@@ -91,29 +59,32 @@ class WorkerProcess:
         if self.process is None or self.process.poll() is not None:
             self.close()
             self.process = _start_process()
-        is_late = threading.Event()
-        timer = threading.Timer(
-            min(threading.TIMEOUT_MAX, limit or threading.TIMEOUT_MAX),
-            _kill_late,
-            (self.process, is_late),
-        )
+        begin = time.monotonic()
+        longest = min(limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
+        timer = threading.Timer(longest, _kill, [self.process])
         timer.daemon = True
         timer.start()
         reply: bytes | None = None
-        with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):  # it died
-            _send(call, cast("IO[bytes]", self.process.stdin))
-            reply = pickle.load(cast("IO[bytes]", self.process.stdout))
-        timer.cancel()
-        timer.join()
+        try:
+            with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):  # it died
+                _send(call, cast("IO[bytes]", self.process.stdin))
+                reply = pickle.load(cast("IO[bytes]", self.process.stdout))
+        finally:
+            timer.cancel()
+            timer.join()
+            exit_code = self.close() if reply is None else 0
+        if reply is None and time.monotonic() - begin >= longest:
+            raise ProcessingError.about("campaign.time_limit", about, minutes=longest / 60.0)
         if reply is None:
-            raise ProcessDied(self.close(), limit if is_late.is_set() else None)
+            how = _describe_exit(exit_code)
+            raise ProcessingError.about("campaign.process_died", about, how=how)
         result, error = pickle.loads(reply)
         if error is not None:
             raise error
         return cast("T", result)
 
     def close(self) -> int:
-        """Kill the process, also during a call, and return its exit code; 0 without a process."""
+        """End the process, and return its exit code; 0 if there is none."""
         process, self.process = self.process, None
         if process is None:
             return 0
@@ -125,8 +96,63 @@ class WorkerProcess:
         return process.wait()
 
 
+def _describe_exit(code: int) -> str:
+    with suppress(ValueError):
+        return f"by the signal {signal.Signals(-code).name}"
+    return f"by the signal {-code}" if code < 0 else f"with exit code {code}"
+
+
+class Pool:
+    """Processes that run calls in parallel, each with a thread that waits for it.
+
+    Parameters
+    ----------
+    jobs : maximum number of processes, which are started on first use
+    limit : s, time limit of a call, after which its process is killed; None for no limit
+    """
+
+    def __init__(self, jobs: int, *, limit: float | None = None) -> None:
+        self._limit, self._threads = limit, ThreadPoolExecutor(jobs)
+        self._workers = [WorkerProcess() for _ in range(jobs)]
+        self._idle = queue.SimpleQueue[WorkerProcess]()
+        for worker in self._workers:
+            self._idle.put(worker)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Wait for all submitted calls, and end the processes."""
+        try:
+            self._threads.shutdown()
+        finally:
+            for worker in self._workers:
+                worker.close()
+
+    def submit(self, work: Callable[[], T], *, about: object) -> Future[T]:
+        """Start a call, which raises as `WorkerProcess.call`; do not wait.
+
+        Parameters
+        ----------
+        work, about : see `WorkerProcess.call`
+        """
+        return self._threads.submit(self._call, work, about)
+
+    def _call(self, work: Callable[[], T], about: object) -> T:
+        worker = self._idle.get()
+        try:
+            return worker.call(work, about=about, limit=self._limit)
+        finally:
+            self._idle.put(worker)
+
+
 def run_as_completed(
-    work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
+    work: Callable[[A], T],
+    arguments: Iterable[A],
+    *,
+    jobs: int,
+    limit: float | None = None,
+    about: Callable[[A], object] = str,
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
 
@@ -134,8 +160,8 @@ def run_as_completed(
     ----------
     work : can be pickled, such as a module-level function
     arguments : can be pickled; the next one is taken whenever a process becomes free
-    jobs : maximum number of processes, which are started on first use
-    limit : s, time limit of a call, after which its process is killed; None for no limit
+    jobs, limit : see `Pool`
+    about : returns the subject of a call for messages
 
     Yields
     ------
@@ -146,36 +172,20 @@ def run_as_completed(
     -----
     If the generator is closed, as on an interrupt, started calls are completed.
     """
-    workers = [WorkerProcess() for _ in range(jobs)]
-    idle: queue.SimpleQueue[WorkerProcess] = queue.SimpleQueue()
-    for worker in workers:
-        idle.put(worker)
-
-    def run(argument: A) -> T:
-        worker = idle.get()
-        try:
-            return worker.call(partial(work, argument), limit=limit)
-        finally:
-            idle.put(worker)
-
     remaining = iter(arguments)
     running: dict[Future[T], A] = {}
-    threads = ThreadPoolExecutor(jobs)
-    try:
-        for argument in islice(remaining, jobs):
-            running[threads.submit(run, argument)] = argument
+    with Pool(jobs, limit=limit) as pool:
+
+        def start(count: int) -> None:
+            for argument in islice(remaining, count):
+                running[pool.submit(partial(work, argument), about=about(argument))] = argument
+
+        start(jobs)
         while running:
             future = wait(running, return_when=FIRST_COMPLETED).done.pop()
             completed = running.pop(future)
-            for argument in islice(remaining, 1):
-                running[threads.submit(run, argument)] = argument
+            start(1)
             yield completed, future
-    finally:
-        try:
-            threads.shutdown(cancel_futures=True)
-        finally:
-            for worker in workers:
-                worker.close()
 
 
 def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
@@ -197,11 +207,8 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """
     if jobs == 1:
         return [call() for call in calls]
-    try:
-        completed = run_as_completed(operator.call, calls, jobs=jobs)
-        results = {call: future.result() for call, future in completed}
-    except ProcessDied as died:
-        raise died.error("labpipe") from died
+    completed = run_as_completed(operator.call, calls, jobs=jobs, about=lambda _: "labpipe")
+    results = {call: future.result() for call, future in completed}
     return [results[call] for call in calls]
 
 
@@ -228,11 +235,6 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
             process.kill()
         else:
             os.killpg(process.pid, signal.SIGKILL)
-
-
-def _kill_late(process: subprocess.Popen[bytes], is_late: threading.Event) -> None:
-    is_late.set()
-    _kill(process)
 
 
 def _send(message: bytes, stream: IO[bytes]) -> None:

@@ -9,7 +9,8 @@ import sys
 from labpipe.campaign.decisions import exclude_rejected
 from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_reading
-from labpipe.mechanics.studies.calibration_study import Calibrated, as_json, calibrate_tests
+from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
+from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import IsotropicShare
 from labpipe.report.calibration_figures import describe_agreement, describe_match

@@ -5,24 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from functools import partial
 from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import (
-    Decision,
-    import_decision_file,
-)
+from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
-from labpipe.campaign.refreshing import Overview, find_unknown_files, open_campaign
 from labpipe.campaign.running import (
-    RunSummary,
+    Overview,
     clear_failures,
     decide,
+    find_unknown_files,
+    open_campaign,
     rebuild,
     run_campaign,
 )
@@ -41,54 +39,64 @@ def run(options: argparse.Namespace) -> int:
     return int(_ACTIONS[options.action](options, find_campaign(options.folder)))
 
 
-def _run(
-    options: argparse.Namespace, campaign: CampaignFolders, forced: list[str] | None = None
-) -> int:
+def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequence[str] = ()) -> int:
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
     )
-    with show_completed("test") as (begin, show_ended):
+    with show_completed("test") as (begin, show):
         summary = run_campaign(
             campaign,
             executor,
-            forced=forced or (),
+            forced=forced,
             make_task=make_task,
             begin=begin,
-            on_outcome=lambda folder, outcome: show_ended(
-                f"{escape_controls(folder)}: {outcome.state}"
-            ),
+            on_outcome=lambda folder, outcome: show(f"{escape_controls(folder)}: {outcome.state}"),
         )
-    _print_notes(summary.overview)
-    print(_format_run(campaign, summary))
-    return _exit_status(summary.overview)
+    overview, elsewhere = summary.overview, summary.elsewhere
+    lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]
+    if elsewhere:
+        names = ", ".join(elsewhere[:3]) + (" ..." if len(elsewhere) > 3 else "")
+        lines.append(f"  processed by another labpipe: {len(elsewhere)}: {names}")
+    failed = [row for row in overview.rows.values() if row.state == FAILED]
+    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
+    if len(failed) > _MAX_LISTED:
+        lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
+    return _print_overview(campaign, overview, [*lines, *_list_unapplied(overview)])
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         unknown_files = find_unknown_files(sync, overview)
-    _print_notes(overview)
     if options.json:
+        _print_errors(overview.notes)
         print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
-    else:
-        print(
-            "\n".join(
-                [
-                    _format_state_counts(campaign, overview),
-                    *_format_attention(overview, unknown_files),
-                ]
-            )
-        )
-    return _exit_status(overview)
+        return _exit_status(overview)
+    running = {
+        folder: f"process {claim.pid} on {claim.machine}"
+        for folder, claim in overview.claims.items()
+    }
+    descriptions: dict[str, Callable[[TestRow], str]] = {
+        FAILED: lambda row: f"{row.code}: {row.reason}",
+        STALE: lambda row: row.why,
+        PENDING: lambda row: row.why,
+        RUNNING: lambda row: running[row.folder],
+        REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
+    }
+    lines: list[str] = []
+    for state, describe in descriptions.items():
+        rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
+        lines += _list_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
+    lines += [*_list_unapplied(overview), *_list_section("unknown files", unknown_files)]
+    return _print_overview(campaign, overview, lines)
 
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx" and options.file is None:
         raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
-        overview = sync.refresh()
-        _print_notes(overview)
+        _print_errors(sync.refresh().notes)
         answer = query_results(sync.catalog, options.where)
     if options.out == "xlsx":
         write_workbook(answer, options.file)
@@ -128,27 +136,20 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     """Import the decisions that a report page saved."""
     if options.test:
         raise UsageError.about("cli.test_and_file", "--from", test=options.test)
-    imported, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
-    for fault in faults:
-        print(f"labpipe campaign: {escape_controls(fault)}", file=sys.stderr)
+    imported = import_decision_file(campaign.processed, campaign.name, options.saved)
+    _print_errors(imported.faults)
     for decision in imported.added:
         print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
     for decision, why in imported.not_imported:
-        print(
-            escape_controls(f"{decision.test}: {decision.decision} not imported: {why}"),
-            file=sys.stderr,
-        )
-    print(
-        f"{write_count(len(imported.added), 'decision')} imported, {imported.n_known} already known"
-    )
-    return 2 if faults or imported.not_imported else 0
+        refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {why}")
+        print(refusal, file=sys.stderr)
+    count = write_count(len(imported.added), "decision")
+    print(f"{count} imported, {imported.n_known} already known")
+    return 2 if imported.faults or imported.not_imported else 0
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
-    overview = rebuild(campaign)
-    _print_notes(overview)
-    print(_format_state_counts(campaign, overview))
-    return _exit_status(overview)
+    return _print_overview(campaign, rebuild(campaign), [])
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -172,9 +173,19 @@ _ACTIONS: dict[str, Any] = {
 }
 
 
-def _print_notes(overview: Overview) -> None:
-    for note in overview.notes:
-        print(f"labpipe campaign: {escape_controls(note)}", file=sys.stderr)
+def _print_errors(messages: Iterable[str]) -> None:
+    for message in messages:
+        print(f"labpipe campaign: {escape_controls(message)}", file=sys.stderr)
+
+
+def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[str]) -> int:
+    """Print notes, the number of tests by state, and lines; return the exit status."""
+    _print_errors(overview.notes)
+    counts = overview.counts
+    states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
+    head = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
+    print("\n".join(map(escape_controls, [head, *lines])))
+    return _exit_status(overview)
 
 
 def _exit_status(overview: Overview) -> int:
@@ -184,94 +195,41 @@ def _exit_status(overview: Overview) -> int:
     return 1 if overview.has_failed_results else 0
 
 
-def _format_run(campaign: CampaignFolders, summary: RunSummary) -> str:
-    done, total = len(summary.processed), len(summary.overview.rows)
-    lines = [_format_state_counts(campaign, summary.overview), f"  processed {done} of {total}"]
-    if summary.elsewhere:
-        names = ", ".join(summary.elsewhere[:3]) + (" ..." if len(summary.elsewhere) > 3 else "")
-        lines.append(f"  processed by another labpipe: {len(summary.elsewhere)}: {names}")
-    failed = [row for row in summary.overview.rows.values() if row.state == FAILED]
-    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
-    if len(failed) > _MAX_LISTED:
-        lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
-    lines += _format_unapplied(summary.overview)
-    return "\n".join(map(escape_controls, lines))
-
-
-def _format_state_counts(campaign: CampaignFolders, overview: Overview) -> str:
-    counts = overview.counts
-    states = (
-        ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
-    )
-    return escape_controls(f"{campaign.name}: {states}  ->  {shorten_path(campaign.processed)}")
-
-
-def _format_attention(overview: Overview, unknown_files: list[str]) -> list[str]:
-    """List tests that need attention by state, then unapplied decisions and unknown files."""
-    lines: list[str] = []
-    running = {
-        folder: f"process {claim.pid} on {claim.machine}"
-        for folder, claim in overview.claims.items()
-    }
-    descriptions_by_state: dict[str, Callable[[TestRow], str]] = {
-        FAILED: lambda row: f"{row.code}: {row.reason}",
-        STALE: lambda row: row.why,
-        PENDING: lambda row: row.why,
-        RUNNING: lambda row: running[row.folder],
-        REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
-    }
-    for state, describe in descriptions_by_state.items():
-        rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _format_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
-    lines += _format_unapplied(overview)
-    lines += _format_section("unknown files", unknown_files)
-    return lines
-
-
-def _format_unapplied(overview: Overview) -> list[str]:
+def _list_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
-    return _format_section(
-        "decisions not applied",
-        [
-            f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
-            for decision, why in overview.unapplied
-        ],
-    )
+    lines = [
+        f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
+        for decision, why in overview.unapplied
+    ]
+    return _list_section("decisions not applied", lines)
 
 
-def _format_section(heading: str, lines: list[str]) -> list[str]:
+def _list_section(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
-    return [
-        f"{heading} ({len(lines)})",
-        *(f"  {escape_controls(line)}" for line in lines[:_MAX_LISTED]),
-        *more,
-    ]
+    return [f"{heading} ({len(lines)})", *(f"  {line}" for line in lines[:_MAX_LISTED]), *more]
 
 
 def _format_json(
     campaign: CampaignFolders, overview: Overview, unknown_files: list[str]
 ) -> dict[str, Any]:
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
-    tests = {
-        folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
-        for folder, row in overview.rows.items()
-    }
-    running = {
-        folder: {"host": claim.machine, "pid": claim.pid, "since": claim.since}
-        for folder, claim in overview.claims.items()
-    }
-    not_applied = [
-        {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-        for decision, why in overview.unapplied
-    ]
     return {
         "campaign": campaign.name,
         "counts": {state: overview.counts[state] for state in STATES},
-        "tests": tests,
-        "running": running,
-        "decisions_not_applied": not_applied,
+        "tests": {
+            folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
+            for folder, row in overview.rows.items()
+        },
+        "running": {
+            folder: {"host": claim.machine, "pid": claim.pid, "since": claim.since}
+            for folder, claim in overview.claims.items()
+        },
+        "decisions_not_applied": [
+            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
+            for decision, why in overview.unapplied
+        ],
         "unknown_files": unknown_files,
         "notes": overview.notes,
     }

@@ -80,10 +80,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     )
     processed, n_refused = process_all(
         [folder / SHEET_NAME for folders in folders_by_kind for folder in folders],
+        options,
         out=out,
-        figures=lambda _: not options.no_figures,
-        png=options.png,
-        jobs=options.jobs,
     )
     if not processed:
         return 2  # messages are printed already

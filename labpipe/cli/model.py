@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.cli.terminal import shorten_path, show_reading
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
-from labpipe.mechanics.wire.end_load_path import interpolate_end_load
+from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 

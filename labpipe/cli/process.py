@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from labpipe.campaign.executors import default_jobs, process_tests
 from labpipe.cli.terminal import (
@@ -19,7 +21,6 @@ from labpipe.cli.terminal import (
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed, Refused
-from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
@@ -27,15 +28,9 @@ from labpipe.store.summaries import build_summary
 
 def run(options: argparse.Namespace) -> int:
     """Process tests; a faulty one does not stop the others."""
-    tests = find_tests(options.tests)
-    processed, refused = process_all(
-        tests,
-        out=options.out,
-        figures=lambda _: not options.no_figures,
-        png=options.png,
-        jobs=options.jobs,
-        limit=60.0 * options.limit,
-        follow_links=options.follow_links,
+    tests, limit = find_tests(options.tests), 60.0 * options.limit
+    processed, n_refused = process_all(
+        tests, options, out=options.out, limit=limit, follow_links=options.follow_links
     )
     if not processed:
         return 2  # messages are printed already
@@ -44,39 +39,34 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
         print("\n\n".join(format_test(test) for test in processed))
-    if refused:
-        return 2
-    return 1 if any(test.n_failed for test in processed) else 0
+    return 2 if n_refused else int(any(test.n_failed for test in processed))
 
 
 def process_all(
-    tests: list[Path],
-    *,
-    out: Path | None,
-    figures: Callable[[Path], bool],
-    jobs: int | None,
-    limit: float | None = None,
-    png: bool = False,
-    follow_links: bool = False,
+    tests: list[Path], options: argparse.Namespace, **more: Any
 ) -> tuple[list[Processed], int]:
     """Process tests, and print why some are refused.
+
+    Parameters
+    ----------
+    tests : test.yaml or result.h5 files
+    options : of a command, with those for figures and jobs
+    more : further arguments of `process_tests`
 
     Returns
     -------
     processed : the processed tests
-    refused : number of tests that were refused
+    n_refused : number of tests that were refused
     """
     with show_completed("test") as (begin, show):
         begin(len(tests))
         outcomes = process_tests(
             tests,
-            out=out,
-            figures=figures,
-            png=png,
-            follow_links=follow_links,
-            jobs=jobs or default_jobs(),
-            limit=limit,
+            figures=not options.no_figures,
+            png=options.png,
+            jobs=options.jobs or default_jobs(),
             on_outcome=lambda test: show(test.parent.name),
+            **more,
         )
     for outcome in outcomes:
         if isinstance(outcome, Refused):
@@ -100,31 +90,23 @@ def format_test(processed: Processed) -> str:
     A heading, one line per result, then reasons for doubtful and failed results.
     """
     result = processed.result
-    lines, width = (
-        [format_headline(processed)],
-        compute_name_width(result.name for result in result.results),
-    )
-    quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
-    for quantity in result.results:
-        quantities.setdefault(quantity.name.partition(".")[0], []).append(quantity)
+    width = compute_name_width(one.name for one in result.results)
+    quantities = defaultdict[str, list[Result]](list)  # energy.1, energy.2, ... together
+    reasons = defaultdict[str, list[str]](list)
+    for one in result.results:
+        quantities[one.name.partition(".")[0]].append(one)
+        if one.reasons:
+            reasons[f"{one.status}: {one.reason_text}"].append(one.name)
+    lines = [format_headline(processed)]
     for cycles in quantities.values():
         lines += _format_quantity(cycles, dict(result.display), width)
-    reasons: dict[str, list[str]] = {}
-    for quantity in result.results:
-        if quantity.reasons:
-            reasons.setdefault(f"{quantity.status}: {quantity.reason_text}", []).append(
-                quantity.name
-            )
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
-    warnings = [note for note in result.quality if note.severity != "info"]
-    lines += [f"  {note.severity}: {_format_note(note)}" for note in warnings]
+    for note in result.quality:
+        if note.severity != "info":
+            has_place = note.message.startswith(note.where.partition(",")[0])
+            place = "" if has_place else f"{note.where}: "
+            lines.append(f"  {note.severity}: {place}{note.message}")
     return "\n".join(lines)
-
-
-def _format_note(note: QualityNote) -> str:
-    """Format a note: its place and message, unless the message begins with the place."""
-    has_place = note.message.startswith(note.where.partition(",")[0])
-    return note.message if has_place else f"{note.where}: {note.message}"
 
 
 def format_headline(processed: Processed) -> str:
@@ -142,15 +124,12 @@ def format_headline(processed: Processed) -> str:
 def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
     """Format a line per cycle; of many cycles, the first ones and the range of the others."""
     max_lines = 8
-    if len(results) <= max_lines:
-        return [format_result(result, display, width) for result in results]
-    remaining = results[max_lines // 2 :]
-    values = [result.value for result in remaining if result.value is not None]
-    lines = [format_result(result, display, width) for result in results[: max_lines // 2]]
-    if values:
-        display_scale = find_display_unit(results[0].name, results[0].unit, display)
-        low, high = display_scale.factor * min(values), display_scale.factor * max(values)
-        span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
+    n_listed = len(results) if len(results) <= max_lines else max_lines // 2
+    lines = [format_result(result, display, width) for result in results[:n_listed]]
+    remaining = results[n_listed:]
+    if values := [result.value for result in remaining if result.value is not None]:
+        factor, unit = find_display_unit(results[0].name, results[0].unit, display)
+        span = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
         name = f"... to {remaining[-1].name}"
         lines.append(f"  {name:<{width}} {span} ({len(remaining)} more in summary.json)")
     return lines

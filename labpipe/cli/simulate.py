@@ -9,16 +9,11 @@ from pathlib import Path
 
 from labpipe.errors import UsageError
 from labpipe.units import parse_quantity
-from labpipe.virtual_lab import (
-    CONDUIT_TYPES,
-    TAPED_TYPES,
-    CantileverScenario,
-    MetalTension,
-    build_conduit_scenario,
-    build_taped_scenario,
-    simulate_tension,
-    simulate_test,
-)
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, build_taped_scenario
+from labpipe.virtual_lab.lab_files import Scenario, simulate_test
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
+from labpipe.virtual_lab.tensile import MetalTension
+from labpipe.virtual_lab.three_point import build_conduit_scenario
 
 _TYPES = {
     "wire": (),
@@ -55,21 +50,20 @@ def _simulate(options: argparse.Namespace) -> Path:
         faults.append(f"cycles={cycles} of a conduit bundle")
     if faults:
         raise ValueError(", ".join(faults))
-    folder = options.out / options.name
+    scenario: Scenario
     if options.kind == "metal-tension":
-        return simulate_tension(MetalTension(name=options.name), folder, options.seed)
-    if options.kind == "conduit-bundle":
+        scenario = MetalTension(name=options.name)
+    elif options.kind == "conduit-bundle":
         conduit = build_conduit_scenario(specimen_type)
         clocks = replace(conduit.clocks, rate=rate, fps=fps)
-        return simulate_test(
-            replace(conduit, name=options.name, clocks=clocks), folder, options.seed
+        scenario = replace(conduit, name=options.name, clocks=clocks)
+    else:
+        wire = CantileverScenario(specimen_type=_WIRE_TYPE, spool=f"{_WIRE_TYPE}-s1")
+        cantilever = wire if options.kind == "wire" else build_taped_scenario(specimen_type)
+        scenario = replace(
+            cantilever,
+            name=options.name,
+            mechanics=replace(cantilever.mechanics, cycles=cycles),
+            clocks=replace(cantilever.clocks, rate=rate, fps=fps),
         )
-    wire = CantileverScenario(specimen_type=_WIRE_TYPE, spool=f"{_WIRE_TYPE}-s1")
-    scenario = wire if options.kind == "wire" else build_taped_scenario(specimen_type)
-    scenario = replace(
-        scenario,
-        name=options.name,
-        mechanics=replace(scenario.mechanics, cycles=cycles),
-        clocks=replace(scenario.clocks, rate=rate, fps=fps),
-    )
-    return simulate_test(scenario, folder, options.seed)
+    return simulate_test(scenario, options.out / options.name, options.seed)

@@ -23,7 +23,7 @@ from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.motion import Motion, find_motion_turns
-from labpipe.process.zeros import MIN_SAMPLES_NOISE_UNKNOWN, average_level
+from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, average_level
 from labpipe.protocol.schema import Markers
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, find_run_times
@@ -299,10 +299,7 @@ _DRIFT_UNCERTAINTY = 1e-4 / sqrt(3.0)
 
 
 def fit_three_point_shape(
-    prepared: Prepared,
-    step: declarations.ThreePointShape,
-    settings: Markers,
-    span: float | None,
+    prepared: Prepared, step: declarations.ThreePointShape, settings: Markers, span: float | None
 ) -> StepOutcome:
     """Run ``three-point-shape``: fit the bent axis, and add the signal ``mid_span``.
 

@@ -157,7 +157,7 @@ def _finite_or_none(
 
 
 def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
-    columns = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
+    markers = {name: _describe_track(tracks.positions[:, i]) for i, name in enumerate(tracks.names)}
     return {
         "frames": len(tracks.time),
         "rate": _finite_or_none([tracks.rate]),
@@ -167,31 +167,31 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
         "missing": tracks.missing,
-        "gaps": {name: _describe_gaps(track) for name, track in columns.items()},
-        "frozen": {name: _count_unchanged(track) for name, track in columns.items()},
+        "gaps": {name: marker["gaps"] for name, marker in markers.items()},
+        "frozen": {name: marker["frozen"] for name, marker in markers.items()},
         "rigid_bodies": [_describe_body(body) for body in tracks.bodies],
     }
 
 
-def _describe_gaps(track: Floats) -> dict[str, Any]:
+def _describe_track(track: Floats) -> dict[str, Any]:
+    """Describe the missing and the unchanged frames of a marker or rigid body."""
     max_ranges = 100  # listed; the count includes all gaps
-    missing = find_blank_frames(track)
+    missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
     gaps = find_runs(missing)
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
-    return {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges}
-
-
-def _count_unchanged(track: Floats) -> dict[str, int]:
-    is_unchanged = find_unchanged_steps(track)
-    return {"steps": int(is_unchanged.sum()), "longest": find_longest_stretch(is_unchanged)}
+    return {
+        "missing": int(missing.sum()),
+        "gaps": {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges},
+        "frozen": {"steps": int(unchanged.sum()), "longest": find_longest_stretch(unchanged)},
+    }
 
 
 def _describe_body(body: RigidBody) -> dict[str, Any]:
-    frozen = _count_unchanged(body.position)
+    track = _describe_track(body.position)
+    frozen = track.pop("frozen")
     return {
         "name": body.name,
-        "missing": int(find_blank_frames(body.position).sum()),
-        "gaps": _describe_gaps(body.position),
+        **track,
         "frozen_steps": frozen["steps"],
         "longest_frozen_run": frozen["longest"],
         "has_rotation": bool(np.isfinite(body.rotation).any()),
@@ -240,7 +240,6 @@ def _format_stream(stream: dict[str, Any]) -> list[str]:
 def _format_markers(facts: dict[str, Any]) -> list[str]:
     timing = _format_times(facts, "frames")
     head = f"Markers: {timing}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
-    rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
     objects = [
         (body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"])
         for body in facts["rigid_bodies"]
@@ -249,11 +248,12 @@ def _format_markers(facts: dict[str, Any]) -> list[str]:
         (name, "marker", facts["missing"][name], gaps, facts["frozen"][name]["steps"])
         for name, gaps in facts["gaps"].items()
     ]
-    for name, kind, missing, gaps, is_unchanged in objects:
-        rows.append(
-            [name, kind, *map(str, (missing, gaps["count"], gaps["longest"], is_unchanged))]
-        )
-    return [head, *(_format_table(rows) if objects else ["  no rigid body and no marker"])]
+    if not objects:
+        return [head, "  no rigid body and no marker"]
+    rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
+    for name, kind, missing, gaps, unchanged in objects:
+        rows.append([name, kind, *map(str, (missing, gaps["count"], gaps["longest"], unchanged))])
+    return [head, *_format_table(rows)]
 
 
 def _format_times(timing: dict[str, Any], what: str) -> str:

@@ -21,7 +21,7 @@ from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import lab_card_files
-from labpipe.readers.text_cells import has_dimension_of, is_unit
+from labpipe.readers.number_table import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile

@@ -33,6 +33,7 @@ from labpipe.process.reading import (
 )
 from labpipe.process.sanity_checks import list_certified_instruments
 from labpipe.process.story import reduce_recordings
+from labpipe.protocol.grammar import is_test_name
 from labpipe.protocol.load import (
     dump_protocol,
     find_missing_exports,
@@ -41,7 +42,6 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.schema import FigureName, Protocol
-from labpipe.protocol.values import is_test_name
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording

@@ -432,12 +432,23 @@ def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
-    """List the instruments whose certificates a protocol states.
+    """List the instruments whose certificates a protocol states, with the quantities they measure.
 
     Parameters
     ----------
     protocol : with or without certificates
     """
+    curve, cameras = protocol.curve, protocol.sources.get("markers")
+    names = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    certified: list[tuple[str, Certificate | None, tuple[str, ...]]] = [
+        (name, channel.certificate, (names.get(name, name),))
+        for name, channel in protocol.channels.items()
+    ]
+    if cameras is not None:
+        steps = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+        is_only = curve is None or curve.displacement not in {*protocol.channels, *steps}
+        moved = ("mid_span", "displacement") if is_only else ("mid_span",)
+        certified.append(("markers", cameras.certificate, moved))
     return tuple(
         Instrument(
             channel=name,
@@ -448,7 +459,8 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
             uncertainty=certificate.uncertainty,
             k=certificate.k,
         )
-        for name, certificate, quantities in _certificates(protocol)
+        for name, certificate, quantities in certified
+        if certificate is not None
     )
 
 
@@ -475,32 +487,15 @@ def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[F
     protocol : with certificates
     tested : day of the test; None if it is not known; then nothing is doubted
     """
-    for where, certificate, quantities in _certificates(protocol):
-        due = certificate.due
+    for instrument in list_certified_instruments(protocol):
+        due = instrument.due
         if due is not None and tested is not None and tested > due:
             yield Finding.of(
                 "process.calibration_overdue",
-                where,
-                *quantities,
-                number=certificate.number,
-                date=certificate.date,
+                instrument.channel,
+                *instrument.measures,
+                number=instrument.certificate,
+                date=instrument.calibrated,
                 due=due,
                 tested=tested,
             )
-
-
-def _certificates(protocol: Protocol) -> Iterator[tuple[str, Certificate, tuple[str, ...]]]:
-    """Yield each certificate with its channel or role and the quantities measured."""
-    curve = protocol.curve
-    quantity_of = (
-        {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
-    )
-    for name, channel in protocol.channels.items():
-        if channel.certificate is not None:
-            yield name, channel.certificate, (quantity_of.get(name, name),)
-    cameras = protocol.sources.get("markers")
-    if cameras is not None and cameras.certificate is not None:
-        steps = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-        is_only = curve is None or curve.displacement not in {*protocol.channels, *steps}
-        quantities = ("mid_span", "displacement") if is_only else ("mid_span",)
-        yield "markers", cameras.certificate, quantities

@@ -18,13 +18,12 @@ from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.checking import find_missing_sizes
 from labpipe.process.reading import is_empty, join_exports, name_channels
+from labpipe.protocol.grammar import has_control_characters, is_test_name
 from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES, Source
-from labpipe.protocol.values import has_control_characters, is_test_name
-from labpipe.readers import read_export, recognise_export
-from labpipe.readers.unknown_files import describe_unknown
+from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 

@@ -19,7 +19,6 @@ from datetime import date
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
 from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
-from labpipe.process.clock_joining import join_clocks
 from labpipe.process.consistency import Record, check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
@@ -27,7 +26,7 @@ from labpipe.process.curve_corrections import (
     build_curve,
     correct_curve,
 )
-from labpipe.process.motion import Motion, find_motion_strokes, split_at_turns
+from labpipe.process.motion import Motion, find_motion_strokes, join_clocks, split_at_turns
 from labpipe.process.sanity_checks import (
     check_answers,
     check_calibration_due,
@@ -36,8 +35,7 @@ from labpipe.process.sanity_checks import (
     check_start,
     find_cut_ends,
 )
-from labpipe.process.steps import run_steps
-from labpipe.process.zeros import rezero_at_rest
+from labpipe.process.steps import rezero_at_rest, run_steps
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape, Limits

@@ -1,4 +1,4 @@
-"""Blocks: the pydantic models of YAML files, and the models built from plain settings.
+"""Grammar of YAML files: quantities with units, numbers, texts, and the blocks of keys.
 
 The fields of a `Block`, and of a plain frozen dataclass such as a step, are declared with the
 markers of `labpipe.records.declarations`. This module alone converts these markers into pydantic's
@@ -8,14 +8,20 @@ validators, serializers and JSON schemas.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from datetime import date
 from functools import cache, partial
-from types import UnionType
+from importlib.resources import files
+from pathlib import PurePosixPath, PureWindowsPath
+from types import MappingProxyType, UnionType
 from typing import (
     Annotated,
     Any,
     ClassVar,
+    Final,
     Literal,
     Self,
     Union,
@@ -31,6 +37,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PlainSerializer,
     PlainValidator,
@@ -42,19 +49,18 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.limit_cards import read_limit_card
-from labpipe.protocol.values import (
-    QuantityText,
-    ShortForm,
-    format_span,
-    parse_pattern_text,
-    parse_span,
-    parse_whole_number,
+from labpipe.protocol.yaml_text import (
+    FaultsError,
+    Values,
+    build_choice_fault,
+    convert_errors,
+    parse_yaml,
+    refused,
 )
-from labpipe.protocol.yaml_text import FaultsError, Values, convert_errors, refused
 from labpipe.records.declarations import (
     FromCard,
     Key,
@@ -65,8 +71,392 @@ from labpipe.records.declarations import (
     TaggedChoice,
     WholeNumber,
 )
+from labpipe.units import DimensionError, NotFiniteError, find_si_factor, parse_quantity
 
+SI_UNITS: Final = MappingProxyType(
+    {
+        "angle": "rad",
+        "bending_stiffness": "N*m^2",
+        "compliance": "m/N",
+        "curvature": "1/m",
+        "deflection": "m",
+        "displacement": "m",
+        "energy": "J",
+        "extension": "m",
+        "force": "N",
+        "frequency": "Hz",
+        "length": "m",
+        "mass": "kg",
+        "moment": "N*m",
+        "pressure": "Pa",
+        "speed": "m/s",
+        "stiffness": "N/m",
+        "strain": "1",
+        "temperature": "K",
+        "time": "s",
+        "travel": "m",
+        "voltage": "V",
+    }
+)
+"""Quantities that protocols name, and their SI units."""
+
+NUMBER: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+"""Pattern of a number with a decimal point."""
+_DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()} | {
+    "m": "length",
+    "rad": "an angle or a ratio",
+    "J": "energy or moment",
+}
+"""Names of dimensions in messages, by SI unit."""
+_NUMBER_AND_UNIT = re.compile(
+    r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)"
+)
+"""A number, perhaps with thousands separators or a decimal comma, and the text behind it."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
+"""A number whose comma cannot separate thousands."""
+_RATIO_TEXT = re.compile(rf"\s*{NUMBER}\s*(1|%|percent|ppm)?\s*")
+
+
+def suggest_number(number: str, unit: str = "") -> str:
+    """Suggest how to write a number that has thousands separators or a decimal comma.
+
+    Parameters
+    ----------
+    number : as written, without its unit
+    unit : of the number
+
+    Returns
+    -------
+    The remedy; empty for a number with neither of them, and for any other text.
+    """
+    if re.fullmatch(NUMBER, number) or not _NUMBER_AND_UNIT.fullmatch(number):
+        return ""
+    if _DECIMAL_COMMA.fullmatch(number):
+        return f"Write it with a decimal point: {number.replace(',', '.')} {unit}".rstrip() + "."
+    return "Write it with a decimal point and without thousands separators."
+
+
+def suggest_unit(unit: str, si_unit: str) -> str:
+    """Describe why a unit does not fit a dimension.
+
+    Parameters
+    ----------
+    unit : as written; may be empty
+    si_unit : SI unit of the expected dimension
+
+    Returns
+    -------
+    The dimension of the unit, or that it is unknown; empty for a unit that fits, for no unit, and
+    for a unit whose dimension has no name here.
+    """
+    try:
+        find_si_factor(unit or si_unit, si_unit)
+    except DimensionError:
+        own_unit = find_si_unit(unit)
+        if (own_unit, si_unit) == ("kg", "N"):
+            return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
+        return f"{unit} is a unit of {_DIMENSION_NAMES[own_unit]}." if own_unit else ""
+    except ValueError:
+        return f"labpipe knows no unit {unit!r}."
+    return ""
+
+
+def suggest_quantity(text: object, si_unit: str, example: str) -> str:
+    """Suggest how to write a quantity that `parse_quantity` refuses.
+
+    Parameters
+    ----------
+    text : as written
+    si_unit : SI unit of the expected dimension
+    example : a correct quantity
+    """
+    parts = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+    number, unit = parts.groups() if parts else ("", "")
+    remedy = f"{suggest_unit(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
+    return suggest_number(number, unit) or remedy
+
+
+def find_si_unit(unit: str) -> str | None:
+    """Find the SI unit for a unit such as ``mV``; None if no quantity of `SI_UNITS` has it."""
+    units = SI_UNITS.values()
+    return next((si for si in units if parse_or_none(f"1 {unit}", si) is not None), None)
+
+
+def parse_or_none(text: object, si_unit: str) -> float | None:
+    """Parse a value with its unit, such as ``53 mm``, into SI; None if it is no such quantity."""
+    try:
+        return parse_quantity(text, si_unit)
+    except ValueError:
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityText:
+    """Parser and formatter of a float that YAML writes with its unit.
+
+    Parameters
+    ----------
+    quantity : unit and range
+    """
+
+    quantity: Quantity
+
+    def parse(self, text: object) -> float:
+        """Parse a value with its unit, such as ``53 mm``, into SI.
+
+        Raises
+        ------
+        FaultsError
+            If the unit is missing or wrong, or the value is out of range or not finite.
+        """
+        unit, example = self.quantity.unit, self.quantity.example
+        try:
+            value = parse_quantity(text, unit)
+        except NotFiniteError:
+            value = math.inf
+        except ValueError as error:
+            remedy = suggest_quantity(text, unit, example)
+            raise refused(
+                "protocol.no_quantity", found=text, kind=self._meaning, remedy=remedy
+            ) from error
+        if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
+            raise refused("protocol.no_ratio", found=text, kind=self._meaning, example=example)
+        is_above = self.quantity.above is None or value > self.quantity.above
+        in_range = is_above and self.quantity.minimum <= value <= self.quantity.maximum
+        if not in_range or math.isinf(value):
+            kind, valid = self._meaning, self._range
+            raise refused("protocol.out_of_range", found=text, kind=kind, range=valid)
+        return value
+
+    def format(self, value: float) -> str:
+        """Format a value in SI with its unit, to 12 digits."""
+        number, unit = value, self.quantity.shown
+        number /= find_si_factor(unit, self.quantity.unit)
+        if not math.isfinite(number):
+            number, unit = value, self.quantity.unit
+        return f"{number:.12g} {unit}".removesuffix(" 1")
+
+    @property
+    def _meaning(self) -> str:
+        if self.quantity.unit == "1":
+            return "pure number (also in % or ppm)"
+        return f"quantity with a unit such as {self.quantity.shown}"
+
+    @property
+    def _range(self) -> str:
+        quantity, low, high = self.quantity, "that is finite", ""
+        if quantity.above is not None:
+            low = f"above {self.format(quantity.above)}"
+        elif math.isfinite(quantity.minimum):
+            low = f"from {self.format(quantity.minimum)} up"
+        if math.isfinite(quantity.maximum):
+            high = f", at most {self.format(quantity.maximum)}"
+        return f"{low}{high}"
+
+    @property
+    def schema(self) -> JsonSchemaValue:
+        """Return the JSON schema of the text."""
+        is_pure = self.quantity.unit == "1"
+        unit = "(%|ppm)?" if is_pure else r"\S.*"
+        return {
+            "type": ["string", "number"] if is_pure else "string",
+            "pattern": rf"^\s*{NUMBER}\s*{unit}\s*$",
+            "description": f"A {self._meaning}, {self._range}",
+            "examples": [self.quantity.example],
+        }
+
+
+def parse_whole_number(bounds: WholeNumber, text: object) -> int:
+    """Parse a whole number within bounds.
+
+    Raises
+    ------
+    FaultsError
+        If it is no whole number, or out of range.
+    """
+    is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
+    if not is_whole or not bounds.minimum <= int(str(text)) <= bounds.maximum:
+        raise refused("protocol.no_whole", found=text, low=bounds.minimum, high=bounds.maximum)
+    return int(str(text))
+
+
+_SPAN_QUANTITIES: Final[Mapping[Any, QuantityText]] = {
+    "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
+    "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
+    "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
+}
 _SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
+
+
+def _parse_span(text: object) -> Span:
+    """Parse the length of a filter's window: ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``."""
+    if isinstance(text, Span):
+        return text
+    stripped = str(text).strip()
+    if count := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped):
+        if int(count[1]) < 1:
+            raise refused("protocol.no_sample", found=text)
+        return Span("samples", float(count[1]))
+    for kind, quantity in _SPAN_QUANTITIES.items():
+        is_number = parse_or_none(stripped, quantity.quantity.unit) is not None
+        if stripped.endswith("%") if kind == "branch" else is_number:
+            return Span(kind, quantity.parse(text))
+    raise refused("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
+
+
+def _format_span(span: Span) -> str:
+    quantity = _SPAN_QUANTITIES.get(span.kind)
+    return f"{span.value:.0f} samples" if quantity is None else quantity.format(span.value)
+
+
+_CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+"""Line ends, and characters that HTML, workbooks and SVG do not allow."""
+_TEST_NAME = re.compile(r"\w[\w.+-]*")
+WINDOWS_DEVICE_NAME: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+"""File names that Windows reserves for devices, with any suffix."""
+MAX_NAME_BYTES = 120
+"""File systems allow 255 bytes; suffixes are appended to the name of a test."""
+
+
+def _parse_text(value: object) -> str:
+    """Accept text, and the numbers that other YAML readers make of an unquoted 1."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
+        raise refused("protocol.no_text", found=value)
+    return str(value)
+
+
+def has_control_characters(text: str) -> bool:
+    """Return whether a text has line ends, or characters that HTML and YAML do not allow."""
+    return _CONTROL_CHARACTER.search(text) is not None
+
+
+def _parse_line(value: object) -> str:
+    if has_control_characters(text := _parse_text(value)):
+        raise refused("protocol.no_line", found=value)
+    return text
+
+
+def is_test_name(text: str) -> bool:
+    """Return whether a text can name a test and its folder.
+
+    Paths (``../x``) and names that some file system refuses cannot.
+    """
+    fits = _TEST_NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
+    return fits and WINDOWS_DEVICE_NAME.fullmatch(text) is None and not text.endswith(".")
+
+
+def _parse_day(value: object) -> date:
+    """Parse an ISO 8601 date; accept a date that another YAML reader has parsed."""
+    if type(value) is date:
+        return value
+    try:
+        return date.fromisoformat(str(value))
+    except ValueError as error:
+        raise refused("protocol.no_day", found=value) from error
+
+
+def _parse_file_stem(value: object) -> str:
+    text = _parse_text(value)
+    if not is_test_name(text):
+        raise refused("protocol.no_file_stem", found=value, most=MAX_NAME_BYTES)
+    return text
+
+
+def parse_pattern_text(form: PatternText, value: object) -> str:
+    """Accept a text of a given form.
+
+    Raises
+    ------
+    FaultsError
+        If it has another form.
+    """
+    if re.fullmatch(form.pattern, _parse_text(value)) is None:
+        raise refused("protocol.no_such_word", found=value, meaning=form.meaning)
+    return str(value)
+
+
+def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
+    """Build the validator of a file name in a folder or below it.
+
+    Parameters
+    ----------
+    folder : for messages, such as ``the folder of the test``
+    remedy : for a file elsewhere
+
+    Returns
+    -------
+    Validator that refuses control characters, absolute paths (of POSIX and of Windows, on both
+    systems), and paths with ``..``.
+    """
+
+    def check(value: object) -> str:
+        if not isinstance(value, str) or not value.strip() or has_control_characters(value):
+            raise refused("protocol.no_file_name", found=value)
+        is_absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
+        if is_absolute or ".." in PureWindowsPath(value).parts:
+            raise refused("protocol.file_elsewhere", found=value, folder=folder, remedy=remedy)
+        return value
+
+    return BeforeValidator(check)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShortForm:
+    """Annotation of a value that YAML may also write in a shorter form.
+
+    Parameters
+    ----------
+    expand : converts the short form to the long one, and returns any other value unchanged
+    schema : JSON schema of the short form
+    """
+
+    expand: Callable[[object], object]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.expand, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [dict(self.schema), handler(schema)]}
+
+
+def wrap_in_list(value: object) -> object:
+    """Wrap a single value in a list."""
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def build_row_validator(count: int, example: str) -> BeforeValidator:
+    """Build the validator of a list with a given number of quantities.
+
+    Parameters
+    ----------
+    count : number of quantities
+    example : a correct list, for messages
+    """
+
+    def check(value: object) -> object:
+        if not isinstance(value, list | tuple) or len(value) != count:
+            raise refused("protocol.no_row", found=value, count=count, example=example)
+        return value
+
+    return BeforeValidator(check)
+
+
+Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]
+SingleLine = Annotated[str, BeforeValidator(_parse_line), Field(min_length=1)]
+"""Text of one line, for headings, tables and figures."""
+Remark = Annotated[
+    str,
+    BeforeValidator(lambda value: "" if value is None else value),
+    WithJsonSchema({"type": ["string", "null"]}),
+]
+"""Text that may be empty or null."""
+Day = Annotated[date, BeforeValidator(_parse_day)]
+FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 
 
 class Block(BaseModel):
@@ -170,8 +560,10 @@ def build_pydantic_type(hint: Any) -> Any:
     if origin in (tuple, list, dict):
         return origin[tuple(build_pydantic_type(part) for part in parts)]
     if hint is Span:
-        serializer = PlainSerializer(format_span)
-        return Annotated[Span, PlainValidator(parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)]
+        serializer = PlainSerializer(_format_span)
+        return Annotated[
+            Span, PlainValidator(_parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)
+        ]
     return Annotated[hint, _ReadAsBlock(hint)] if is_dataclass(hint) else hint
 
 
@@ -232,6 +624,27 @@ class _SettingsBlock(Block):
         """Find contradictions by the static method of the dataclass, if it has one."""
         check = getattr(cls.settings_class, "find_contradictions", None)
         return () if check is None else check(data)
+
+
+def read_limit_card(name: object) -> object:
+    """Read a card of smallest forces that comes with labpipe.
+
+    Parameters
+    ----------
+    name : such as ``crimp-pull``; a card that is written out is returned as it is
+
+    Raises
+    ------
+    FaultsError
+        If labpipe has no card of this name.
+    """
+    if not isinstance(name, str):
+        return name
+    folder = files("labpipe.protocol") / "limit_cards"
+    cards = {path.name.removesuffix(".yaml"): path for path in folder.iterdir()}
+    if name not in cards:
+        raise FaultsError(build_choice_fault((), name, cards, "a card or one of"))
+    return parse_yaml(cards[name].read_text(encoding="utf-8"), name).data
 
 
 @cache

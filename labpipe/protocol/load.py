@@ -1,42 +1,42 @@
-"""Loading of YAML files: protocols, test sheets, plans and harnesses; one error has all faults."""
+"""Loading of YAML files, and the protocol of a test: overrides and absent exports.
+
+Protocols, test sheets, plans and harnesses; one error has all faults of a file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import copy
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import yaml
 
-from labpipe.errors import Fault, ProtocolError, sort_by_likeness
-from labpipe.protocol.cross_checks import find_implausible_sizes
+from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.overrides import (
-    allows_links,
-    apply_overrides,
-    find_absent_needs,
-    find_link_faults,
-    remove_absent_sources,
-)
-from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, parse_wires
-from labpipe.protocol.source import ROLES
+from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry, list_result_names
+from labpipe.protocol.sheet_grammar import COPY_REMEDY, SHEET_NAME, TestSheet
+from labpipe.protocol.source import ROLES, find_implausible_sizes
 from labpipe.protocol.yaml_text import (
     Document,
+    LocatedBlock,
     Values,
     build_choice_fault,
     build_error,
     get_block,
+    get_list,
     parse_yaml,
     read_text,
+    suggest_word,
 )
+from labpipe.records.declarations import Step, TravelFromSpeed
+from labpipe.units import parse_count
 
 if TYPE_CHECKING:
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan, CampaignPlan
-
 
 _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -253,17 +253,12 @@ def load_harness(path: Path) -> HarnessFile:
         If it is invalid, or a file that it names does not exist; the message has one line per
         fault.
     """
-    from labpipe.protocol.harness_file import (
-        HarnessFile,
-        find_missing_files,
-        find_unreachable_places,
-    )
+    from labpipe.protocol.harness_file import HarnessFile, find_missing_files
 
     document = parse_yaml(read_text(path), str(path))
     harness = validate_document(HarnessFile, document)
-    faults = [*find_missing_files(harness, path), *find_unreachable_places(harness)]
-    if faults:
-        raise build_error(list(map(document.place, faults)))
+    if faults := [*find_missing_files(harness, path)]:
+        raise build_error(map(document.place, faults))
     return harness
 
 
@@ -302,24 +297,22 @@ def resolve(
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
     plain, merged = parse_yaml(text, name), parse_yaml(text, name)
-    apply_overrides(merged, sheet_document)
-    followed = follow_links or allows_links(plain)
-    sheet_faults = [
-        *_find_role_faults(sheet, merged.block),
-        *find_link_faults(sheet, sheet_path.parent, followed=followed),
-        *_find_implausible_sizes(sheet, sheet_document, merged.block),
+    merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
+    # A test folder from elsewhere must not allow links itself.
+    follow_links |= str(get_block(plain.data).get(_FOLLOW_LINKS)).lower() == "true"
+    faults = [
+        *_find_role_faults(sheet, merged.data),
+        *_find_link_faults(sheet, sheet_path.parent, followed=follow_links),
         *_find_wrong_answers(sheet, get_block(merged.data, "questions")),
     ]
-    placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
         is_valid_alone = isinstance(Protocol.read(plain.data), Protocol)
+        placed = [*merged.faults, *map(sheet_document.place, faults)]
         for fault in protocol:
-            by_sheet = is_valid_alone and merged.find_location(fault.path)[0].file != str(
-                sheet_path
-            )
-            remark = f"(With the overrides of {sheet_path}.)" if by_sheet else ""
-            placed.append(merged.place(fault, remark))
+            in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
+            remark = f"(With the overrides of {sheet_path}.)"
+            placed.append(merged.place(fault, remark if is_valid_alone and not in_sheet else ""))
         raise build_error(placed)
     steps = tuple(
         step.numbered(int(merged.find_location(("steps", number))[0].name))
@@ -327,8 +320,10 @@ def resolve(
     )
     protocol = protocol.model_copy(update={"steps": steps})
     reduced = remove_absent_sources(protocol, sheet.files)
-    placed += [sheet_document.place(fault) for fault in find_absent_needs(reduced, protocol)]
-    if placed:
+    ranges, others = protocol.plausible, sheet.specimen.dimensions
+    faults += find_implausible_sizes(sheet.specimen, ("specimen",), ranges, others=others)
+    faults += find_absent_needs(reduced, protocol)
+    if placed := [*merged.faults, *map(sheet_document.place, faults)]:
         raise build_error(placed)
     return reduced
 
@@ -346,12 +341,8 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
     The error with a line per export; None if all exist.
     """
     folder = sheet_path.parent
-    missing = [
-        (role, name)
-        for role, names in sheet.files.items()
-        for name in names
-        if not path_exists(folder / name)
-    ]
+    exports = [(role, name) for role, names in sheet.files.items() for name in names]
+    missing = [(role, name) for role, name in exports if not path_exists(folder / name)]
     if not missing:
         return None
     document = parse_yaml(read_text(sheet_path), str(sheet_path))
@@ -399,36 +390,21 @@ def validate_document(model: type[_B], document: Document) -> _B:
     return cast("_B", block)
 
 
-def _find_implausible_sizes(
-    sheet: TestSheet, document: Document, protocol: Values
-) -> Iterator[Fault]:
-    """Find dimensions of the specimen outside the plausible ranges of the protocol."""
-    specimen = dict(get_block(document.data, "specimen"))
-    if bundle := get_block(specimen, "bundle"):
-        specimen["bundle"] = {**bundle, "wires": parse_wires(bundle.get("wires"))}
-    return find_implausible_sizes(
-        {"specimen": specimen},
-        ["specimen"],
-        others=sheet.specimen.dimensions,
-        ranges=protocol.get("plausible") or {},
-    )
-
-
 def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
     """Find answers to no question of the protocol, and answers that the protocol does not list."""
     for name, answer in sheet.specimen.observed.items():
         path, answers = ("specimen", "observed", name), questions.get(name)
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
-            what = "a question of the protocol:"
-            fault = build_choice_fault(path, name, questions, what, remedy=remedy)
+            expected = "a question of the protocol:"
+            fault = build_choice_fault(path, name, questions, expected, remedy=remedy)
             yield replace(fault, at="key")
         elif isinstance(answers, list) and answer not in answers:
-            known = ", ".join(map(repr, answers))
-            yield Fault.of("protocol.no_answer", path, answers=known, found=answer)
+            listed = ", ".join(map(repr, answers))
+            yield Fault.of("protocol.no_answer", path, answers=listed, found=answer)
 
 
-def _find_role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
+def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:
     """Find roles without a source in the protocol, and required sources without a file."""
     sources = get_block(protocol, "sources")
     for role in sheet.files:
@@ -438,3 +414,241 @@ def _find_role_faults(sheet: TestSheet, protocol: Values) -> Iterator[Fault]:
     for missing in sorted(set(sources) & set(ROLES) - set(sheet.files)):
         if str(get_block(sources, missing).get("optional")).lower() != "true":
             yield Fault.of("protocol.no_file_of_role", ("files",), role=missing)
+
+
+def _find_link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
+    """Find exports that are links to themselves, or links out of the folder of the test."""
+    home = folder.resolve()
+    for role, name in ((role, name) for role, names in sheet.files.items() for name in names):
+        try:
+            is_inside = (folder / name).resolve().is_relative_to(home)
+        except (OSError, RuntimeError):  # a loop is a RuntimeError up to Python 3.12
+            yield Fault.of("protocol.link_to_itself", ("files", role), name=name)
+            continue
+        if not (is_inside or followed):
+            yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
+
+
+_FOLLOW_LINKS: Final = "follow_links"
+"""Key of a protocol that allows exports to be links out of the folder of the test."""
+_SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
+"""Keys of the sheet's specimen that override those of the protocol."""
+_MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
+"""Figures that need a source of marker tracks."""
+
+
+def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
+    """Apply the overrides of a test sheet to a protocol.
+
+    Changed values have the locations in the sheet. An override with null removes an item of a list;
+    a result is then also removed from ``groups.main``.
+
+    Parameters
+    ----------
+    protocol : as written; it is modified
+    sheet : a valid test sheet as written
+
+    Yields
+    ------
+    Overrides of unknown keys, and of keys that the sheet states twice; their paths are in the
+    sheet.
+    """
+    specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
+    own: dict[str, KeyPath] = {
+        f"specimen.{key}": ("specimen", key) for key in _SHEET_DIMENSIONS if specimen.get(key)
+    }
+    for key in get_block(specimen, "uncertainty"):
+        own[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
+    changes = {**own}
+    for key in overrides:
+        path: KeyPath = ("overrides", key, "value")
+        if key in own:
+            yield Fault.of(
+                "protocol.override_twice",
+                path,
+                key=key,
+                here=sheet.at(path),
+                there=sheet.at(own[key]),
+            )
+        elif key == _FOLLOW_LINKS:
+            yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
+        else:
+            changes[key] = path
+    removed: dict[KeyPath, object] = {}
+    for key, path in changes.items():
+        yield from _set_value(protocol, key, sheet, path, removed)
+    align = get_block(protocol.data).get("align")
+    if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
+        align.setdefault("because", sheet.at(("overrides", "align", "because")))
+    names = {name for item in removed.values() for name in _list_names(item)}
+    removed |= {
+        ("groups", "main", number): name
+        for number, name in enumerate(get_list(protocol.data, "groups", "main"))
+        if str(name).partition(".")[0] in names
+    }
+    for path in sorted(removed, key=lambda path: path[-1], reverse=True):
+        items = protocol.at(path[:-1])
+        del items[path[-1]], items.locations[path[-1]]
+
+
+def _set_value(
+    protocol: Document,
+    dotted: str,
+    sheet: Document,
+    source: KeyPath,
+    removed: dict[KeyPath, object],
+) -> Iterator[Fault]:
+    """Set the value at a dotted key to the value at a path of the sheet.
+
+    If the new value of an item of a list is null, the old item is added to `removed`. The fault is
+    that of an unknown key.
+    """
+    value, (location, _) = sheet.at(source), sheet.find_location(source)
+    location = location._replace(key=sheet.find_location(source[:2])[0].key)
+    node: Any = protocol.data
+    path: KeyPath = ()
+    parts = dotted.split(".")
+    for depth, part in enumerate(parts, start=1):
+        key = _find_key(node, part)
+        if key is None:
+            yield _build_key_fault(node, part, source[:2])
+            return
+        path = (*path, key)
+        if depth == len(parts):
+            break
+        if isinstance(node, LocatedBlock) and node.get(str(key)) is None:
+            if path in {("steps",), ("results",)}:
+                yield Fault.of(
+                    "protocol.override_of_no_list", source[:2], at="key", key=dotted, block=key
+                )
+                return
+            node[str(key)], node.locations[str(key)] = LocatedBlock(), location._replace(name=key)
+        node = node[key]
+    if isinstance(key, int) and value is None:
+        removed[path] = node[key]
+    location = location._replace(name=node.locations[key].name if isinstance(key, int) else part)
+    node[key], node.locations[key] = copy.deepcopy(value), location
+
+
+def _find_key(node: object, part: str) -> str | int | None:
+    """Resolve a part of a dotted key: a key, or an item by number, name or kind."""
+    if isinstance(node, dict):
+        return part
+    if not isinstance(node, list):
+        return None
+    number = parse_count(part)
+    if number is not None:
+        return number if number < len(node) else None
+    # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
+    for list_words in (_list_names, _list_kinds):
+        matches = [i for i, item in enumerate(node) if part in list_words(item)]
+        if len(matches) == 1:
+            return matches[0]
+    return None
+
+
+def _list_kinds(item: object) -> list[str]:
+    """List the kinds of an item, as a step or a result."""
+    kinds = (get_block(item).get(key) for key in ("step", "result"))
+    return [kind for kind in kinds if isinstance(kind, str)]
+
+
+def _list_names(item: object) -> list[str]:
+    """List the names of the numbers that a result gives, without numbers of cycles."""
+    block = get_block(item)
+    return [name.partition(".")[0] for name in list_result_names(str(block.get("result")), block)]
+
+
+def _build_key_fault(node: object, part: str, path: KeyPath) -> Fault:
+    """Build the fault of an unknown part of a dotted key."""
+    if not isinstance(node, list):
+        return Fault.of("protocol.below_a_value", path, at="key", key=part)
+    valid = [word for item in node for word in {*_list_kinds(item), *_list_names(item)}]
+    remedy = "Use its number." if valid.count(part) > 1 else suggest_word(part, valid)
+    last = len(node) - 1
+    return Fault.of("protocol.no_item", path, at="key", key=part, last=last, remedy=remedy)
+
+
+def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
+    """Remove absent optional sources from a protocol, and everything that needs them.
+
+    Parameters
+    ----------
+    protocol : as loaded
+    roles : of the files of the test
+
+    Returns
+    -------
+    The protocol of this test: without absent optional sources, without the steps, results and
+    figures that need them, and without a ``travel-from-speed`` whose channel a source measures.
+    """
+    sources = {
+        role: source
+        for role, source in protocol.sources.items()
+        if role in roles or not source.optional
+    }
+    reduced = protocol.model_copy(update={"sources": sources})
+    no_markers = "markers" in protocol.sources and "markers" not in sources
+    steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
+    made = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
+    has_one_clock = protocol.curve is not None and protocol.curve.displacement in made
+    results = tuple(
+        result
+        for result in reduced.results
+        if not (result.needs.shape and no_markers) and not (result.needs.clocks and has_one_clock)
+    )
+    removed_names = _list_all_names(protocol.results) - _list_all_names(results)
+    main = tuple(name for name in reduced.groups.main if name not in removed_names)
+    groups = reduced.groups.model_copy(update={"main": main})
+    update: dict[str, object] = {"steps": steps, "results": results, "groups": groups}
+    if has_one_clock:
+        update["align"] = AlignNone()
+    if no_markers:
+        figures = tuple(name for name in reduced.report.figures if name not in _MARKER_FIGURES)
+        update["report"] = reduced.report.model_copy(update={"figures": figures})
+        update["markers"] = None
+    return reduced.model_copy(update=update)
+
+
+def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
+    """Find channels of absent optional sources without which there is no curve.
+
+    Parameters
+    ----------
+    protocol : from `remove_absent_sources`
+    full_protocol : the same with all sources
+
+    Returns
+    -------
+    Faults at the key ``files`` of the test sheet.
+    """
+    from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    users = (protocol.curve, protocol.branches, protocol.align)
+    keys = ("force", "displacement", "channel")
+    needed = {getattr(user, key, None) for user in users for key in keys} - from_speed
+    missing_speed = [k for k in ("crosshead_speed", "stroke") if getattr(protocol.rig, k) is None]
+    for role, source in full_protocol.sources.items():
+        for name in sorted(source.all_channels) if role not in protocol.sources else ():
+            if name in needed:
+                yield Fault.of("protocol.no_needed_file", ("files",), role=role, channel=name)
+            for key in missing_speed if name in from_speed else ():
+                yield Fault.of(
+                    "protocol.no_file_or_speed", ("files",), role=role, key=key, channel=name
+                )
+
+
+def _list_possible_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
+    """List the steps whose channels exist; `lost` are those of absent sources."""
+    for step in protocol.steps:
+        if "markers" not in protocol.sources and step.on_markers:
+            continue
+        if isinstance(step, TravelFromSpeed):
+            if step.channel not in protocol.channels:
+                lost = lost - {step.channel}
+                yield step
+        elif getattr(step, "channel", None) not in lost:
+            yield step
+
+
+def _list_all_names(entries: tuple[ResultEntry, ...]) -> set[str]:
+    return {name for entry in entries for name in list_result_names(entry.result, asdict(entry))}

@@ -18,17 +18,15 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from labpipe.errors import Fault
-from labpipe.protocol.grammar import Block
+from labpipe.protocol.grammar import Block, Remark, Text, build_path_validator, parse_or_none
 from labpipe.protocol.schema import Version
 from labpipe.protocol.sheet_grammar import Override, TestSheet
 from labpipe.protocol.source import Role
-from labpipe.protocol.values import Remark, Text, build_path_validator, parse_or_none
 from labpipe.protocol.yaml_text import (
-    FaultsError,
     Values,
     find_repeated_names,
     get_block,
-    get_list,
+    raise_faults,
     refused,
 )
 from labpipe.records.declarations import Duration, Length, Quantity, WholeNumber
@@ -56,41 +54,43 @@ Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
 class _Column(Block):
     """One of the two columns of a curve."""
 
-    column: Text | None = Field(
-        None, description="Its name, or its number from 1; else 'deflection' or 'force'"
-    )
-    sign: Sign = Field(1, description="-1 if the values decrease in the direction of bending")
+    column: Text | None = None
+    """Its name, or its number from 1; else 'deflection' or 'force'."""
+    sign: Sign = 1
+    """-1 if the values decrease in the direction of bending."""
 
 
 class DeflectionColumn(_Column):
     """The deflection of the tip."""
 
-    unit: LengthUnit | None = Field(None, description="Needed if the heading has no unit")
+    unit: LengthUnit | None = None
+    """Needed if the heading has no unit."""
 
 
 class ForceColumn(_Column):
     """The force at the tip."""
 
-    unit: ForceUnit | None = Field(None, description="Needed if the heading has no unit")
+    unit: ForceUnit | None = None
+    """Needed if the heading has no unit."""
 
 
 class Comparison(Block):
     """An external curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
-    file: Annotated[str, build_path_validator("the folder of the plan", COPY_REMEDY)] = Field(
-        description="csv or xlsx in the folder of the plan, or below it"
-    )
-    wire: Text = Field(description="Name of the wire in the wire sheet")
-    length: Length = Field(description="Free length")
-    load: Literal["as tested", "normal"] = Field(
-        "as tested",
-        description="as tested: by the string of the tests; normal: normal to the undeformed axis, "
-        "as in most finite-element models",
-    )
+    file: Annotated[str, build_path_validator("the folder of the plan", COPY_REMEDY)]
+    """csv or xlsx in the folder of the plan, or below it."""
+    wire: Text
+    """Name of the wire in the wire sheet."""
+    length: Length
+    """Free length."""
+    load: Literal["as tested", "normal"] = "as tested"
+    """as tested: by the string of the tests; normal: normal to the undeformed axis, as in most
+    finite-element models."""
     deflection: DeflectionColumn = DeflectionColumn()
     force: ForceColumn = ForceColumn()
-    because: Text = Field(description="Origin of the curve")
+    because: Text
+    """Origin of the curve."""
 
 
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
@@ -103,13 +103,12 @@ Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 class _Parameter(Block):
     """How a calibration treats one parameter."""
 
-    enters: Literal["free", "fixed", "prior"] = Field(
-        "free", description="free: fitted; fixed: constant; prior: fitted with a log-normal prior"
-    )
-    factor: Factor | None = Field(
-        None, description="Of a prior: its 95 % interval is value / factor to value x factor"
-    )
-    because: Remark = Field("", description="Origin of a prior or a fixed value")
+    enters: Literal["free", "fixed", "prior"] = "free"
+    """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
+    factor: Factor | None = None
+    """Of a prior: its 95 % interval is value / factor to value x factor."""
+    because: Remark = ""
+    """Origin of a prior or a fixed value."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
@@ -153,23 +152,23 @@ class CalibrationPlan(Block):
     """Plan of a calibration: its parameters, tests and external curves."""
 
     version: Version
-    wire: Text | None = Field(
-        None, description="Specimen type whose tests are fitted; other types are predicted"
-    )
+    wire: Text | None = None
+    """Specimen type whose tests are fitted; other types are predicted."""
     parameters: Parameters = Parameters()
-    scatter: Scatter | None = Field(
-        None, description="Standard deviation between samples, where it is known"
-    )
-    points: Annotated[int, WholeNumber(20, 5000)] = Field(272, description="Points of each curve")
-    up_to: Length | None = Field(None, description="Largest deflection that is used")
-    comparisons: tuple[Comparison, ...] = Field(
-        (), description="External curves to compare with tests and model"
-    )
+    scatter: Scatter | None = None
+    """Standard deviation between samples, where it is known."""
+    points: Annotated[int, WholeNumber(20, 5000)] = 272
+    """Points of each curve."""
+    up_to: Length | None = None
+    """Largest deflection that is used."""
+    comparisons: tuple[Comparison, ...] = ()
+    """External curves to compare with tests and model."""
 
+    @field_validator("comparisons")
     @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find comparisons with the name of another one."""
-        return find_repeated_names(get_list(data, "comparisons"), "comparisons", "comparison")
+    def _check_names(cls, comparisons: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
+        raise_faults(find_repeated_names([item.name for item in comparisons], "comparison"))
+        return comparisons
 
 
 TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
@@ -311,9 +310,8 @@ class ByFolder(Block):
     """Pairing by folder: one folder per test; labpipe infers the roles from the content."""
 
     by: Literal["folder"] = "folder"
-    name: Pattern | None = Field(
-        None, description="Of the folder of a test; else type-length-sample, such as A2-085-1"
-    )
+    name: Pattern | None = None
+    """Of the folder of a test; else type-length-sample, such as A2-085-1."""
 
     @property
     def pattern(self) -> NamePattern | None:
@@ -325,10 +323,10 @@ class ByName(Block):
     """Pairing by file name: labpipe copies each export into the folder of its test."""
 
     by: Literal["name"]
-    source: Text = Field(
-        ".", alias="from", description="Folder of the exports, relative to that of the plan"
-    )
-    exports: dict[Role, Pattern] = Field(min_length=1, description="By role: pattern of its name")
+    source: Text = Field(".", alias="from")
+    """Folder of the exports, relative to that of the plan."""
+    exports: dict[Role, Pattern] = Field(min_length=1)
+    """By role: pattern of its name."""
 
     @property
     def patterns(self) -> dict[str, NamePattern]:
@@ -341,21 +339,22 @@ class ByName(Block):
         """Refuse patterns with different fields, because exports are paired by their fields."""
         fields = {role: sorted(parse_name_pattern(text).fields) for role, text in exports.items()}
         (first, first_fields), *_ = fields.items()
-        faults = [
-            Fault.of("protocol.no_fields", (role,))
-            if not own_fields
-            else Fault.of(
-                "protocol.other_fields",
-                (role,),
-                other=first,
-                expected=", ".join(first_fields),
-                found=", ".join(own_fields),
-            )
-            for role, own_fields in fields.items()
-            if own_fields != first_fields or not own_fields
-        ]
-        if faults:
-            raise FaultsError(*faults)
+        faults = []
+        for role, own_fields in fields.items():
+            if not own_fields:
+                faults.append(Fault.of("protocol.no_fields", (role,)))
+            elif own_fields != first_fields:
+                expected, found = ", ".join(first_fields), ", ".join(own_fields)
+                faults.append(
+                    Fault.of(
+                        "protocol.other_fields",
+                        (role,),
+                        other=first,
+                        expected=expected,
+                        found=found,
+                    )
+                )
+        raise_faults(faults)
         return exports
 
 
@@ -372,26 +371,27 @@ class CampaignPlan(Block):
     """Plan of a campaign: which exports form a test, and when a watch starts a test."""
 
     version: Version
-    about: Remark = Field("", description="Purpose of the campaign, in one line")
-    protocol: Text | None = Field(
-        None, description="Of every test; else the one that fits its exports best"
-    )
+    about: Remark = ""
+    """Purpose of the campaign, in one line."""
+    protocol: Text | None = None
+    """Of every test; else the one that fits its exports best."""
     pair: Annotated[
         Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_fill_in_pairing)
     ] = ByFolder()
-    specimen: dict[str, Any] = Field(
-        {}, description="Shared properties of all specimens, as in a test.yaml"
-    )
-    operator: Remark = Field("", description="Of every test")
-    overrides: dict[str, Override] = Field({}, description="Of every test, as in a test.yaml")
-    wait_for: Annotated[tuple[Role, ...], AfterValidator(_remove_repeats)] | None = Field(
-        None, description="Roles that a test needs before it starts; else those of the protocol"
-    )
-    patience: Duration = Field(60.0, description="Longest wait for an optional export")
-    still_for: Duration = Field(
-        1.0, description="Time without changes after which a file is complete"
-    )
-    look_every: Duration = Field(0.25, description="Interval between two looks of a watch")
+    specimen: dict[str, Any] = Field({})
+    """Shared properties of all specimens, as in a test.yaml."""
+    operator: Remark = ""
+    """Of every test."""
+    overrides: dict[str, Override] = Field({})
+    """Of every test, as in a test.yaml."""
+    wait_for: Annotated[tuple[Role, ...], AfterValidator(_remove_repeats)] | None = None
+    """Roles that a test needs before it starts; else those of the protocol."""
+    patience: Duration = 60.0
+    """Longest wait for an optional export."""
+    still_for: Duration = 1.0
+    """Time without changes after which a file is complete."""
+    look_every: Duration = 0.25
+    """Interval between two looks of a watch."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:

@@ -1,33 +1,59 @@
-"""Protocols: the blocks of a protocol file (specimen, rig, clocks, curve, report) and the file."""
+"""Protocols: the blocks of a protocol file, and their checks against each other.
+
+Most checks between blocks use the protocol as written, not the validated models: a misspelt key in
+one block must not hide a fault of another.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     ValidationInfo,
     field_validator,
+    model_validator,
 )
 
-from labpipe.errors import Fault
-from labpipe.protocol.cross_checks import find_cross_faults
-from labpipe.protocol.grammar import Block
+from labpipe.errors import Fault, KeyPath, format_overrides, sort_by_likeness
+from labpipe.protocol.grammar import (
+    SI_UNITS,
+    Block,
+    FileStem,
+    Remark,
+    ShortForm,
+    Text,
+    parse_or_none,
+)
 from labpipe.protocol.source import (
+    MARKER_READERS,
+    ROLES,
     ChannelSource,
     Plausible,
     Role,
     Section,
     SizeUncertainties,
     Source,
+    find_implausible_sizes,
+    name_sources,
 )
-from labpipe.protocol.values import FileStem, Remark, ShortForm, Text
-from labpipe.protocol.yaml_text import FaultsError, Values, refused
+from labpipe.protocol.yaml_text import (
+    Values,
+    build_choice_fault,
+    get_block,
+    get_list,
+    raise_faults,
+    refused,
+)
 from labpipe.records.declarations import (
     LIMITS,
+    STEPS,
     Compliance,
     Distance,
     Drift,
@@ -40,6 +66,7 @@ from labpipe.records.declarations import (
     LinearMass,
     Mass,
     Moment,
+    Needs,
     Offset,
     Quantity,
     Ratio,
@@ -50,9 +77,12 @@ from labpipe.records.declarations import (
     TaggedChoice,
     Uncertainty,
     WholeNumber,
+    list_defaults,
+    list_references,
 )
 from labpipe.records.group import LotRule
 from labpipe.results import KINDS
+from labpipe.results.beam import BendingStiffness
 from labpipe.results.kinds import Kind
 
 if TYPE_CHECKING:
@@ -60,35 +90,36 @@ if TYPE_CHECKING:
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
 
+RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
+"""Kinds of results by their name in YAML."""
+Faults: TypeAlias = Iterator[Fault]
+
 
 class SpecimenBlock(Block):
     """Dimensions that all specimens of the protocol share."""
 
-    length: Length | None = Field(None, description="Free length; a test sheet overrides it")
-    gauge_length: Length | None = Field(
-        None, description="Of the extensometer whose channel is the displacement of the curve"
-    )
-    span: Length | None = Field(None, description="Distance between the supports")
-    mass_per_length: LinearMass | None = Field(
-        None, description="For the deflection of a cantilever by its weight, which is else ignored"
-    )
+    length: Length | None = None
+    """Free length; a test sheet overrides it."""
+    gauge_length: Length | None = None
+    """Of the extensometer whose channel is the displacement of the curve."""
+    span: Length | None = None
+    """Distance between the supports."""
+    mass_per_length: LinearMass | None = None
+    """For the deflection of a cantilever by its weight, which is else ignored."""
     section: Section | None = None
-    uncertainty: SizeUncertainties | None = Field(
-        None, description="Standard uncertainties of these dimensions; a test sheet overrides them"
-    )
+    uncertainty: SizeUncertainties | None = None
+    """Standard uncertainties of these dimensions; a test sheet overrides them."""
 
     @field_validator("uncertainty")
     @classmethod
     def _check_uncertainties(cls, sizes: Any, info: ValidationInfo) -> Any:
         """Refuse uncertainties that are not below the dimension."""
         dimensions = {**vars(info.data.get("section") or Section()), **info.data}
-        faults = [
+        raise_faults(
             Fault.of("protocol.size_unknown", (key,), key=key)
             for key, uncertainty in (sizes.by_key if sizes else {}).items()
             if uncertainty >= (dimensions.get(key) or math.inf)
-        ]
-        if faults:
-            raise FaultsError(*faults)
+        )
         return sizes
 
 
@@ -96,10 +127,10 @@ class LoadString(Block):
     """The string between specimen and load cell."""
 
     length: Length
-    counterweight: Mass = Field(0.0, description="Mass that hangs at the tip")
-    at_rest: Literal["by-data", "taut", "slack"] = Field(
-        "by-data", description="Whether the string carried the counterweight before the test"
-    )
+    counterweight: Mass = 0.0
+    """Mass that hangs at the tip."""
+    at_rest: Literal["by-data", "taut", "slack"] = "by-data"
+    """Whether the string carried the counterweight before the test."""
 
 
 class Rig(Block):
@@ -129,24 +160,22 @@ MarkerNames: TypeAlias = Annotated[
 class Markers(Block):
     """Where the markers of a take are on the specimen."""
 
-    clamp: Text | None = Field(description="Rigid body at the clamped end; null if there is none")
-    along: MarkerNames = Field(
-        "all", description="Markers along the specimen: all, or a list of names and patterns"
-    )
-    rings: Literal["none", "by-body"] = Field(
-        "none", description="by-body: the markers of one body give the centre of their ring"
-    )
-    grip_offset: Offset = Field(0.0, description="From the pivot of the clamp to the clamped end")
-    pull_offset: Distance = Field(
-        0.0, description="From the last marker to the string, along the specimen"
-    )
-    centre_offset: Offset = Field(
-        0.0, description="From the axis to the centre of a marker, towards the pull"
-    )
-    offset_uncertainty: Distance = Field(
-        0.0, description="Standard uncertainty of each of grip_offset and pull_offset"
-    )
-    centre_uncertainty: Distance = Field(0.0, description="Standard uncertainty of centre_offset")
+    clamp: Text | None
+    """Rigid body at the clamped end; null if there is none."""
+    along: MarkerNames = "all"
+    """Markers along the specimen: all, or a list of names and patterns."""
+    rings: Literal["none", "by-body"] = "none"
+    """by-body: the markers of one body give the centre of their ring."""
+    grip_offset: Offset = 0.0
+    """From the pivot of the clamp to the clamped end."""
+    pull_offset: Distance = 0.0
+    """From the last marker to the string, along the specimen."""
+    centre_offset: Offset = 0.0
+    """From the axis to the centre of a marker, towards the pull."""
+    offset_uncertainty: Distance = 0.0
+    """Standard uncertainty of each of grip_offset and pull_offset."""
+    centre_uncertainty: Distance = 0.0
+    """Standard uncertainty of centre_offset."""
 
 
 class AlignNone(Block):
@@ -159,42 +188,50 @@ class AlignTurningPoints(Block):
     """Two clocks, aligned by turning points that both recordings show."""
 
     method: Literal["turning-points"]
-    channel: Snake = Field(description="Channel whose corners mark the turning points")
-    motion_window: Duration = Field(description="On each side of a turning point of the clamp")
-    force_window: Duration = Field(description="On each side of a corner of the channel")
-    max_residual: Duration = Field(description="Larger residuals are doubtful")
-    max_drift: Ratio = Field(description="A larger drift is doubtful")
+    channel: Snake
+    """Channel whose corners mark the turning points."""
+    motion_window: Duration
+    """On each side of a turning point of the clamp."""
+    force_window: Duration
+    """On each side of a corner of the channel."""
+    max_residual: Duration
+    """Larger residuals are doubtful."""
+    max_drift: Ratio
+    """A larger drift is doubtful."""
 
 
 class AlignCommonStart(Block):
     """Two recorders that started together; a corner of the force at a turning point checks it."""
 
     method: Literal["common-start"]
-    channel: Snake = Field(description="Channel whose corner marks the turning point")
-    max_offset: Duration = Field(description="Largest delay of the later recorder")
-    max_drift: Ratio = Field(1e-4, description="Largest relative difference of the clock rates")
-    motion_window: Duration = Field(
-        10.0, description="On each side of a turning point of the motion"
-    )
-    force_window: Duration = Field(1.0, description="On each side of a corner of the channel")
+    channel: Snake
+    """Channel whose corner marks the turning point."""
+    max_offset: Duration
+    """Largest delay of the later recorder."""
+    max_drift: Ratio = 1e-4
+    """Largest relative difference of the clock rates."""
+    motion_window: Duration = 10.0
+    """On each side of a turning point of the motion."""
+    force_window: Duration = 1.0
+    """On each side of a corner of the channel."""
 
 
 class AlignStated(Block):
     """A stated relation of the clocks: force time = offset + (1 + drift) x motion time."""
 
     method: Literal["stated"]
-    channel: Snake | None = Field(
-        None, description="A channel on the clock of the force; else the force of the curve"
-    )
-    offset: Moment = Field(description="Force time at motion time zero")
-    drift: Drift = Field(0.0, description="Relative excess of the rate of the force clock")
-    uncertainty: Duration | None = Field(
-        None, description="Standard uncertainty of the offset; else one sample"
-    )
-    because: Text = Field(description="Source of the offset")
-    motion_window: Duration = Field(
-        10.0, description="On each side of a turning point of the motion"
-    )
+    channel: Snake | None = None
+    """A channel on the clock of the force; else the force of the curve."""
+    offset: Moment
+    """Force time at motion time zero."""
+    drift: Drift = 0.0
+    """Relative excess of the rate of the force clock."""
+    uncertainty: Duration | None = None
+    """Standard uncertainty of the offset; else one sample."""
+    because: Text
+    """Source of the offset."""
+    motion_window: Duration = 10.0
+    """On each side of a turning point of the motion."""
 
 
 Align: TypeAlias = Annotated[
@@ -205,33 +242,32 @@ Align: TypeAlias = Annotated[
 class MachineCompliance(Block):
     """Compliance of frame and grips; times the force, it is subtracted from the displacement."""
 
-    value: Compliance = Field(description="From a test of a stiff bar, protocol stiff-bar")
-    uncertainty: Uncertainty = Field(
-        0.0, description="Standard uncertainty, as a share of the value"
-    )
+    value: Compliance
+    """From a test of a stiff bar, protocol stiff-bar."""
+    uncertainty: Uncertainty = 0.0
+    """Standard uncertainty, as a share of the value."""
 
 
 class Failure(Block):
     """Criterion of failure: the force drops suddenly and does not recover."""
 
-    force_below: Share = Field(description="Share of the largest force, such as 50 %")
-    loss: Share = Field(0.1, description="Smallest drop, as a share of the largest force")
-    within: Duration = Field(
-        0.05, description="Longest duration of the drop; one sample step if that is longer"
-    )
-    at_end_below: Share | None = Field(
-        None,
-        description="A record whose force ends below this share of the largest ends with the break",
-    )
+    force_below: Share
+    """Share of the largest force, such as 50 %."""
+    loss: Share = 0.1
+    """Smallest drop, as a share of the largest force."""
+    within: Duration = 0.05
+    """Longest duration of the drop; one sample step if that is longer."""
+    at_end_below: Share | None = None
+    """A record whose force ends below this share of the largest ends with the break."""
 
 
 class Slips(Block):
     """What labpipe does where the specimen slips in its grips."""
 
-    decision: Literal["marked", "repaired", "cut"] = Field(
-        description="marked: noted; repaired: the lost force is added; cut: the curve ends there"
-    )
-    min_drop: Force = Field(description="Smaller drops of force are ignored")
+    decision: Literal["marked", "repaired", "cut"]
+    """marked: noted; repaired: the lost force is added; cut: the curve ends there."""
+    min_drop: Force
+    """Smaller drops of force are ignored."""
 
 
 class Slack(Block):
@@ -260,10 +296,10 @@ class ElasticLine(Block):
 
     start: Annotated[Ratio | None, Key("from"), "Start of a window, such as 0.05 % strain"] = None
     stop: Annotated[Ratio | None, Key("to"), "End of the window, such as 0.25 % strain"] = None
-    of: Literal["strain", "strength"] = Field(
-        "strain", description="What from and to are counted in: strain, or the largest stress"
-    )
-    straight: Share = Field(0.9998, description="Least r^2 of the line, where no window is stated")
+    of: Literal["strain", "strength"] = "strain"
+    """What from and to are counted in: strain, or the largest stress."""
+    straight: Share = 0.9998
+    """Least r^2 of the line, where no window is stated."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
@@ -280,11 +316,9 @@ class CurveBlock(Block):
 
     force: Snake
     displacement: Snake
-    reverse: Reverse | None = Field(
-        None,
-        description="force, displacement: channels that decrease as the specimen is loaded; an "
-        "empty list confirms their signs",
-    )
+    reverse: Reverse | None = None
+    """force, displacement: channels that decrease as the specimen is loaded; an empty list confirms
+    their signs."""
     compliance: MachineCompliance | None = None
     failure: Failure | None = None
     slips: Slips | None = None
@@ -295,8 +329,10 @@ class CurveBlock(Block):
 class Branches(Block):
     """How the curve is split into loading and unloading branches."""
 
-    channel: Snake = Field(description="Channel whose turning points separate the branches")
-    min_stroke: Length = Field(description="Smaller reversals are noise")
+    channel: Snake
+    """Channel whose turning points separate the branches."""
+    min_stroke: Length
+    """Smaller reversals are noise."""
 
 
 FigureName: TypeAlias = Literal[
@@ -310,14 +346,38 @@ FigureName: TypeAlias = Literal[
 ]
 
 
+def _check_display(units: dict[str, str]) -> dict[str, str]:
+    """Refuse units of unknown quantities, and units of another dimension."""
+    faults = []
+    for quantity, unit in units.items():
+        si_unit = SI_UNITS.get(quantity)
+        if si_unit is None:
+            fault = build_choice_fault((quantity,), quantity, SI_UNITS, "one of the quantities")
+            faults.append(replace(fault, at="key"))
+        elif parse_or_none(f"1 {unit}", si_unit) is None:
+            faults.append(
+                Fault.of(
+                    "protocol.no_unit",
+                    (quantity,),
+                    quantity=f"{quantity} such as {si_unit}",
+                    found=repr(unit),
+                )
+            )
+    raise_faults(faults)
+    return units
+
+
+DisplayUnits: TypeAlias = Annotated[dict[str, Text], AfterValidator(_check_display)]
+
+
 class Report(Block):
     """Units and figures of the report."""
 
-    display: dict[str, Text] = Field({}, description="Unit of each quantity, such as force: mN")
+    display: DisplayUnits = Field({})
+    """Unit of each quantity, such as force: mN."""
     figures: tuple[FigureName, ...] = ()
-    style: Literal["page", "journal"] = Field(
-        "page", description="Style of figures: as on the page, or with a serif font for a journal"
-    )
+    style: Literal["page", "journal"] = "page"
+    """Style of figures: as on the page, or with a serif font for a journal."""
 
 
 LotShare: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, maximum=0.9999)]
@@ -326,25 +386,20 @@ LotShare: TypeAlias = Annotated[float, Quantity("1", "%", "99 %", minimum=0.5, m
 class Groups(Block):
     """How `labpipe report` groups the samples of one type."""
 
-    main: tuple[Text, ...] = Field(
-        (),
-        description="Results that are shown first; groups are compared by the first of them",
-    )
-    scaled: bool = Field(False, description="Also plot force / peak force of each sample")
-    min_p: Share = Field(
-        0.05, description="Spools that differ with a smaller p-value are never pooled"
-    )
-    max_spool_share: Share = Field(
-        0.1,
-        description="Spools are pooled only if their share of the variance is significantly below",
-    )
-    coverage: LotShare = Field(
-        LotRule().coverage, description="Share of a lot that must reach its force-limit"
-    )
-    confidence: LotShare = Field(LotRule().confidence, description="With which it must do so")
-    margin: Share | None = Field(
-        None, description="Irrelevant difference of two groups, as a share of the first"
-    )
+    main: tuple[Text, ...] = ()
+    """Results that are shown first; groups are compared by the first of them."""
+    scaled: bool = False
+    """Also plot force / peak force of each sample."""
+    min_p: Share = 0.05
+    """Spools that differ with a smaller p-value are never pooled."""
+    max_spool_share: Share = 0.1
+    """Spools are pooled only if their share of the variance is significantly below."""
+    coverage: LotShare = LotRule().coverage
+    """Share of a lot that must reach its force-limit."""
+    confidence: LotShare = LotRule().confidence
+    """With which it must do so."""
+    margin: Share | None = None
+    """Irrelevant difference of two groups, as a share of the first."""
 
 
 def _parse_version(value: object) -> int:
@@ -361,30 +416,30 @@ class Protocol(Block):
     """How one kind of test is processed, from its exports to its results."""
 
     version: Version
-    name: FileStem = Field(description="Name of the file without .yaml")
-    about: Remark = Field("", description="Purpose, in one line")
-    follow_links: bool = Field(
-        False, description="Whether exports may be links to files outside the folder of the test"
-    )
+    name: FileStem
+    """Name of the file without .yaml."""
+    about: Remark = ""
+    """Purpose, in one line."""
+    follow_links: bool = False
+    """Whether exports may be links to files outside the folder of the test."""
     sources: dict[Role, Source] = Field(min_length=1)
     specimen: SpecimenBlock = SpecimenBlock()
     rig: Rig = Rig()
-    questions: dict[Snake, tuple[Text, ...]] = Field(
-        {},
-        description="What the test sheet answers in specimen.observed: the valid answers by name",
-    )
+    questions: dict[Snake, tuple[Text, ...]] = Field({})
+    """What the test sheet answers in specimen.observed: the valid answers by name."""
     markers: Markers | None = None
     align: Align = AlignNone()
     steps: tuple[Step, ...] = ()
     curve: CurveBlock | None = None
     branches: Branches | None = None
-    results: tuple[ResultEntry, ...] = Field((), description="In the order of the summary")
+    results: tuple[ResultEntry, ...] = ()
+    """In the order of the summary."""
     report: Report = Report()
     groups: Groups = Groups()
-    plausible: Plausible = Field(
-        {}, description="Ranges by kind of dimension; else the shipped ones"
-    )
-    limits: Limits = Field(LIMITS, description="Differences beyond which a result is doubtful")
+    plausible: Plausible = Field({})
+    """Ranges by kind of dimension; else the shipped ones."""
+    limits: Limits = LIMITS
+    """Differences beyond which a result is doubtful."""
 
     @property
     def channels(self) -> dict[str, ChannelSource]:
@@ -396,8 +451,8 @@ class Protocol(Block):
 
     @field_validator("sources")
     @classmethod
-    def _set_roles(cls, sources: dict[Role, Source]) -> dict[Role, Source]:
-        return {role: source.with_role(role) for role, source in sources.items()}
+    def _name_sources(cls, sources: dict[Role, Source]) -> dict[Role, Source]:
+        return name_sources(sources)
 
     @field_validator("steps")
     @classmethod
@@ -405,6 +460,349 @@ class Protocol(Block):
         return tuple(step.numbered(number) for number, step in enumerate(steps))
 
     @classmethod
-    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+    def find_contradictions(cls, data: Values) -> Faults:
         """Find contradictions between the blocks of the protocol."""
-        return find_cross_faults(data)
+        outline = Outline(data)
+        for check in (
+            *(_check_channels, _check_needs, _check_steps, _check_curve),
+            *(_check_results, _check_figures, _check_main_results),
+        ):
+            yield from check(outline)
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> Self:
+        """Refuse implausible dimensions, and two uncertainties of one length."""
+        faults = [
+            fault
+            for key, block in (("specimen", self.specimen), ("rig", self.rig))
+            for fault in find_implausible_sizes(block, (key,), self.plausible)
+        ]
+        if self.markers is not None:
+            faults += find_implausible_sizes(self.markers, ("markers",), self.plausible)
+        stated = self.specimen.uncertainty or SizeUncertainties()
+        for number, result in enumerate(self.results):
+            if not isinstance(result, BendingStiffness):
+                continue
+            key = "length" if result.support == "cantilever" else "span"
+            here, there = result.length_uncertainty, getattr(stated, key)
+            if here is not None and there is not None and here != there:
+                path = ("results", number, "length_uncertainty")
+                here_mm, there_mm = f"{1e3 * here:.6g} mm", f"{1e3 * there:.6g} mm"
+                twice = Fault.of(
+                    "protocol.length_twice", path, key=key, here=here_mm, there=there_mm
+                )
+                faults.append(twice)
+        raise_faults(faults)
+        return self
+
+
+_MARKER_SOURCE, _CLAMP = "a source of marker tracks", "a clamped end"
+_CURVE, _BRANCHES, _MARKERS = "a block 'curve'", "a block 'branches'", "a block 'markers'"
+_ALIGNMENT = "a method that aligns two clocks"
+_SHAPE_STEP = "a step that computes shapes"
+_REMEDIES = {
+    _MARKER_SOURCE: "Add the source 'markers'.",
+    _CLAMP: "Name the rigid body at the clamp in 'markers.clamp'.",
+    _ALIGNMENT: "Set 'align.method' to 'turning-points'.",
+    _SHAPE_STEP: "Add the step 'fit-shape'.",
+}
+_FIGURE_NEEDS = {
+    **dict.fromkeys(("force-displacement", "stiffness-lines", "timeline"), (_CURVE,)),
+    "wire-shapes": (_SHAPE_STEP,),
+    "moment-curvature": ("a result 'moment-curvature'",),
+    "marker-quality": (_MARKER_SOURCE,),
+}
+_CYCLE_SUFFIX = re.compile(r"\.\d+$")
+
+
+class Outline:
+    """Channels, steps and results of a protocol as written, valid or not.
+
+    Parameters
+    ----------
+    data : the protocol as plain values
+
+    Attributes
+    ----------
+    channels : role, path and block of the channels of sources, by name; several of one name
+    steps, results : path, name in YAML and block of each entry
+    source_channels, step_channels : names of the channels that sources give and that steps add
+    """
+
+    def __init__(self, data: Values) -> None:
+        self.data = data
+        self.channels = [*_list_channels(get_block(data, "sources"))]
+        self.steps = _list_entries(data, "steps", "step")
+        self.results = _list_entries(data, "results", "result")
+        self.source_channels = [name for name, *_ in self.channels]
+        self.step_channels = [
+            name for _, kind, step in self.steps for name in self.list_added(kind, step)
+        ]
+        self.forces_of_travel = {
+            str(step.get("channel")): str(step.get("force"))
+            for _, kind, step in self.steps
+            if kind == "travel-from-speed"
+        }
+
+    def block(self, *path: str) -> Values:
+        """Return the block at a path; an empty one if there is none."""
+        return get_block(self.data, *path)
+
+    def list_provided(self) -> Iterator[str]:
+        """List the needs of steps, results and figures that the protocol meets."""
+        sources, curve = self.block("sources"), self.block("curve")
+        readers = [get_block(sources, role).get("reader") for role in sources]
+        names = {
+            name
+            for stated in readers
+            for name in (stated if isinstance(stated, list) else [stated])
+        }
+        kinds = {kind for _, kind, _ in self.steps}
+        conditions = {
+            _MARKER_SOURCE: "markers" in sources or names & MARKER_READERS,
+            _CLAMP: self.block("markers").get("clamp") is not None,
+            _ALIGNMENT: self.block("align").get("method", "none")
+            in ("turning-points", "common-start", "stated"),
+            _SHAPE_STEP: kinds & {"fit-shape", "three-point-shape"},
+        }
+        yield from (need for need, is_met in conditions.items() if is_met)
+        yield from (f"a block {key!r}" for key in self.data if self.block(key))
+        yield from (f"a block 'curve.{key}'" for key in curve if get_block(curve, key))
+        yield from (f"the step {kind!r}" for kind in kinds)
+        yield from (f"a result {kind!r}" for _, kind, _ in self.results)
+
+    def list_added(self, kind: str, step: Values) -> tuple[str, ...]:
+        """List the channels that a step adds; ``specimen-frame`` without a clamp adds none."""
+        has_clamp = self.block("markers").get("clamp") is not None
+        if kind not in STEPS or (kind == "specimen-frame" and not has_clamp):
+            return ()
+        return tuple(form.format_map({"channel": None, **step}) for form in STEPS[kind].makes)
+
+    def find_clock(self, channel: object) -> str | None:
+        """Return the role whose clock a channel has; None for an unknown channel."""
+        roles = {name: role for name, role, *_ in reversed(self.channels)}
+        name = str(channel)
+        name = name if name in roles else self.forces_of_travel.get(name, name)
+        return roles.get(name) or ("markers" if name in self.step_channels else None)
+
+    def find_unit(self, channel: object) -> str | None:
+        """Return the SI unit of a channel; None for an unknown channel or quantity."""
+        quantities = {
+            name: block.get("quantity", name) for name, _, _, block in reversed(self.channels)
+        }
+        quantities |= dict.fromkeys(self.step_channels, "travel")
+        return SI_UNITS.get(str(quantities.get(str(channel))))
+
+
+def _list_channels(sources: Values) -> Iterator[tuple[str, str, KeyPath, Values]]:
+    """List name, role, path and block of channels; a misspelt role counts as the most similar."""
+    for role in sources:
+        source, path = get_block(sources, role), ("sources", role)
+        cameras = {"scale_uncertainty", "certificate"} if role == "markers" else set()
+        if source.keys() & ChannelSource.model_fields.keys() - cameras:
+            name = role if role in ROLES else sort_by_likeness(role, list(ROLES), limit=1)[0]
+            yield name, role, path, source
+        for name in get_block(source, "channels"):
+            yield name, role, (*path, "channels", name), get_block(source, "channels", name)
+
+
+def _list_entries(data: Values, key: str, kind_key: str) -> list[tuple[KeyPath, str, Values]]:
+    """List path, kind and block of the entries of a list that have a kind."""
+    return [
+        ((key, number), item[kind_key], item)
+        for number, item in enumerate(get_list(data, key))
+        if isinstance(item, Mapping) and isinstance(item.get(kind_key), str)
+    ]
+
+
+def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
+    """List the names that an entry of ``results`` has in the summary.
+
+    Parameters
+    ----------
+    name : of the kind of result in YAML, such as ``two-segments``
+    entry : the block as written, which may state its own name
+
+    Returns
+    -------
+    A name per number; of numbers for several cycles or slips, the first. Empty for an unknown kind.
+    """
+    kind = RESULTS.get(name)
+    return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
+
+
+def _check_channels(outline: Outline) -> Faults:
+    """Find two channels of one name; a step may replace the channel of an optional source."""
+    owners = dict.fromkeys(outline.step_channels, "a step")
+    for name, role, path, _ in outline.channels:
+        is_optional = str(outline.block("sources", role).get("optional")).lower() == "true"
+        if not (name in outline.forces_of_travel and is_optional):
+            if name in owners:
+                yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=owners[name])
+            owners[name] = f"the source {role!r}"
+
+
+def _check_needs(outline: Outline) -> Faults:
+    """Find needs of steps, results and figures that the protocol does not meet."""
+    provided = {*outline.list_provided()}
+    for path, user, need in _list_needs(outline):
+        if need not in provided:
+            remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
+            if user in RESULTS and need.startswith("a block 'curve."):
+                override = format_overrides(f"results.{user}", "null")
+                remedy = f"{remedy[:-1]}, or remove the result: {override}."
+            yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
+
+
+def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
+    """List the path and the name of each block that needs another one, and its need."""
+    curve, align = outline.block("curve"), outline.block("align")
+    users: list[tuple[KeyPath, str, Iterable[str]]] = []
+    for path, name, _ in outline.steps:
+        is_on_markers = name in STEPS and STEPS[name].on_markers
+        needs = (_MARKER_SOURCE, _MARKERS) if is_on_markers else ()
+        users.append(((*path, "step"), name, needs))
+    for path, name, _ in outline.results:
+        users.append(((*path, "result"), name, _list_result_needs(name, curve)))
+    for number, name in enumerate(get_list(outline.data, "report", "figures")):
+        users.append((("report", "figures", number), name, _FIGURE_NEEDS.get(str(name), ())))
+    if align.get("method") == "turning-points":
+        users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
+    if outline.block("branches"):
+        users.append((("branches",), "branches", [_CURVE]))
+    clocks = {outline.find_clock(curve.get(key)) for key in ("force", "displacement")}
+    if len(clocks - {None}) > 1:
+        users.append((("align", "method") if align else ("curve",), "curve", [_ALIGNMENT]))
+    return ((path, name, need) for path, name, needs in users for need in needs)
+
+
+def _list_result_needs(name: str, curve: Values) -> list[str]:
+    needs = RESULTS[name].needs if name in RESULTS else Needs()
+    conditions = {
+        **dict.fromkeys((_CURVE, _BRANCHES), needs.branches),
+        _ALIGNMENT: needs.clocks,
+        f"the step {needs.shape!r}": needs.shape,
+        _CLAMP: needs.clamp,
+        f"a block 'curve.{needs.correction}'": needs.correction and curve,
+    }
+    return [need for need, is_needed in conditions.items() if is_needed]
+
+
+def _check_steps(outline: Outline) -> Faults:
+    channels, earlier = list(outline.source_channels), list[str]()
+    for path, name, step in outline.steps:
+        kind, place = STEPS.get(name), (*path, "step")
+        if kind is not None and kind.on_markers:
+            if name in earlier:
+                yield Fault.of("protocol.step_again", place, step=name)
+            if kind.after and kind.after not in earlier:
+                yield Fault.of("protocol.step_before", place, step=name, needed=kind.after)
+        for key in list_references(kind, "channel") if kind is not None else ("channel",):
+            yield from _check_name(step, (*path, key), channels, outline.step_channels)
+        if name == "travel-from-speed":
+            yield from _check_travel_from_speed(outline, step, place)
+        span = str(step.get("span")).strip()
+        if span.endswith("%") and not outline.block("branches"):
+            yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=repr(span))
+        channels += outline.list_added(name, step)
+        earlier.append(name)
+
+
+def _check_travel_from_speed(outline: Outline, step: Values, path: KeyPath) -> Faults:
+    """Find several cycles, and a missing speed or stroke if no source measures the travel."""
+    rig = outline.block("rig")
+    if rig.get("cycles") not in (None, "1", 1):
+        yield Fault.of("protocol.many_cycles", ("rig", "cycles"), found=rig["cycles"])
+    if step.get("channel") not in outline.source_channels:
+        for key in {"crosshead_speed", "stroke"} - {*rig}:
+            yield Fault.of("protocol.no_speed", path, key=key)
+
+
+def _check_name(
+    block: Values, path: KeyPath, channels: Sequence[str], later: Collection[str] = ()
+) -> Faults:
+    """Find the name of a channel, the last key of a path, that does not exist, or not yet."""
+    name = block.get(str(path[-1]))
+    if not isinstance(name, str) or name in channels:
+        return
+    if name in later:
+        yield Fault.of("protocol.channel_later", path, name=name)
+    elif channels:
+        yield build_choice_fault(path, name, channels, "one of the channels")
+    else:
+        yield Fault.of("protocol.no_channel_at_all", path, name=name)
+
+
+def _check_curve(outline: Outline) -> Faults:
+    curve, align, branches = (outline.block(key) for key in ("curve", "align", "branches"))
+    channels = outline.source_channels + outline.step_channels
+    if align.get("method") in ("turning-points", "common-start", "stated"):
+        yield from _check_name(align, ("align", "channel"), outline.source_channels)
+    for key, si_unit in (("force", "N"), ("displacement", "m")):
+        yield from _check_name(curve, ("curve", key), channels)
+        other = outline.find_unit(curve.get(key))
+        if other not in (None, si_unit):
+            yield Fault.of(
+                "protocol.channel_unit",
+                ("curve", key),
+                unit=si_unit,
+                name=curve.get(key),
+                other=other,
+            )
+    for quantity in get_list(curve, "reverse"):
+        name = curve.get(quantity) if isinstance(quantity, str) else None
+        if name in outline.step_channels and name not in outline.source_channels:
+            yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
+    yield from _check_name(branches, ("branches", "channel"), channels)
+
+
+def _check_results(outline: Outline) -> Faults:
+    earlier, stiffnesses = set[str](), list[str]()
+    displacement = outline.block("curve").get("displacement")
+    for path, kind_name, entry in outline.results:
+        kind = RESULTS.get(kind_name)
+        if kind is None:
+            continue
+        settings, place = {**list_defaults(kind), **entry}, (*path, "result")
+        if kind.needs.clamp and outline.find_clock(displacement) not in (None, "markers"):
+            yield Fault.of(
+                "protocol.clock_of_force", place, result=kind_name, found=str(displacement)
+            )
+        for key in list_references(kind, "stiffness"):
+            name = settings.get(key)
+            if isinstance(name, str) and not stiffnesses:
+                yield Fault.of("protocol.no_stiffness", (*path, key), name=name)
+            elif isinstance(name, str) and name not in stiffnesses:
+                valid = "one of the stiffnesses above,"
+                yield build_choice_fault((*path, key), name, stiffnesses, valid)
+        names = list_result_names(kind_name, entry)
+        for name in [name for name in names if name in earlier][:1]:
+            yield Fault.of("protocol.result_again", place, name=name)
+        earlier |= {*names}
+        stiffnesses += [
+            name
+            for name, output in zip(names, kind.outputs, strict=True)
+            if output.unit == "N/m" and output.first is None
+        ]
+
+
+def _check_figures(outline: Outline) -> Faults:
+    figures = get_list(outline.data, "report", "figures")
+    for number, figure in enumerate(figures):
+        if figure in figures[:number]:
+            yield Fault.of("protocol.figure_again", ("report", "figures", number), figure=figure)
+
+
+def _check_main_results(outline: Outline) -> Faults:
+    """Find main results of groups that no entry of ``results`` gives."""
+    names = [name for _, kind, entry in outline.results for name in list_result_names(kind, entry)]
+    per_cycle = {_CYCLE_SUFFIX.sub("", name) for name in names if _CYCLE_SUFFIX.search(name)}
+    for number, name in enumerate(get_list(outline.data, "groups", "main")):
+        path: KeyPath = ("groups", "main", number)
+        base_name = _CYCLE_SUFFIX.sub("", str(name))
+        if name in names or (base_name != name and base_name in per_cycle):
+            continue
+        if names:
+            yield build_choice_fault(path, name, names, "one of the results")
+        else:
+            yield Fault.of("protocol.no_results", path, name=name)

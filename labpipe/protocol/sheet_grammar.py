@@ -14,7 +14,7 @@ import yaml
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from labpipe.errors import Fault, UsageError, format_error
-from labpipe.protocol import values
+from labpipe.protocol import grammar as values
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.yaml_text import (
@@ -41,7 +41,8 @@ class SheetWires(Block):
     """Wires of one type in a bundle."""
 
     number: Annotated[int, WholeNumber(1, 1000)]
-    diameter: Length | None = Field(None, description="Over the insulation")
+    diameter: Length | None = None
+    """Over the insulation."""
 
 
 def _expand_number(value: object) -> object:
@@ -92,19 +93,18 @@ WirePosition = Annotated[tuple[Offset, Offset], values.build_row_validator(2, "[
 class SheetBundle(Block):
     """Composition of a harness bundle."""
 
-    wires: WiresByType = Field(description="By type: the number, or number and diameter")
-    number: Annotated[int, WholeNumber(1, 100_000)] | None = Field(
-        None, description="Of all wires together, as a check"
-    )
+    wires: WiresByType
+    """By type: the number, or number and diameter."""
+    number: Annotated[int, WholeNumber(1, 100_000)] | None = None
+    """Of all wires together, as a check."""
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
-    positions: tuple[WirePosition, ...] | None = Field(
-        None,
-        description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
-    )
+    positions: tuple[WirePosition, ...] | None = None
+    """[x, y] of every wire in the order of 'wires'; y is the direction of bending."""
     tape: values.SingleLine = "none"
     taping: Literal["none", "coarse", "half-lap"] = "none"
     conduit: values.SingleLine = "none"
-    conduit_bore: Length | None = Field(None, description="Inner diameter of the conduit")
+    conduit_bore: Length | None = None
+    """Inner diameter of the conduit."""
 
     @property
     def record(self) -> Bundle:
@@ -250,21 +250,24 @@ class SheetSpecimen(Block):
     type: values.SingleLine
     spool: values.SingleLine
     sample: values.SingleLine
-    length: Length | None = Field(None, description="Free length; overrides the protocol's")
-    mass_per_length: LinearMass | None = Field(
-        None, description="Mass per length; overrides the protocol's"
-    )
-    section: Section | None = Field(None, description="Sizes of the cross-section, or its area")
-    uncertainty: SizeUncertainties | None = Field(
-        None, description="Standard uncertainties of sizes; override the protocol's"
-    )
-    bundle: SheetBundle | None = Field(None, description="Composition of a harness bundle")
+    length: Length | None = None
+    """Free length; overrides the protocol's."""
+    mass_per_length: LinearMass | None = None
+    """Mass per length; overrides the protocol's."""
+    section: Section | None = None
+    """Sizes of the cross-section, or its area."""
+    uncertainty: SizeUncertainties | None = None
+    """Standard uncertainties of sizes; override the protocol's."""
+    bundle: SheetBundle | None = None
+    """Composition of a harness bundle."""
     labels: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
-        {}, description="Other properties of the specimen as text, by name"
+        {}
     )
+    """Other properties of the specimen as text, by name."""
     observed: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = (
-        Field({}, description="Answers to the questions of the protocol, by question")
+        Field({})
     )
+    """Answers to the questions of the protocol, by question."""
 
     @property
     def dimensions(self) -> dict[str, float]:
@@ -336,16 +339,15 @@ class TestSheet(Block):
     __test__ = False  # pytest would collect a class of this name
 
     test: values.FileStem
-    protocol: values.Text = Field(description="Name of a protocol, or a path to one")
+    protocol: values.Text
+    """Name of a protocol, or a path to one."""
     specimen: SheetSpecimen
     date: values.Day | None = None
     operator: values.Remark = ""
-    files: dict[Role, FileNames] = Field(
-        min_length=1, description="By role: a file, or the parts of one recording in order"
-    )
-    overrides: Annotated[dict[str, Override], BeforeValidator(_read_null_as_empty)] = Field(
-        {}, description="By dotted key of the protocol"
-    )
+    files: dict[Role, FileNames] = Field(min_length=1)
+    """By role: a file, or the parts of one recording in order."""
+    overrides: Annotated[dict[str, Override], BeforeValidator(_read_null_as_empty)] = Field({})
+    """By dotted key of the protocol."""
 
 
 _HEAD = "# One test: what was tested, and which exports belong to it.\n"

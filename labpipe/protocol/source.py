@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
 from math import hypot, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
 from pydantic import (
     AfterValidator,
+    BaseModel,
     BeforeValidator,
     Field,
     PlainSerializer,
@@ -18,13 +20,29 @@ from pydantic import (
     field_validator,
 )
 
-from labpipe.errors import Fault
-from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import SI_UNITS, Day, ShortForm, Text, find_si_unit, wrap_in_list
-from labpipe.protocol.yaml_text import FaultsError, refused
+from labpipe.errors import Fault, KeyPath, format_overrides
+from labpipe.protocol.grammar import (
+    SI_UNITS,
+    Block,
+    Day,
+    ShortForm,
+    Text,
+    find_si_unit,
+    parse_or_none,
+    suggest_quantity,
+    suggest_unit,
+    wrap_in_list,
+)
+from labpipe.protocol.yaml_text import (
+    FaultsError,
+    build_choice_fault,
+    list_nearest,
+    raise_faults,
+    refused,
+)
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
-from labpipe.units import parse_quantity
+from labpipe.units import find_si_factor, parse_quantity
 
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
@@ -123,11 +141,13 @@ class SizeUncertainties(Block):
 class PlausibleRange(Block):
     """Smallest and largest plausible value."""
 
-    start: Text = Field(alias="from", description="Such as 20 N")
-    stop: Text = Field(alias="to", description="Such as 2 kN")
+    start: Text = Field(alias="from")
+    """Such as 20 N."""
+    stop: Text = Field(alias="to")
+    """Such as 2 kN."""
 
 
-def complete_ranges(stated: object) -> Any:
+def _complete_ranges(stated: object) -> Any:
     """Fill in the shipped ranges and ends of ranges that a file leaves out."""
     if not isinstance(stated, Mapping):
         return stated
@@ -139,6 +159,38 @@ def complete_ranges(stated: object) -> Any:
     return shipped | ranges
 
 
+def _find_quantity_faults(text: str | None, unit: str, key: str, number: str) -> Iterator[Fault]:
+    """Find a text at a key that is no quantity of the dimension of a unit."""
+    if text is not None and parse_or_none(text, unit) is None:
+        plain_unit = unit.replace("(", "").replace(")", "")
+        remedy = suggest_quantity(text, unit, f"{number} {plain_unit}")
+        kind = f"quantity with a unit such as {plain_unit}"
+        yield Fault.of("protocol.no_quantity", (key,), kind=kind, found=repr(text), remedy=remedy)
+
+
+def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
+    """Find ends of a plausible range without a unit, or reversed ends."""
+    yield from _find_quantity_faults(ends.start, unit, "from", "20")
+    yield from _find_quantity_faults(ends.stop, unit, "to", "20")
+    low, high = parse_or_none(ends.start, unit), parse_or_none(ends.stop, unit)
+    if low is not None and high is not None and not 0.0 <= low < high:
+        yield Fault.of("protocol.range_reversed", low=low, high=high, unit=unit)
+
+
+def _prefix(path: KeyPath, faults: Iterable[Fault]) -> Iterator[Fault]:
+    return (replace(fault, path=(*path, *fault.path)) for fault in faults)
+
+
+def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange]:
+    raise_faults(
+        fault
+        for kind, ends in ranges.items()
+        if (ends.start, ends.stop) != PLAUSIBLE_RANGES[kind][1:]
+        for fault in _prefix((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
+    )
+    return ranges
+
+
 def _build_range_schema(low: str, high: str) -> dict[str, object]:
     ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
     return {"type": "object", "properties": ends, "additionalProperties": False}
@@ -146,7 +198,8 @@ def _build_range_schema(low: str, high: str) -> dict[str, object]:
 
 Plausible: TypeAlias = Annotated[
     dict[_Kind, PlausibleRange],
-    BeforeValidator(complete_ranges),
+    BeforeValidator(_complete_ranges),
+    AfterValidator(_check_ranges),
     Field(validate_default=True),
     WithJsonSchema(
         {
@@ -160,6 +213,62 @@ Plausible: TypeAlias = Annotated[
 ]
 
 
+def find_implausible_sizes(
+    block: BaseModel,
+    path: KeyPath,
+    ranges: Mapping[str, PlausibleRange],
+    *,
+    others: Collection[str] = (),
+    in_file: bool = False,
+) -> Iterator[Fault]:
+    """Find dimensions outside their plausible ranges.
+
+    Parameters
+    ----------
+    block : validated
+    path : of the block in its file
+    ranges : plausible ranges by kind of dimension
+    others : names of further lengths, whose kind of dimension is ``other``
+    in_file : whether the remedy is a wider range in this file; else an override in a test sheet
+    """
+    for place, size in _list_numbers(block, path):
+        key = next(str(part) for part in reversed(place) if isinstance(part, str))
+        kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
+        kind = kind or ("other" if key in others else None)
+        if kind is None:
+            continue
+        si_unit, ends = PLAUSIBLE_RANGES[kind][0], ranges[kind]
+        low, high = parse_quantity(ends.start, si_unit), parse_quantity(ends.stop, si_unit)
+        if low <= abs(size) <= high:
+            continue
+        end, limit = ("from", ends.start) if abs(size) < low else ("to", ends.stop)
+        unit = limit.lstrip("+-.0123456789e ")
+        text = f"{size / find_si_factor(unit, si_unit):.12g} {unit}"
+        override = format_overrides(f"plausible.{kind}.{end}", text)
+        yield Fault.of(
+            "protocol.implausible",
+            place,
+            kind=kind.replace("_", " ") if kind != "other" else "dimension",
+            low=ends.start,
+            high=ends.stop,
+            found=repr(text),
+            override=f"'plausible: {{{kind}: {{{end}: {text}}}}}'" if in_file else override,
+        )
+
+
+def _list_numbers(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
+    """List the numbers in a value that may be dimensions, with their paths."""
+    if isinstance(node, float):
+        yield path, node
+    elif isinstance(node, tuple):
+        for number, item in enumerate(node):
+            yield from _list_numbers(item, (*path, number))
+    elif isinstance(node, BaseModel | dict):
+        items = dict(node)
+        for key in items.keys() - {"uncertainty", "labels", "positions"}:
+            yield from _list_numbers(items[key], (*path, key))
+
+
 CoverageFactor = Annotated[float, Quantity("1", "1", "2", minimum=1.0, maximum=10.0)]
 
 
@@ -167,14 +276,14 @@ class Certificate(Block):
     """Certificate of the calibration of an instrument."""
 
     number: Text
-    date: Day = Field(description="Of the calibration")
-    due: Day | None = Field(
-        None, description="Of the next calibration; results of a later test are doubtful"
-    )
-    uncertainty: Uncertainty | None = Field(
-        None, description="Expanded, as certificates state it: k times the standard uncertainty"
-    )
-    k: CoverageFactor = Field(2.0, description="Coverage factor; 1 for a standard uncertainty")
+    date: Day
+    """Of the calibration."""
+    due: Day | None = None
+    """Of the next calibration; results of a later test are doubtful."""
+    uncertainty: Uncertainty | None = None
+    """Expanded, as certificates state it: k times the standard uncertainty."""
+    k: CoverageFactor = 2.0
+    """Coverage factor; 1 for a standard uncertainty."""
 
     @field_validator("due")
     @classmethod
@@ -198,10 +307,9 @@ def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) 
     together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
     certified = _find_standard_uncertainty(certificate)
     if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
-        fault = Fault.of(
-            "protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together
+        raise FaultsError(
+            Fault.of("protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together)
         )
-        raise FaultsError(fault)
     return certificate
 
 
@@ -211,48 +319,76 @@ CheckedCertificate = Annotated[Certificate, AfterValidator(_check_against_scale)
 class Calibration(Block):
     """A linear calibration of a channel."""
 
-    gain: Text = Field(description="Such as 0.5 N/V: target unit per unit of the channel")
-    offset: Text | None = Field(None, description="Such as 0.01 N: added after the gain")
-    gain_uncertainty: Uncertainty = Field(
-        0.0, description="Standard uncertainty of the gain, such as 1 %"
-    )
+    gain: Text
+    """Such as 0.5 N/V: target unit per unit of the channel."""
+    offset: Text | None = None
+    """Such as 0.01 N: added after the gain."""
+    gain_uncertainty: Uncertainty = 0.0
+    """Standard uncertainty of the gain, such as 1 %."""
+
+    def find_unit_faults(self, target: str, unit: str) -> Iterator[Fault]:
+        """Find a gain or an offset of another dimension, and a gain of zero.
+
+        Parameters
+        ----------
+        target, unit : SI units after and before the calibration
+        """
+        gain_unit = f"{target}/({unit})"
+        yield from _find_quantity_faults(self.offset, target, "offset", "0.5")
+        yield from _find_quantity_faults(self.gain, gain_unit, "gain", "0.5")
+        if parse_or_none(self.gain, gain_unit) == 0.0:
+            yield Fault.of("protocol.no_gain", ("gain",), found=repr(self.gain))
 
 
-class ChannelSource(Block):
-    """One channel of an export."""
+class _Channel(Block):
+    """Keys of a channel, in the block of an export or in one of its own."""
 
-    channel: ChannelNames = Field(
-        description="Name or full path, as `labpipe inspect` shows it; or a list of names"
-    )
-    unit: Text | None = Field(None, description="Unit in the export, where the export states none")
-    wrong_unit_in_file: Text | None = Field(
-        None, description="Unit that the export states by mistake; 'unit' is the right one"
-    )
+    channel: ChannelNames | None = None
+    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
+    unit: Text | None = None
+    """Unit in the export, where the export states none."""
+    wrong_unit_in_file: Text | None = None
+    """Unit that the export states by mistake; 'unit' is the right one."""
     calibration: Calibration | None = None
-    quantity: Snake | None = Field(
-        None, description="Needed if the name of the channel is not that of a quantity"
-    )
-    plausible_peak: PlausibleRange | None = Field(
-        None, description="Range of the largest absolute value; doubtful outside"
-    )
-    scale_uncertainty: Uncertainty = Field(
-        0.0, description="Standard uncertainty of the scale, such as the class of a load cell"
-    )
-    zero_drift: Uncertainty | None = Field(
-        None,
-        description="Of a force: standard uncertainty of the drift of its zero during the test, as "
-        "a share of the largest force; measure it without a specimen",
-    )
-    certificate: CheckedCertificate | None = Field(
-        None, description="Of the calibration; its uncertainty includes those of gain and scale"
-    )
+    quantity: Snake | None = None
+    """Needed if the name of the channel is not that of a quantity."""
+    plausible_peak: PlausibleRange | None = None
+    """Range of the largest absolute value; doubtful outside."""
+    scale_uncertainty: Uncertainty | None = None
+    """Standard uncertainty of the scale, such as the class of a load cell; with marker tracks, of
+    the cameras."""
+    zero_drift: Uncertainty | None = None
+    """Of a force: standard uncertainty of the drift of its zero during the test, as a share of the
+    largest force; measure it without a specimen."""
+    certificate: CheckedCertificate | None = None
+    """Of the calibration; its uncertainty includes those of gain and scale."""
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
+
+    @property
+    def gain_uncertainty(self) -> float:
+        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
+        if (certified := _find_standard_uncertainty(self.certificate)) is not None:
+            return certified
+        gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
+        return hypot(gain, self.scale_uncertainty or 0.0)
+
+
+class ChannelSource(_Channel):
+    """One channel of an export."""
+
+    channel: ChannelNames
 
     @property
     def key(self) -> str:
         """Return the dotted key of the channel for overrides: ``sources.frame.channels.force``."""
         return self._key
+
+    def with_name(self, name: str, key: str) -> ChannelSource:
+        """Return a copy with the name of the channel in labpipe, and its dotted key."""
+        channel = self.model_copy()
+        channel._name, channel._key = name, key
+        return channel
 
     @property
     def target_unit(self) -> str:
@@ -286,89 +422,135 @@ class ChannelSource(Block):
         return parse_quantity(self.calibration.offset, self.target_unit)
 
     @property
-    def gain_uncertainty(self) -> float:
-        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
-        if (certified := _find_standard_uncertainty(self.certificate)) is not None:
-            return certified
-        gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
-        return hypot(gain, self.scale_uncertainty)
-
-    @property
     def peak_range(self) -> tuple[float, float] | None:
         """Return the smallest and largest plausible peak, in `target_unit`; None if not stated."""
-        if self.plausible_peak is None:
+        if (peak := self.plausible_peak) is None:
             return None
-        ends = self.plausible_peak.start, self.plausible_peak.stop
-        lowest, highest = (parse_quantity(end, self.target_unit) for end in ends)
-        return lowest, highest
+        unit = self.target_unit
+        return parse_quantity(peak.start, unit), parse_quantity(peak.stop, unit)
 
-    def with_name(self, name: str, key: str) -> ChannelSource:
-        """Return a copy with the name of the channel in labpipe, and its dotted key."""
-        channel = self.model_copy()
-        channel._name, channel._key = name, key
-        return channel
+    def find_faults(self) -> Iterator[Fault]:
+        """Find an unknown quantity, and values that do not fit it."""
+        quantity = self.quantity or self._name
+        if quantity not in SI_UNITS:
+            if self.quantity is None:
+                nearest = list_nearest(quantity, SI_UNITS)
+                yield Fault.of("protocol.no_measurand", valid=nearest)
+            else:
+                yield build_choice_fault(("quantity",), quantity, SI_UNITS, "one of the quantities")
+            return
+        if self.plausible_peak is not None:
+            ranges = _find_range_faults(self.plausible_peak, self.target_unit)
+            yield from _prefix(("plausible_peak",), ranges)
+        if quantity != "force" and self.zero_drift is not None:  # intervals include that of a force
+            path = ("zero_drift",)
+            yield Fault.of("protocol.drift_of_no_force", path, at="key", quantity=quantity)
+        if self.unit is not None:
+            yield from self._find_unit_faults(quantity, self.unit)
+            return
+        if self.wrong_unit_in_file is not None:
+            yield Fault.of("protocol.no_right_unit", ("wrong_unit_in_file",))
+        if self.calibration is not None:
+            yield Fault.of("protocol.no_unit_before")
+
+    def _find_unit_faults(self, quantity: str, unit: str) -> Iterator[Fault]:
+        """Find a unit or a calibration that does not give the SI unit of the quantity."""
+        si_unit, path = self.channel_unit, ("unit",)
+        if si_unit is None:
+            yield Fault.of("protocol.no_unit", path, quantity="V", found=repr(unit))
+        elif remedy := suggest_unit(unit, si_unit):
+            yield Fault.of(
+                "protocol.wrong_unit",
+                path,
+                found=repr(unit),
+                quantity=quantity,
+                unit=si_unit,
+                remedy=remedy,
+            )
+        elif self.calibration is not None:
+            faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
+            yield from _prefix(("calibration",), faults)
 
 
-class Source(Block):
-    """One export of a test, or several parts of one."""
+class Source(_Channel):
+    """One export of a test, or several parts of one; its channel, or several."""
 
-    reader: ReaderNames = Field(description="Format of the export, or a list of possible formats")
-    dialect: ChannelNames | None = Field(
-        None, description="Of a load frame: card, or cards, that the export must fit"
-    )
-    part: Text | None = Field(
-        None, description="Of a load frame: the specimen or sheet, if an export has several"
-    )
-    optional: bool = Field(
-        False,
-        description="Whether a test may lack it; steps and results that need it are then left out",
-    )
-    channel: ChannelNames | None = Field(
-        None, description="Short form for one channel with the name of the role"
-    )
-    unit: Text | None = None
-    wrong_unit_in_file: Text | None = None
-    calibration: Calibration | None = None
-    quantity: Snake | None = None
-    plausible_peak: PlausibleRange | None = None
-    scale_uncertainty: Uncertainty | None = Field(
-        None, description="Of one channel with the name of the role, or of the cameras"
-    )
-    zero_drift: Uncertainty | None = None
-    certificate: CheckedCertificate | None = Field(
-        None, description="Of one channel with the name of the role, or of the cameras"
-    )
+    reader: ReaderNames
+    """Format of the export, or a list of possible formats."""
+    dialect: ChannelNames | None = None
+    """Of a load frame: card, or cards, that the export must fit."""
+    part: Text | None = None
+    """Of a load frame: the specimen or sheet, if an export has several."""
+    optional: bool = False
+    """Whether a test may lack it; steps and results that need it are then left out."""
     channels: dict[Snake, ChannelSource] | None = None
-    _role: str = PrivateAttr("")
+    _all_channels: dict[str, ChannelSource] = PrivateAttr({})
 
     @property
     def key(self) -> str:
         """Return the dotted key of the source for overrides: ``sources.frame``."""
-        return f"sources.{self._role}"
+        return f"sources.{self._name}"
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
         """Return the channels by name, from the short or the long form; empty for marker tracks."""
-        key = self.key
-        if self.channel is not None:
-            stated = {name: getattr(self, name) for name in ChannelSource.model_fields}
-            single = ChannelSource.model_construct(
-                **{name: value for name, value in stated.items() if value is not None}
-            )
-            return {self._role: single.with_name(self._role, key)}
-        several = (self.channels or {}).items()
-        return {
-            name: channel.with_name(name, f"{key}.channels.{name}") for name, channel in several
-        }
+        return self._all_channels
 
     @property
     def camera_uncertainty(self) -> float:
         """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
-        certified = _find_standard_uncertainty(self.certificate)
-        return (self.scale_uncertainty or 0.0) if certified is None else certified
+        return self.gain_uncertainty
 
     def with_role(self, role: str) -> Source:
         """Return a copy with the role of the source."""
         source = self.model_copy()
-        source._role = role
+        source._name = role
+        if self.channel is not None:
+            settings = {key: getattr(self, key) for key in ChannelSource.model_fields}
+            channel = ChannelSource.model_construct(**settings)
+            source._all_channels = {role: channel.with_name(role, source.key)}
+        else:
+            source._all_channels = {
+                name: channel.with_name(name, f"{source.key}.channels.{name}")
+                for name, channel in (self.channels or {}).items()
+            }
         return source
+
+    def find_faults(self) -> Iterator[Fault]:
+        """Find a source that gives neither channels nor marker tracks, or both."""
+        role, stated = self._name, self.model_fields_set
+        has_markers = role == "markers"
+        own_keys = {"scale_uncertainty", "certificate"} if has_markers else set()
+        keys = [key for key in ChannelSource.model_fields if key in stated - own_keys]
+        for key in {"dialect", "part"} & stated if "load-frame" not in self.reader else ():
+            yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
+        valid = MARKER_READERS if has_markers else {*READERS} - MARKER_READERS
+        if not {*self.reader} <= valid:
+            content = "marker tracks" if has_markers else "channels"
+            found = ", ".join(map(repr, self.reader))
+            yield Fault.of(
+                "protocol.wrong_reader",
+                ("reader",),
+                found=found,
+                content=content,
+                valid=list_nearest("", valid),
+            )
+        elif has_markers:
+            for key in ["channels"] * ("channels" in stated) or keys[:1]:
+                yield Fault.of("protocol.channel_of_markers", (key,), key=key)
+        elif "channels" in stated and keys:
+            yield Fault.of("protocol.channels_twice", (keys[0],), key=keys[0])
+        elif not self.channels and "channel" not in stated:
+            yield Fault.of("protocol.no_channels")
+        for channel in self.all_channels.values():
+            path = tuple(channel.key.removeprefix(self.key).split(".")[1:])
+            yield from _prefix(path, channel.find_faults())
+
+
+def name_sources(sources: dict[Role, Source]) -> dict[Role, Source]:
+    """Give each source its role, and refuse contents that do not fit it."""
+    named = {role: source.with_role(role) for role, source in sources.items()}
+    raise_faults(
+        fault for role, source in named.items() for fault in _prefix((role,), source.find_faults())
+    )
+    return named

@@ -17,8 +17,7 @@ from pydantic import BeforeValidator, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import NUMBER, WINDOWS_DEVICE_NAME, suggest_number
+from labpipe.protocol.grammar import NUMBER, WINDOWS_DEVICE_NAME, Block, suggest_number
 from labpipe.protocol.yaml_text import FaultsError, Values, build_choice_fault, refused
 from labpipe.records.wire import WireSpec
 

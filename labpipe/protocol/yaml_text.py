@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import yaml
 from pydantic import ValidationError
@@ -30,14 +30,13 @@ Values: TypeAlias = Mapping[str, object]
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 16
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
+_BLOCK = "a block of keys with values"
 _EXPECTED = {
-    **{f"{kind}_type": "a block of keys with values" for kind in ("model", "dict")},
-    **{f"{kind}_type": "a list" for kind in ("list", "tuple")},
-    "model_attributes_type": "a block of keys with values",
+    **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), _BLOCK),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
     "too_short": "at least one entry",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
 }
 """Expected content in messages, by pydantic's type of error."""
 
@@ -45,14 +44,13 @@ _EXPECTED = {
 def get_block(data: object, *path: str) -> Values:
     """Return the block at a path; an empty one if there is none."""
     for key in path:
-        data = data.get(key) if isinstance(data, Mapping) else None
-    return data if isinstance(data, Mapping) else {}
+        data = data.get(key) if isinstance(data, dict) else None
+    return data if isinstance(data, dict) else {}
 
 
 def get_list(data: object, *path: str) -> Sequence[Any]:
     """Return the list at a path; an empty one if there is none."""
-    *blocks, key = path
-    items = get_block(data, *blocks).get(key)
+    items = get_block(data, *path[:-1]).get(path[-1])
     return items if isinstance(items, list) else ()
 
 
@@ -99,20 +97,18 @@ def build_choice_fault(
     return Fault(path, f"{expected} {list_nearest(str(word), words)}", describe_value(word), remedy)
 
 
-def find_repeated_names(blocks: Sequence[object], key: str, noun: str) -> Iterator[Fault]:
-    """Find blocks of a list that have the name of an earlier block.
+def find_repeated_names(names: Sequence[str], noun: str) -> Iterator[Fault]:
+    """Find items of a list that have the name of an earlier one.
 
     Parameters
     ----------
-    blocks : items of the list as written
-    key : of the list
+    names : of the items
     noun : for an item in messages, such as ``boundary``
     """
-    names = [get_block(block).get("name") for block in blocks]
     for number, name in enumerate(names):
-        if isinstance(name, str) and (first := names.index(name)) < number:
+        if (first := names.index(name)) < number:
             yield Fault.of(
-                "protocol.name_taken", (key, number, "name"), name=name, other=f"{noun} {first + 1}"
+                "protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first + 1}"
             )
 
 
@@ -124,6 +120,12 @@ class FaultsError(ValueError):
         super().__init__(
             "\n".join(f"expected {x.expected}, found {x.found}. {x.remedy}" for x in faults)
         )
+
+
+def raise_faults(faults: Iterable[Fault]) -> None:
+    """Raise the faults of a value, if there are any."""
+    if found := tuple(faults):
+        raise FaultsError(*found)
 
 
 def refused(name: str, /, *, found: object, **facts: Any) -> FaultsError:
@@ -150,72 +152,75 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
     -------
     The faults, with their paths in `data`.
     """
-    valid_keys = list(keys)
     faults: list[Fault] = []
     for line in error.errors(include_url=False):
-        path, inner = _strip_location(data, line["loc"]), line.get("ctx", {}).get("error")
+        path = _follow(data, line["loc"], skip=True)
+        inner = line.get("ctx", {}).get("error")
         if isinstance(inner, FaultsError):
-            faults += [_move_fault(fault, path, data) for fault in inner.faults]
+            faults += [_prefix_path(fault, path, data) for fault in inner.faults]
         else:
-            faults.append(_convert_error(line, path, valid_keys))
+            faults.append(_convert_error(line, path, keys))
     return faults
 
 
-def _move_fault(fault: Fault, path: KeyPath, data: Any) -> Fault:
+def _prefix_path(fault: Fault, path: KeyPath, data: object) -> Fault:
     """Prefix the path of a fault; it ends at a value that is written in a short form."""
     full = (*path, *fault.path)
-    for number, part in enumerate(full):
-        if data is not _ABSENT and not isinstance(data, Mapping | list):
-            return replace(fault, path=full[:number])
-        data = _get_part(data, part)
-    return replace(fault, path=full)
+    existing = _follow(data, full)
+    is_short = not isinstance(_get(data, existing), Mapping | list)
+    return replace(fault, path=existing if is_short else full)
 
 
-def _convert_error(line: ErrorDetails, path: KeyPath, keys: list[str]) -> Fault:
-    context = line.get("ctx", {})
+def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
+    context = {
+        key: re.findall(r"'([^']*)'", str(text)) for key, text in line.get("ctx", {}).items()
+    }
+    found = line["input"]
     match line["type"]:
         case "missing" | "union_tag_not_found":
-            key = _find_quoted(context["discriminator"])[0] if context else str(line["loc"][-1])
+            key = context["discriminator"][0] if context else str(line["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
             return replace(build_choice_fault(path, path[-1], keys, "one of the keys"), at="key")
         case "union_tag_invalid":
-            path = (*path, _find_quoted(context["discriminator"])[0])
-            return build_choice_fault(path, context["tag"], _find_quoted(context["expected_tags"]))
+            key = context["discriminator"][0]
+            return build_choice_fault((*path, key), found[key], context["expected_tags"])
         case "literal_error":
-            fault = build_choice_fault(path, line["input"], _find_quoted(context["expected"]))
+            fault = build_choice_fault(path, found, context["expected"])
             return replace(fault, at="key" if line["loc"][-1] == "[key]" else "value")
         case other:
-            remedy = "Fill it in." if line["input"] is None else ""
-            return Fault(
-                path, _EXPECTED.get(other, line["msg"]), describe_value(line["input"]), remedy
-            )
+            remedy = "Fill it in." if found is None else ""
+            return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(found), remedy)
 
 
-def _find_quoted(text: str) -> list[str]:
-    return re.findall(r"'([^']*)'", text)
+def _follow(data: Any, path: Iterable[int | str], *, skip: bool = False) -> KeyPath:
+    """Return the part of a path that exists in the data, up to the first absent key.
+
+    Parameters
+    ----------
+    data : plain values
+    path : of pydantic, or of a fault
+    skip : whether to skip absent keys instead: tags of unions are in pydantic's paths
+    """
+    existing: list[int | str] = []
+    for part in path:
+        is_item = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if is_item or (isinstance(data, Mapping) and part in data):
+            data = data[part]
+            existing.append(part)
+        elif not skip:
+            break
+    return tuple(existing)
 
 
-def _strip_location(data: Any, location: tuple[int | str, ...]) -> KeyPath:
-    """Remove parts of a pydantic location that are not in the YAML: union tags, missing keys."""
-    path: list[str | int] = []
-    for part in location:
-        if (inner := _get_part(data, part)) is not _ABSENT:
-            data = inner
-            path.append(part)
-    return tuple(path)
+def _get(data: Any, path: KeyPath) -> Any:
+    """Return the value at a path that exists."""
+    for part in path:
+        data = data[part]
+    return data
 
 
-_ABSENT = object()
-
-
-def _get_part(data: Any, part: int | str) -> object:
-    is_item = isinstance(data, list) and isinstance(part, int) and part < len(data)
-    return data[part] if is_item or (isinstance(data, Mapping) and part in data) else _ABSENT
-
-
-@dataclass(slots=True)
-class Location:
+class Location(NamedTuple):
     """Where a value is written.
 
     Parameters
@@ -223,14 +228,25 @@ class Location:
     file : name of the YAML file
     name : key of the value, or its number in a list, as written
     key, value : positions of the key and of the value
-    inner : locations in the value: of a block by key, of a list by number
     """
 
     file: str
     name: str | int
     key: Mark
     value: Mark
-    inner: dict[str | int, Location] = field(default_factory=dict)
+
+
+class LocatedBlock(dict[str, Any]):
+    """A block as written, with the locations of its values by key."""
+
+    def __init__(self) -> None:
+        self.locations: dict[str, Location] = {}
+
+
+class LocatedList(list[Any]):
+    """A list as written, with the locations of its items."""
+
+    locations: list[Location]
 
 
 @dataclass(slots=True)
@@ -240,7 +256,7 @@ class Document:
     Parameters
     ----------
     location : of the whole content
-    data : blocks as dict, lists as list, everything else as text or None
+    data : blocks and lists with locations, everything else as text or None
     faults : repeated keys, keys that are no words, and tags
     """
 
@@ -248,17 +264,9 @@ class Document:
     data: Any = None
     faults: list[PlacedFault] = field(default_factory=list)
 
-    @property
-    def block(self) -> Values:
-        """Return the content; an empty block if it is anything else."""
-        return get_block(self.data)
-
     def at(self, path: KeyPath) -> Any:
         """Return the value at a path that exists."""
-        node = self.data
-        for part in path:
-            node = node[part]
-        return node
+        return _get(self.data, path)
 
     def find_location(self, path: KeyPath) -> tuple[Location, KeyPath]:
         """Find the location at a path, or that of the innermost block around it.
@@ -266,11 +274,11 @@ class Document:
         The second item is the path with keys and numbers as written: overrides that remove items
         of a list change the numbers in `data`.
         """
-        location, written = self.location, list[str | int]()
+        data, location, written = self.data, self.location, list[str | int]()
         for number, part in enumerate(path):
-            if part not in location.inner:
+            if not _follow(data, [part]):
                 return location, (*written, *path[number:])
-            location = location.inner[part]
+            data, location = data[part], data.locations[part]
             written.append(location.name)
         return location, tuple(written)
 
@@ -357,7 +365,7 @@ def parse_yaml(text: str, file: str) -> Document:
     mark = (1, 1) if node is None else _find_mark(node)
     document = Document(Location(file, "", mark, mark))
     if node is not None:
-        document.data = _convert_node(node, (), document, document.location, set())
+        document.data = _convert_node(node, (), document, set())
     return document
 
 
@@ -367,64 +375,55 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
     if mark is not None:
         line, column = mark.line + 1, mark.column + 1
     else:
-        before = text[: getattr(error, "position", 0)]
-        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        start = text[: getattr(error, "position", 0)]
+        line, column = start.count("\n") + 1, len(start) - start.rfind("\n")
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "too many levels"
     context = getattr(error, "context", None) or ""
     place, found = f"line {line}, column {column}", f"{problem} {context}".strip()
     return ProtocolError.about("protocol.no_yaml", file, place, found=found)
 
 
-def _convert_node(
-    node: yaml.Node, path: KeyPath, document: Document, location: Location, converted: set[int]
-) -> Any:
-    """Convert a node to plain values; add the locations of its parts to `location`."""
-    fault = None
+def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
+    """Convert a node to plain values with the locations of its parts."""
+    file, mark = document.location.file, _find_mark(node)
     if id(node) in converted:
-        fault = Fault.of("protocol.alias", path)
-    elif len(path) >= MAX_DEPTH:
-        fault = Fault.of("protocol.too_deep", most=MAX_DEPTH)
-    if fault is not None:
-        raise build_error([_place_fault(location.file, _find_mark(node), fault)])
+        raise build_error([_place_fault(file, mark, Fault.of("protocol.alias", path))])
+    if len(path) >= MAX_DEPTH:
+        raise build_error([_place_fault(file, mark, Fault.of("protocol.too_deep", most=MAX_DEPTH))])
     converted.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
-        document.faults.append(_place_fault(location.file, _find_mark(node), fault))
+        document.faults.append(_place_fault(file, mark, fault))
     if isinstance(node, yaml.MappingNode):
-        return _convert_mapping(node, path, document, location, converted)
+        return _convert_mapping(node, path, document, converted)
     if isinstance(node, yaml.SequenceNode):
-        for number, item in enumerate(node.value):
-            location.inner[number] = Location(
-                location.file, number, _find_mark(item), _find_mark(item)
-            )
-        return [
-            _convert_node(item, (*path, number), document, location.inner[number], converted)
+        items = LocatedList(
+            _convert_node(item, (*path, number), document, converted)
             for number, item in enumerate(node.value)
-        ]
+        )
+        marks = map(_find_mark, node.value)
+        items.locations = [Location(file, i, mark, mark) for i, mark in enumerate(marks)]
+        return items
     is_quoted = isinstance(node, yaml.ScalarNode) and node.style
     return node.value if is_quoted or node.value not in ("", "~", "null") else None
 
 
 def _convert_mapping(
-    node: yaml.MappingNode,
-    path: KeyPath,
-    document: Document,
-    location: Location,
-    converted: set[int],
-) -> dict[str, object]:
-    block: dict[str, object] = {}
+    node: yaml.MappingNode, path: KeyPath, document: Document, converted: set[int]
+) -> LocatedBlock:
+    file, block = document.location.file, LocatedBlock()
     for key, value in node.value:
-        name, fault = key.value, None
+        name, mark, fault = key.value, _find_mark(key), None
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
         elif name in block:
-            line = location.inner[name].key[0]
+            line = block.locations[name].key[0]
             fault = Fault.of("protocol.key_again", (*path, name), key=name, line=line)
         if fault is not None:
-            document.faults.append(_place_fault(location.file, _find_mark(key), fault))
+            document.faults.append(_place_fault(file, mark, fault))
             continue
-        location.inner[name] = Location(location.file, name, _find_mark(key), _find_mark(value))
-        block[name] = _convert_node(value, (*path, name), document, location.inner[name], converted)
+        block.locations[name] = Location(file, name, mark, _find_mark(value))
+        block[name] = _convert_node(value, (*path, name), document, converted)
     return block
 
 

@@ -1,15 +1,20 @@
-"""Readers of exports: one per format, recognised by content, never by suffix."""
+"""Readers of exports: one per format, recognised by content, never by suffix; other files."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.errors import ReadError
-from labpipe.readers.workbooks import is_workbook, open_sheets
+from labpipe.readers.number_table import is_sample, split_line
+from labpipe.readers.raw_files import as_content, is_binary, read_head, split_lines
+from labpipe.readers.workbooks import is_locked, is_workbook, open_sheets
 from labpipe.records.quality import Severity
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
 
@@ -17,7 +22,12 @@ if TYPE_CHECKING:
     from labpipe.readers.channels import ChannelChoice
     from labpipe.records.recording import Recording
 
-__all__ = ["READERS", "Reader", "read_export", "recognise_export"]
+__all__ = ["READERS", "Reader", "describe_unknown", "read_export", "recognise_export"]
+_EXPORT_KNOWN = "Export the recording in one of these formats."
+_WRITE_CARD = (
+    "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
+    " docs/how-to/new-dialect.md."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +83,6 @@ def recognise_export(path: Path) -> Reader:
             return reader
     if is_workbook(path):
         open_sheets(path)  # raises if it cannot be opened
-    from labpipe.readers.unknown_files import describe_unknown
-
     kind, remedy = describe_unknown(path)
     formats = ", ".join(READERS)
     raise ReadError.about("readers.unknown_format", path, formats=formats, kind=kind, remedy=remedy)
@@ -133,3 +141,52 @@ def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | No
         if dialect and list(allowed) == ["load-frame"] and path.is_file():
             return READERS["load-frame"]
         raise
+
+
+class UnknownFile(NamedTuple):
+    """A file of an unknown format.
+
+    Parameters
+    ----------
+    kind : such as ``a C3D file (motion capture)``
+    remedy : what the operator can do
+    """
+
+    kind: str
+    remedy: str
+
+
+def describe_unknown(path: Path) -> UnknownFile:
+    """Describe a file of an unknown format.
+
+    Parameters
+    ----------
+    path : the file
+    """
+    head = read_head(path)
+    if len(head) >= 512 and head[1] == 0x50 and 0 < head[0] < 64:
+        return UnknownFile(
+            "a C3D file (motion capture), which is recognised but not read", _EXPORT_KNOWN
+        )
+    if is_locked(path):
+        return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
+    text = (files("labpipe.readers") / "unknown_files.toml").read_text(encoding="utf-8")
+    for known in tomllib.loads(text)["file"]:
+        if start.startswith(known["starts"]):
+            return UnknownFile(known["what"], known["remedy"])
+    content = as_content(head)
+    if is_binary(content):
+        return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
+    lines = split_lines(content.data.decode("utf-8", errors="replace"))
+    first_line = next((line.strip()[:40] for line in lines if line.strip()), "")
+    if any(_has_table(lines, separator) for separator in "\t;, "):
+        return UnknownFile(f"a table that begins with '{first_line}'", _WRITE_CARD)
+    return UnknownFile(f"text that begins with '{first_line}'", _EXPORT_KNOWN)
+
+
+def _has_table(lines: Sequence[str], separator: str) -> bool:
+    """Return whether two successive lines hold several numbers each."""
+    rows = ([cell for cell in split_line(line, separator) if cell.strip()] for line in lines)
+    are_samples = (len(row) > 1 and is_sample(row) for row in rows)
+    return any(one and two for one, two in pairwise(are_samples))

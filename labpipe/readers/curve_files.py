@@ -37,18 +37,19 @@ from typing import NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError, sort_by_likeness
-from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import decode, is_binary, read_content, split_lines
-from labpipe.readers.text_cells import (
+from labpipe.readers.number_table import (
     NUMERAL,
+    Body,
     are_units,
     has_dimension_of,
     is_sample,
     is_unit,
+    read_columns,
     split_line,
     split_name_and_unit,
     strip_brackets,
 )
+from labpipe.readers.raw_files import decode, is_binary, read_content, split_lines
 from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, workbook_cells
 from labpipe.records.arrays import Floats
 from labpipe.units import find_si_factor, parse_count

@@ -12,39 +12,36 @@ import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.motive_takes import derive_rate, unique_names
+from labpipe.records.arrays import Ints
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import parse_count
 
-_BODY_WORDS = ("trackable", "rigidbody")
-
 
 @dataclass(slots=True)
 class _Body:
-    """Data of one rigid body, by number of the frame line."""
+    """Data of one rigid body, by number of the frame line.
+
+    A state is: whether it is tracked, its mean error, and its measured markers.
+    """
 
     name: str
     id: str
     n_markers: int
     poses: dict[int, list[float]] = field(default_factory=dict)
-    tracked: dict[int, bool] = field(default_factory=dict)
-    errors: dict[int, float] = field(default_factory=dict)
-    measured: dict[int, list[list[float]]] = field(default_factory=dict)
+    states: dict[int, tuple[bool, float, list[list[float]]]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class _Take:
-    """State of the take while its lines are read."""
+    """State of the take while its lines are read; of a frame number, time, bodies and points."""
 
     version: str = "1.0"
     title: str = ""
     handedness: str = ""
     info: dict[str, str] = field(default_factory=dict)
     bodies: dict[str, _Body] = field(default_factory=dict)
-    numbers: list[float] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    n_bodies: list[int] = field(default_factory=list)
-    n_points: list[int] = field(default_factory=list)
+    frames: list[tuple[float, float, int, int]] = field(default_factory=list)
     named: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
 
@@ -103,31 +100,44 @@ def parse_rows(text: str, path: Path) -> RowExport:
             notes.append(QualityNote.of("readers.truncated", "file", line=number))
     if not take.version.startswith("1."):
         raise ReadError.about("readers.take_version", path, "info", version=take.version)
-    if not take.numbers:
+    if not take.frames:
         raise ReadError.about("readers.no_frames", path, f"lines 1 to {len(lines)}")
-    return RowExport(take.version, _tracks(take), _about(take), [*notes, *_notes(take)])
+    n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
+    points = {"least": int(n_points.min()), "most": int(n_points.max())}
+    about = {
+        "title": take.title,
+        "handedness": take.handedness,
+        "info": take.info,
+        "rigid_bodies": {
+            x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()
+        },
+        "visible_markers": points,
+        "frames_without_body": int((n_bodies == 0).sum()),
+    }
+    return RowExport(
+        take.version, _tracks(take), about, [*notes, *_notes(take, n_bodies, n_points)]
+    )
 
 
 def _read_line(take: _Take, cells: list[str]) -> None:
-    first_cell = cells[0]
-    if first_cell == "comment":
-        take.title = take.title or cells[1]
-    elif first_cell == "info":
-        take.info[cells[1]] = cells[2]
-        take.version = take.info.get("version", take.version)
-    elif first_cell in {"righthanded", "lefthanded"}:
-        take.handedness = first_cell
-    elif first_cell == "frame":
-        _read_frame(take, cells)
-    elif (
-        first_cell in _BODY_WORDS and parse_count(cells[1]) is not None and cells[3] in take.bodies
-    ):
-        _read_body(take, cells)
-    elif first_cell in _BODY_WORDS:
-        take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
-    else:
-        message = "unknown row type"
-        raise ValueError(message)
+    match cells[0]:
+        case "comment":
+            take.title = take.title or cells[1]
+        case "info":
+            take.info[cells[1]] = cells[2]
+            take.version = take.info.get("version", take.version)
+        case "righthanded" | "lefthanded" as handedness:
+            take.handedness = handedness
+        case "frame":
+            _read_frame(take, cells)
+        case "trackable" | "rigidbody":
+            if parse_count(cells[1]) is not None and cells[3] in take.bodies:
+                _read_body(take, cells)
+            else:
+                take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
+        case _:
+            message = "unknown row type"
+            raise ValueError(message)
 
 
 def _check_length(cells: Sequence[str], length: int) -> None:
@@ -144,18 +154,15 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
     start = 4 + pose_cells * count
     n_points, width = int(cells[start]), 5 if take.version != "1.0" else 4
     _check_length(cells, start + 1 + width * n_points)
-    number, time = float(cells[1]), float(cells[2])
+    frame = float(cells[1]), float(cells[2]), count, n_points
     bodies = {body.id: body for body in take.bodies.values()}
     poses = [(bodies[cells[i]], _floats(cells[i + 1 : i + 8])) for i in range(4, start, pose_cells)]
     points = [
         (cells[i + 3 : i + width], _floats(cells[i : i + 3]))
         for i in range(start + 1, len(cells), width)
     ]
-    row = len(take.numbers)  # all cells are valid here: nothing of a bad line is kept
-    take.numbers.append(number)
-    take.times.append(time)
-    take.n_bodies.append(count)
-    take.n_points.append(n_points)
+    row = len(take.frames)  # all cells are valid here: nothing of a bad line is kept
+    take.frames.append(frame)
     for body, pose in poses:
         body.poses[row] = pose
     for label, place in points:
@@ -165,18 +172,15 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
 
 def _read_body(take: _Take, cells: list[str]) -> None:
     """Read a body line: counter, model and measured markers, flags, mean error."""
-    body, count = take.bodies[cells[3]], int(cells[6])
-    model = 4 if take.version != "1.0" else 3
+    count, model = int(cells[6]), 4 if take.version != "1.0" else 3
     _check_length(cells, 7 + (model + 5) * count + 1)
     start = 7 + model * count
     places = [_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
-    row, error = len(take.numbers) - 1, float(cells[-1])
-    if row < 0 or float(cells[1]) != take.numbers[row]:
+    error = float(cells[-1])
+    if not take.frames or float(cells[1]) != take.frames[-1][0]:
         message = f"frame {cells[1]} has no frame line before it"
         raise ValueError(message)
-    body.tracked[row] = int(cells[5]) == 0
-    body.measured[row] = places
-    body.errors[row] = error
+    take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, places)
 
 
 def _floats(cells: Sequence[str]) -> list[float]:
@@ -185,10 +189,10 @@ def _floats(cells: Sequence[str]) -> list[float]:
 
 def _tracks(take: _Take) -> MarkerTracks:
     """Return the measured markers of the bodies, then points with another name (1.1)."""
-    time = np.array(take.times)
+    numbers, time = np.array(take.frames)[:, :2].T
     columns = {
         (f"{body.name}-Marker {i + 1}", body.id): {
-            row: points[i] for row, points in body.measured.items() if i < len(points)
+            row: points[i] for row, (_, _, points) in body.states.items() if i < len(points)
         }
         for body in take.bodies.values()
         for i in range(body.n_markers)
@@ -200,7 +204,7 @@ def _tracks(take: _Take) -> MarkerTracks:
         positions[list(column), i] = [*column.values()] or np.empty((0, 3))
     return MarkerTracks(
         time=time,
-        frames=np.array(take.numbers),
+        frames=numbers,
         rate=derive_rate(time),
         names=unique_names([*columns]),
         positions=positions,
@@ -212,45 +216,27 @@ def _rigid_body(body: _Body, frames: int) -> RigidBody:
     # The mean error is in mm per marker, positions are in metres.
     millimetre = 1e-3
     pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
-    for row, values in body.poses.items():
-        if body.tracked.get(row, True):
-            pose[row] = values
-    for row, value in body.errors.items():
-        if body.tracked[row]:
-            error[row] = value * millimetre
+    lost = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
+    for row in body.poses.keys() - lost:
+        pose[row] = body.poses[row]
+    for row in body.states.keys() - lost:
+        error[row] = body.states[row][1] * millimetre
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
 
-def _about(take: _Take) -> dict[str, object]:
-    return {
-        "title": take.title,
-        "handedness": take.handedness,
-        "info": take.info,
-        "rigid_bodies": {
-            b.name: {"id": b.id, "markers": b.n_markers} for b in take.bodies.values()
-        },
-        "visible_markers": {"least": min(take.n_points), "most": max(take.n_points)},
-        "frames_without_body": take.n_bodies.count(0),
-    }
-
-
-def _notes(take: _Take) -> Iterator[QualityNote]:
-    frames, without_body = len(take.numbers), take.n_bodies.count(0)
+def _notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+    total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
     stated = parse_count(take.info.get("framecount", ""))
-    if stated not in {None, frames}:
-        yield QualityNote.of("readers.rows_differ", "file", stated=stated, held=frames)
+    if stated not in {None, total}:
+        yield QualityNote.of("readers.rows_differ", "file", stated=stated, held=total)
     if without_body:
-        yield QualityNote.of(
-            "readers.frames_without_body", "take", count=without_body, total=frames
-        )
-    least, most = min(take.n_points), max(take.n_points)
+        yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
+    least, most = int(n_points.min()), int(n_points.max())
     yield QualityNote.of("readers.visible_markers", "markers", least=least, most=most)
-    of_no_body = np.array(take.n_points)
+    of_no_body = n_points.copy()
     for body in take.bodies.values():
-        for row, points in body.measured.items():
+        for row, (_, _, points) in body.states.items():
             of_no_body[row] -= sum(not np.isnan(point[0]) for point in points)
-    of_no_body = of_no_body[of_no_body > 0]
-    if len(of_no_body) and not take.named:  # in version 1.0 they have no identity
-        count = of_no_body.sum()
+    if (count := of_no_body[of_no_body > 0].sum()) and not take.named:  # 1.0: without identity
         yield QualityNote.of("readers.anonymous_markers", "markers", count=count)

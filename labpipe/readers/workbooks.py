@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
+from labpipe.readers.number_table import as_text
 from labpipe.readers.raw_files import read_head, reading
-from labpipe.readers.text_cells import as_text
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.mechanics.wire.end_load_path import interpolate_end_load
+from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable

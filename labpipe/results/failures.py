@@ -214,23 +214,23 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
-    if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
-        find = partial(find_last_above, share=test.failure.slow_below)
+    failure = test.require(test.failure)
+    if failure.slow_below is not None:
+        find = partial(find_last_above, share=failure.slow_below)
         finite = np.flatnonzero(~np.isnan(trace.force))
         return _choose_by_force(test, trace, sample, finite, find, breaks=True)
     draw_noise = _make_noise_function(test, trace, sample)
-    step, rise = _measure_next_step(trace, sample)
-    fall, is_clear = _measure_loss_before(test)
-    ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
+    step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
+    loss = _measure_loss(test, failure)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
         place = trace.displacement[..., sample] + trace.steps_beyond * step
-        return place, trace.force[..., sample] + trace.steps_beyond * ahead
+        return place, trace.force[..., sample] + trace.steps_beyond * change
 
     def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
         place, force = numbers(drawn)
         count = (len(force),)
-        return place + draw_noise("displacement", count), force - lost + draw_noise("force", count)
+        return place + draw_noise("displacement", count), force - loss + draw_noise("force", count)
 
     return Reading(numbers, 1, in_noise)
 
@@ -269,6 +269,15 @@ def _choose_by_force(
     return Reading(numbers, 1, in_noise)
 
 
+def _find_largest(force: Floats) -> Ints:
+    """Return the sample of the largest force of each row.
+
+    A coarse converter gives it repeatedly: the sample is in the middle of the first and the last.
+    """
+    last = force.shape[-1] - 1 - force[..., ::-1].argmax(axis=-1)
+    return np.asarray((force.argmax(axis=-1) + last) // 2)
+
+
 def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
@@ -285,32 +294,35 @@ def _make_noise_function(
     return draw
 
 
-def _measure_loss_before(test: ReducedTest) -> tuple[float, bool]:
-    """Return the force lost in the step before the failure, N, and whether it is above noise.
+def _measure_usual_step(force: Floats, sample: int) -> float:
+    """Return the median of the last changes of the force before a sample, N."""
+    n_steps = 6
+    steps = np.diff(force[:sample][~np.isnan(force[:sample])][-1 - n_steps :])
+    return float(np.median(steps)) if len(steps) else 0.0
 
-    A loss above noise shows that the final loss began in the step before.
+
+def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
+    """Return what the step to a failure lost beyond the usual change of the force, N; 0 in noise.
+
+    A loss shows that the final loss began in that step. The force of a specimen that necks falls in
+    the steps before, too.
     """
-    failure, curve = test.failure, test.required_curve
-    if not isinstance(failure, FailurePoint) or failure.sample == 0:
-        return 0.0, False
-    sense = cycles.find_loading_sign(curve, curve.force)
-    fall = sense * float(curve.force[failure.sample - 1] - curve.force[failure.sample])
-    if not fall > 0.0:
-        return 0.0, False
-    before = curve.force[: failure.sample]
-    before = before[~np.isnan(before)]
-    is_clear = len(before) >= 8 and fall > 6.0 * float(estimate_fast_noise(before))
-    return sense * fall, bool(is_clear)
+    curve, sample = test.required_curve, failure.sample
+    before = curve.force[:sample][~np.isnan(curve.force[:sample])]
+    if len(before) < 8:
+        return 0.0
+    loss = before[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
+    is_clear = cycles.find_loading_sign(curve, curve.force) * loss > 6.0 * estimate_fast_noise(
+        before
+    )
+    return float(loss) if is_clear else 0.0
 
 
-def _measure_next_step(trace: Trace, sample: int) -> tuple[float, float]:
-    """Return the changes of displacement (m) and force (N) in one step after a sample."""
+def _measure_next_step(trace: Trace, sample: int) -> float:
+    """Return the change of the displacement in the step after a sample, m."""
     ahead = trace.displacement[sample + 1 :]
     ahead = ahead[~np.isnan(ahead)]
-    step = max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
-    before = trace.force[:sample]
-    before = before[~np.isnan(before)]
-    return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
+    return max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
@@ -341,7 +353,10 @@ class PeakForceDisplacement(PerCycle):
     complete_branches: ClassVar = 1
     reads: ClassVar = (0.0, 1.25)
     peak_of: ClassVar = "force"
-    method: ClassVar = "displacement at the largest force of the cycle, in the sense of loading"
+    method: ClassVar = (
+        "displacement at the largest force of the cycle, in the sense of loading; between"
+        " the first and the last of several equal ones"
+    )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the displacement at the largest force; noise may choose a neighbour of it.
@@ -356,14 +371,10 @@ class PeakForceDisplacement(PerCycle):
             cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
-        top = int(np.argmax(force))
+        top = int(_find_largest(force))
         breaks = cycles.estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
-
-        def find(force: Floats) -> Ints:
-            return np.asarray(force.argmax(axis=-1))
-
         sample = int(finite[top])
-        reading = _choose_by_force(test, trace, sample, finite, find, breaks=breaks)
+        reading = _choose_by_force(test, trace, sample, finite, _find_largest, breaks=breaks)
         return replace(reading, n=len(finite))
 
 
@@ -393,10 +404,9 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
-    work = cycles.choose_work_samples(
-        trace, slice(find_loading_before(trace, sample).start, sample + 1)
-    )
-    step, _ = _measure_next_step(trace, sample)
+    loading = slice(find_loading_before(trace, sample).start, sample + 1)
+    work = cycles.choose_work_samples(trace, loading)
+    step = _measure_next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:
         more = trace.steps_beyond * step * trace.force[..., sample]

@@ -33,6 +33,7 @@ from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.noise_model import compute_drift_modes
 
 MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_SHARE = 0.1
@@ -346,6 +347,11 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     setup, sizes = test.setup, test.setup.sizes
     yield causes.SCALE_OF_FORCE, pull.scaled(stress=1.0 + test.raw_force.relative_error)
     yield causes.SCALE_OF_DISPLACEMENT, pull.scaled(strain=1.0 + test.displacement.relative_error)
+    zero = test.raw_force.zero_error / compute_area(sizes)
+    yield causes.ZERO_OF_FORCE, _add_stress(pull, np.full(len(pull.stress), zero))
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
+    for mode in compute_drift_modes(pull.time - pull.time[0], drift):
+        yield causes.DRIFT_OF_ZERO, _add_stress(pull, mode)
     for name, by in setup.uncertainties.items():
         if name not in sizes:
             continue
@@ -356,6 +362,15 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     # Of the read-out; the elastic line has its own error.
     yield causes.NOISE, replace(pull, stress=pull.stress + pull.noise)
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
+
+
+def _add_stress(pull: Pull, by: Floats) -> Pull:
+    """Return the pull with a stress added to every sample, and the elastic line of its window."""
+    x, y = _few_samples(pull.strain[pull.window], by[pull.window])
+    slope, level = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
+    return replace(
+        pull, stress=pull.stress + by, slope=pull.slope + slope, level=pull.level + level
+    )
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator[Reason]:

@@ -3,46 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.curve import (
-    Aligned,
-    Bending,
-    BendingCloud,
-    Branch,
-    ClockFit,
-    Curve,
-    FittedLine,
-    MeasuredLaw,
-    Series,
-    Shape,
-    Slip,
-    SlipDecision,
-)
+from labpipe.records.curve import MeasuredLaw, Shape, SlipDecision
 from labpipe.records.group import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
-from labpipe.records.result import (
-    Contribution,
-    InputFile,
-    Instrument,
-    Result,
-    Specimen,
-    Status,
-    TestResult,
-)
+from labpipe.records.result import InputFile, Instrument, Specimen, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import open_result, read_array, read_array_rows, read_text, read_texts
-from labpipe.store.hdf5_objects import get_number
-from labpipe.store.layout import BudgetRow, list_attributes, list_datasets
-from labpipe.store.stored_parts import read_recording, read_specimen
+from labpipe.store.layout import list_attributes, list_datasets
+from labpipe.store.parts import (
+    read_aligned,
+    read_bending,
+    read_curve,
+    read_inputs,
+    read_recording,
+    read_results,
+    read_rows,
+    read_specimen,
+)
 from labpipe.store.stored_records import read_arrays, read_attributes, read_record, read_table
-
-_R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +73,7 @@ def read_result(path: Path) -> TestResult:
         If the file is none of labpipe's, of a newer schema, truncated or damaged.
     """
     with open_result(path) as root:
-        return TestResult(
-            **_head(root),
-            **_outcome(root),
-            aligned=_aligned(root),
-            shape=_shape(root),
-            bending=_bending(root),
-        )
+        return _read(root, ("raw", "aligned", "shape", "bending"))
 
 
 def read_outcome(path: Path) -> TestResult:
@@ -115,7 +94,7 @@ def read_outcome(path: Path) -> TestResult:
         As `read_result`.
     """
     with open_result(path) as root:
-        return _read_reported(root)
+        return _read(root)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +130,7 @@ def read_reported(
         As `read_result`.
     """
     with open_result(path) as root:
-        result = _read_reported(root)
+        result = _read(root)
         return ReportedTest(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
 
 
@@ -174,14 +153,6 @@ def _read_drawn_law(root: Any) -> DrawnLaw | None:
     return DrawnLaw(**read_arrays(group, MeasuredLaw, names))
 
 
-def _read_reported(root: Any) -> TestResult:
-    """Return the outcome, with the aligned signals only if slips were repaired."""
-    outcome = _outcome(root)
-    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in outcome["slips"])
-    aligned = _aligned(root) if is_repaired else None
-    return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
-
-
 def read_stages(path: Path) -> TestResult:
     """Read the stages of processing: aligned signals, shapes and outcome, no recordings.
 
@@ -199,8 +170,7 @@ def read_stages(path: Path) -> TestResult:
         As `read_result`.
     """
     with open_result(path) as root:
-        head = _head(root, raw=False)
-        return TestResult(**head, **_outcome(root), aligned=_aligned(root), shape=_shape(root))
+        return _read(root, ("aligned", "shape"))
 
 
 def read_raw(path: Path) -> RawTest:
@@ -262,95 +232,26 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     return {
         **read_attributes(root, RawTest),
         "specimen": read_specimen(root),
-        "inputs": _inputs(group),
+        "inputs": read_inputs(group),
         "recordings": {role: read_recording(group[role]) for role in roles},
     }
 
 
-def _outcome(root: Any) -> dict[str, Any]:
-    """Read the outcome of processing: curve, numbers and circumstances."""
-    group, display = root.get(layout.CURVE, {}), json.loads(read_text(root, "display"))
-    return {
+def _read(root: Any, parts: Collection[str] = ()) -> TestResult:
+    """Read the outcome, with the aligned signals if slips were repaired, and further parts."""
+    display = json.loads(read_text(root, "display"))
+    curve = read_curve(root)
+    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
+    has_shape = "shape" in parts and layout.SHAPE in root
+    return TestResult(
+        **_head(root, raw="raw" in parts),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
-        "curve": _curve(group) if group else None,
-        "results": _results(root),
-        "quality": read_table(root, layout.QUALITY, QualityNote),
-        "display": {str(key): str(unit) for key, unit in display.items()},
-        "slips": _optional_table(group, layout.SLIPS, Slip),
-        "lines": _optional_table(group, layout.LINES, FittedLine),
-        "instruments": _optional_table(root, layout.INSTRUMENTS, Instrument),
-    }
-
-
-def _optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
-    return read_table(parent, name, kind) if name in parent else ()
-
-
-def _inputs(raw: Any) -> tuple[InputFile, ...]:
-    inputs: dict[int, InputFile] = {}
-    for role, group in raw.items():
-        rows = zip(
-            group.attrs["input_order"],
-            read_texts(group, "file"),
-            read_texts(group, "sha256"),
-            group.attrs["bytes"],
-            strict=True,
-        )
-        inputs |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
-    return tuple(inputs[number] for number in sorted(inputs))
-
-
-def _aligned(root: Any) -> Aligned | None:
-    if layout.ALIGNED not in root:
-        return None
-    group, values = root[layout.ALIGNED], list_datasets(Series)["values"]
-    series = {
-        read_text(group[name], "name"): Series(
-            read_array(group, name, values), read_text(group[name], "unit")
-        )
-        for name in read_texts(group, "series")
-    }
-    fit = None
-    if layout.EVENTS in group:
-        events = read_arrays(group[layout.EVENTS], ClockFit)
-        fit = ClockFit(**events, **read_attributes(group, ClockFit))
-    return read_record(group, Aligned, series=series, clock_fit=fit)
-
-
-def _curve(group: Any) -> Curve:
-    time_unit = read_text(group[layout.TIME], "unit")
-    branches = read_table(group, layout.BRANCHES, Branch, time_unit)
-    return read_record(group, Curve, branches=branches)
-
-
-def _shape(root: Any) -> Shape | None:
-    return read_record(root[layout.SHAPE], Shape) if layout.SHAPE in root else None
-
-
-def _bending(root: Any) -> Bending | None:
-    if layout.BENDING not in root:
-        return None
-    group = root[layout.BENDING]
-    law = read_record(group[layout.LAW], MeasuredLaw) if layout.LAW in group else None
-    return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
-
-
-def _results(root: Any) -> tuple[Result, ...]:
-    group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
-    for row in _optional_table(root, layout.BUDGETS, BudgetRow):
-        contribution = Contribution(row.cause, row.change, row.is_common)
-        budgets.setdefault(row.result, []).append(contribution)
-    return tuple(
-        _result(name, group[name], tuple(budgets.get(name, ())))
-        for name in read_texts(group, "order")
+        **curve,
+        results=read_results(root),
+        quality=read_table(root, layout.QUALITY, QualityNote),
+        display={str(key): str(unit) for key, unit in display.items()},
+        instruments=read_rows(root, layout.INSTRUMENTS, Instrument),
+        aligned=read_aligned(root) if "aligned" in parts or is_repaired else None,
+        shape=read_record(root[layout.SHAPE], Shape) if has_shape else None,
+        bending=read_bending(root) if "bending" in parts else None,
     )
-
-
-def _result(name: str, group: Any, budget: tuple[Contribution, ...]) -> Result:
-    fields = read_attributes(group, Result, skip=("name", "value"))
-    value = None if fields["status"] is Status.FAILED else get_number(group, "value")
-    result = Result(name=name, value=value, budget=budget, **fields)
-    if read_text(group, "seal") != result.seal:
-        message = f"results/{name}: its numbers were changed after they were written"
-        raise ValueError(message)
-    return result

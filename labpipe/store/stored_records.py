@@ -12,8 +12,17 @@ import numpy as np
 
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
-from labpipe.store.datasets import Target, read_array, read_text, read_texts
-from labpipe.store.hdf5_objects import get_number, has_attribute, set_number, set_text, set_texts
+from labpipe.store.datasets import (
+    Target,
+    get_number,
+    has_attribute,
+    read_array,
+    read_text,
+    read_texts,
+    set_number,
+    set_text,
+    set_texts,
+)
 from labpipe.store.layout import (
     TEXT,
     AttributeSpec,

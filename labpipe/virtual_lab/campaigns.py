@@ -10,23 +10,21 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from labpipe.virtual_lab.cantilever_scenarios import (
-    MISHAPS,
-    NO_MISHAPS,
     TAPED_CELL,
     WIRE_CELL,
     CantileverScenario,
     Clocks,
-    Pose,
     build_taped_scenario,
     build_wire_scenario,
 )
-from labpipe.virtual_lab.observations import Scenario, simulate_test
-from labpipe.virtual_lab.specimens import TAPED_TYPES, WIRES, StrandedWire
+from labpipe.virtual_lab.instruments import MISHAPS, NO_MISHAPS, Pose
+from labpipe.virtual_lab.lab_files import Scenario, simulate_test
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES, WIRES, StrandedWire
 from labpipe.virtual_lab.tensile import (
     GAIN_UNCERTAINTY,
     TABLE_2_3,
@@ -40,7 +38,6 @@ from labpipe.virtual_lab.tensile import (
 )
 from labpipe.virtual_lab.three_point import (
     CONDUIT_CELL,
-    CONDUIT_TYPES,
     ConduitClocks,
     ConduitScenario,
     build_conduit_scenario,
@@ -61,6 +58,11 @@ class Campaign(Protocol):
         ------
         Scenario and seed of the test. Equal seeds of the campaign give equal tests, and the seeds
         of its tests are unique.
+
+        Raises
+        ------
+        KeyError
+            If a type or a name is unknown.
         """
 
 
@@ -98,25 +100,14 @@ class ChosenTests:
     names: tuple[str, ...]
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
-        """Yield the tests; see `Campaign`.
-
-        Yields
-        ------
-        Scenario and seed.
-
-        Raises
-        ------
-        KeyError
-            If no campaign has a test of that name.
-        """
+        """Yield the tests; see `Campaign`."""
         tests = [scenario for campaign in self.campaigns for scenario in campaign.scenarios(seed)]
         if missing := set(self.names) - {scenario.name for scenario, _ in tests}:
             raise KeyError(*sorted(missing))
         yield from (test for test in tests if test[0].name in self.names)
 
 
-@dataclass(frozen=True, slots=True)
-class WireGroup:
+class WireGroup(NamedTuple):
     """Samples of one wire and length.
 
     Parameters
@@ -161,28 +152,20 @@ class WireCampaign:
     has_mishaps: bool = True
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
-        """Yield the tests; see `Campaign`. Samples of a wire are numbered over all its lengths.
-
-        Yields
-        ------
-        Scenario and seed.
-        """
+        """Yield the tests; see `Campaign`. Samples of a wire are numbered over all its lengths."""
         random = np.random.default_rng([seed, 41])
         gain_error = WIRE_CELL.gain_uncertainty * float(random.standard_normal())
         counts: Counter[str] = Counter()
-        for group in self.groups:
-            for _ in range(self.samples):
-                name = group.wire.name
-                counts[name] += 1
-                scenario = replace(
-                    build_wire_scenario(group.wire, group.length, cycles=self.cycles),
-                    name=f"{name}-{1e3 * group.length:03.0f}-{counts[name]}",
-                    sample=counts[name],
-                )
-                yield (
-                    _build_cantilever_sample(self, scenario, gain_error, random),
-                    1000 * seed + counts.total(),
-                )
+        for wire, length in (group for group in self.groups for _ in range(self.samples)):
+            counts[wire.name] += 1
+            sample = counts[wire.name]
+            factor = _draw_factor(random, self.scatter)
+            scenario = replace(
+                build_wire_scenario(replace(wire, factor=factor), length, cycles=self.cycles),
+                name=f"{wire.name}-{1e3 * length:03.0f}-{sample}",
+                sample=sample,
+            )
+            yield _set_up(self, scenario, gain_error, random), 1000 * seed + counts.total()
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,48 +194,37 @@ class TapedCampaign:
     has_mishaps: bool = True
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
-        """Yield the tests; see `Campaign`.
-
-        Yields
-        ------
-        Scenario and seed.
-
-        Raises
-        ------
-        KeyError
-            If a type is not in `TAPED_TYPES`.
-        """
+        """Yield the tests; see `Campaign`."""
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
-        for type_number, name in enumerate(self.types):
-            bundle = build_taped_scenario(name, cycles=self.cycles)
+        for number, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
-                scenario = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
-                yield (
-                    _build_cantilever_sample(self, scenario, gain_error, random),
-                    100_000 * seed + 100 * type_number + sample,
+                factor = _draw_factor(random, self.scatter)
+                scenario = replace(
+                    build_taped_scenario(name, cycles=self.cycles, factor=factor),
+                    name=f"{name}-{sample}",
+                    sample=sample,
+                    speed=self.speed,
                 )
+                test_seed = 100_000 * seed + 100 * number + sample
+                yield _set_up(self, scenario, gain_error, random), test_seed
 
 
-def _build_cantilever_sample(
+def _set_up(
     campaign: WireCampaign | TapedCampaign,
     scenario: CantileverScenario,
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
-    """Return a sample with its own factor, clocks, pose and mishaps."""
-    factor = float(np.exp(campaign.scatter * random.standard_normal()))
-    mechanics = replace(scenario.mechanics, wire=scenario.mechanics.wire.scaled(factor))
+    """Return a test with its own clocks, pose and mishaps."""
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
+    mishaps = MISHAPS[(scenario.sample - 1) % len(MISHAPS)] if campaign.has_mishaps else NO_MISHAPS
     return replace(
         scenario,
-        mechanics=mechanics,
         clocks=Clocks(rate=campaign.rate, fps=campaign.fps, offset=offset, drift=drift),
         load_cell=replace(scenario.load_cell, gain_error=gain_error),
         pose=Pose(yaw=float(random.uniform(0.3, 0.9))),
-        mishaps=MISHAPS[(scenario.sample - 1) % len(MISHAPS)]
-        if campaign.has_mishaps
-        else NO_MISHAPS,
+        mishaps=mishaps,
     )
 
 
@@ -279,51 +251,33 @@ class ConduitCampaign:
     fps: float = 25.0
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[ConduitScenario, int]]:
-        """Yield the tests; see `Campaign`.
-
-        Yields
-        ------
-        Scenario and seed.
-
-        Raises
-        ------
-        KeyError
-            If a type is not in `CONDUIT_TYPES`.
-        """
+        """Yield the tests; see `Campaign`. Each has its own factor, clocks, twist and pose."""
         random = np.random.default_rng([seed, 67])
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
-        for type_number, name in enumerate(self.types):
+        for number, name in enumerate(self.types):
+            conduit = build_conduit_scenario(name)
             for sample in range(1, self.samples + 1):
+                factor = _draw_factor(random, self.scatter)
+                clocks = ConduitClocks(
+                    rate=self.rate,
+                    fps=self.fps,
+                    trigger_lag=float(random.uniform(2e-3, 12e-3)),
+                    recorder_drift=float(random.uniform(-40e-6, 40e-6)),
+                    camera_lead=float(random.uniform(0.5, 3.0)),
+                )
+                twist = float(random.choice([-1.0, 1.0]) * random.uniform(0.03, 0.12))
                 scenario = replace(
-                    build_conduit_scenario(name), name=f"{name}-{sample}", sample=sample
+                    conduit,
+                    name=f"{name}-{sample}",
+                    sample=sample,
+                    factor=factor,
+                    clocks=clocks,
+                    load_cell=replace(conduit.load_cell, gain_error=gain_error),
+                    markers=replace(conduit.markers, twist=twist),
+                    pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
+                    has_frame_export=sample % 3 != 0,
                 )
-                yield (
-                    self._build_sample(scenario, gain_error, random),
-                    100_000 * seed + 50_000 + 100 * type_number + sample,
-                )
-
-    def _build_sample(
-        self, scenario: ConduitScenario, gain_error: float, random: np.random.Generator
-    ) -> ConduitScenario:
-        """Return a sample with its own factor, clocks, twist and pose."""
-        factor = float(np.exp(self.scatter * random.standard_normal()))
-        clocks = ConduitClocks(
-            rate=self.rate,
-            fps=self.fps,
-            trigger_lag=float(random.uniform(2e-3, 12e-3)),
-            recorder_drift=float(random.uniform(-40e-6, 40e-6)),
-            camera_lead=float(random.uniform(0.5, 3.0)),
-        )
-        twist = float(random.choice([-1.0, 1.0]) * random.uniform(0.03, 0.12))
-        return replace(
-            scenario,
-            factor=factor,
-            clocks=clocks,
-            load_cell=replace(scenario.load_cell, gain_error=gain_error),
-            markers=replace(scenario.markers, twist=twist),
-            pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
-            has_frame_export=scenario.sample % 3 != 0,
-        )
+                yield scenario, 100_000 * seed + 50_000 + 100 * number + sample
 
 
 SMALL_HARNESS = (
@@ -341,59 +295,72 @@ _SLIPS = {
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
 }
 _UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
+_TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e-3))
+"""Factor on the forces, and displacement at failure, m, of each tape."""
 
 
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
-    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance.
-
-    Parameters
-    ----------
-    tapes : factor on the forces, and displacement at failure, m, of each tape
-    """
-
-    tapes: tuple[tuple[float, float], ...] = (
-        (1.01, 60e-3),
-        (1.01, 40e-3),
-        (1.01, 60e-3),
-        (0.98, 60e-3),
-        (0.98, 60e-3),
-    )
+    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance."""
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
-        """Yield the tests; see `Campaign`. All tests of a frame share the error of its load cell.
-
-        Yields
-        ------
-        Scenario and seed.
-        """
+        """Yield the tests; see `Campaign`. Tests of a frame share the error of its load cell."""
         random = np.random.default_rng([seed, 23])
         small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
             *_build_corrugated_tubes(small, random),
             *_build_twist_tubes(large, random),
-            *self._build_tapes(large, random),
+            *_build_tapes(large, random),
             build_stiff_bar(gain_error=large),
         ]
-        for number, test in enumerate(tests, start=1):
-            yield test, 1000 * seed + number
+        yield from ((test, 1000 * seed + number) for number, test in enumerate(tests, start=1))
 
-    def _build_tapes(
-        self, gain_error: float, random: np.random.Generator
-    ) -> Iterator[TensileScenario]:
-        for number, (factor, fails_at) in enumerate(self.tapes, start=1):
-            tape = build_pet_tape(
-                str(number),
-                factor=factor * _draw_factor(random, 0.01),
-                fails_at=fails_at * _draw_factor(random, 0.02),
-                gain_error=gain_error,
+
+def _build_corrugated_tubes(
+    gain_error: float, random: np.random.Generator
+) -> Iterator[TensileScenario]:
+    """Yield three samples of each kind of corrugated tube."""
+    for tube_type, (factor, section) in _TUBES.items():
+        for sample in range(1, 4):
+            name = f"{tube_type}-{sample}"
+            scattered = factor * _draw_factor(random, 0.01)
+            tube = build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
+            yield replace(
+                tube,
+                law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
+                frame=replace(tube.frame, unloads=name == _UNLOADED_TUBE),
+                slips=_SLIPS.get(name, ()),
+                section=section,
             )
-            slack = float(random.uniform(0.4e-3, 0.8e-3))
-            yield replace(tape, law=replace(tape.law, slack=slack))
 
 
-@dataclass(frozen=True, slots=True)
-class CrimpLot:
+def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    """Yield the samples of Table 2.3; the export of one of them has several files."""
+    for sample in TABLE_2_3:
+        tube = build_twist_tube(
+            sample,
+            peak_force=420.0 * _draw_factor(random, 0.04),
+            slack=float(random.uniform(0.8e-3, 1.1e-3)),
+            break_point=float(random.uniform(7.8e-3, 8.1e-3)),
+            gain_error=gain_error,
+        )
+        part_at = 2.6 if sample == _TUBE_IN_PARTS else None
+        yield replace(tube, export=replace(tube.export, part_at=part_at))
+
+
+def _build_tapes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+    for number, (factor, fails_at) in enumerate(_TAPES, start=1):
+        tape = build_pet_tape(
+            str(number),
+            factor=factor * _draw_factor(random, 0.01),
+            fails_at=fails_at * _draw_factor(random, 0.02),
+            gain_error=gain_error,
+        )
+        slack = float(random.uniform(0.4e-3, 0.8e-3))
+        yield replace(tape, law=replace(tape.law, slack=slack))
+
+
+class CrimpLot(NamedTuple):
     """A lot of crimped contacts.
 
     Parameters
@@ -427,58 +394,20 @@ class CrimpCampaign:
     samples: int = 7
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
-        """Yield the tests; see `Campaign`.
-
-        Yields
-        ------
-        Scenario and seed.
-        """
+        """Yield the tests; see `Campaign`."""
         random = np.random.default_rng([seed, 83])
         gain_error = GAIN_UNCERTAINTY * float(random.standard_normal())
         for number, lot in enumerate(self.lots):
             for sample in range(1, self.samples + 1):
-                strength = float(random.normal(lot.strength, lot.deviation))
                 pull = build_crimp_pull(
                     f"crimp-{number + 1}",
                     sample,
-                    strength=strength,
+                    strength=float(random.normal(lot.strength, lot.deviation)),
                     conductor=lot.conductor,
                     separation=lot.separations[(sample - 1) % len(lot.separations)],
                     gain_error=gain_error,
                 )
                 yield pull, 100_000 * seed + 70_000 + 100 * number + sample
-
-
-def _build_corrugated_tubes(
-    gain_error: float, random: np.random.Generator
-) -> Iterator[TensileScenario]:
-    """Yield three samples of each kind of corrugated tube."""
-    for tube_type, (factor, section) in _TUBES.items():
-        for sample in range(1, 4):
-            name = f"{tube_type}-{sample}"
-            scattered = factor * _draw_factor(random, 0.01)
-            tube = build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
-            yield replace(
-                tube,
-                law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
-                frame=replace(tube.frame, unloads=name == _UNLOADED_TUBE),
-                slips=_SLIPS.get(name, ()),
-                section=section,
-            )
-
-
-def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
-    """Yield the samples of Table 2.3; the export of one of them has several files."""
-    for sample in TABLE_2_3:
-        tube = build_twist_tube(
-            sample,
-            peak_force=420.0 * _draw_factor(random, 0.04),
-            slack=float(random.uniform(0.8e-3, 1.1e-3)),
-            break_point=float(random.uniform(7.8e-3, 8.1e-3)),
-            gain_error=gain_error,
-        )
-        divided = replace(tube.export, part_at=2.6)
-        yield replace(tube, export=divided) if sample == _TUBE_IN_PARTS else tube
 
 
 def _draw_factor(random: np.random.Generator, relative: float) -> float:

@@ -1,4 +1,4 @@
-"""Virtual cantilever tests: settings, and quasi-static path.
+"""Virtual cantilever tests: settings, quasi-static path, records, and true values.
 
 Everything is SI. The origin of the specimen frame is the clamped end, with which it moves; x is
 along the undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
@@ -9,14 +9,18 @@ clock of the cameras is the true time base; force time = offset + (1 + drift) x 
 The path is a function of *progress*, the total distance that the clamp has moved up and down.
 Events are turning points, and points at which the string becomes taut or slack. Between events the
 path is smooth and interpolated by cubic splines through the solved positions.
+
+True values are computed from curves without noise, and not by the formulas of the processing: the
+kink is searched over a fine grid, and the start of the plateau backwards from the end of the curve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from typing import TypeAlias
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,14 +32,27 @@ from labpipe.mechanics.wire.cantilever import (
     WireState,
     bend_to_travel,
     bend_under_force,
+    make_interpolation_matrix,
     make_straight,
 )
-from labpipe.mechanics.wire.newton import make_interpolation_matrix
 from labpipe.records.arrays import Floats
 from labpipe.units import GRAVITY
+from labpipe.virtual_lab.instruments import (
+    FORCE_PATH,
+    NO_MISHAPS,
+    ForceRecord,
+    LoadCell,
+    Mishaps,
+    Pose,
+    Schedule,
+    Setting,
+    film,
+    list_markers,
+)
 from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
 
-TAPED_LENGTH = 0.1143
+Truth: TypeAlias = dict[str, Any]
+"""True values of a test as in ``truth.json``: numbers, arrays, and tables of these."""
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
 """A wire given by its law or by its strands, or a bundle of wires."""
@@ -108,29 +125,6 @@ class Clocks:
     step_ratio: float = 0.99985
 
 
-@dataclass(frozen=True, slots=True)
-class LoadCell:
-    """Load cell, amplifier and converter.
-
-    Parameters
-    ----------
-    gain : N/V, nominal, as on the calibration sheet
-    gain_uncertainty : relative standard uncertainty from which the true gain is drawn
-    gain_error : relative error of the true gain, shared by tests; None to draw it
-    offset : V, output at no load
-    noise : N, rms, white
-    bits, full_scale : of the converter, +- `full_scale` in V
-    """
-
-    gain: float = 0.5
-    gain_uncertainty: float = 0.002
-    gain_error: float | None = None
-    offset: float = 0.013
-    noise: float = 4e-3
-    bits: int = 16
-    full_scale: float = 10.0
-
-
 WIRE_CELL = LoadCell(gain=0.05, gain_uncertainty=0.002, noise=0.5e-3)
 """A cell of 0.5 N for forces of 20 to 250 mN, with a noise of 0.5 mN at any rate. All tests of a
 campaign share its gain error."""
@@ -173,74 +167,6 @@ class MarkerLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
-    """Pose of the rig in the frame of the motion-capture system (Y up).
-
-    Parameters
-    ----------
-    yaw, pitch, roll : rad, about Y, X and Z; roll is applied first, yaw last
-    origin : m, the clamped end at zero travel
-    """
-
-    yaw: float = 0.65
-    pitch: float = 0.04
-    roll: float = -0.03
-    origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
-
-    def rotation(self) -> Floats:
-        """Return the rotation from specimen to lab, shape (3, 3)."""
-        cos, sin = np.cos, np.sin
-        a, b, c = self.yaw, self.pitch, self.roll
-        about_y = np.array([[cos(a), 0, sin(a)], [0, 1, 0], [-sin(a), 0, cos(a)]])
-        about_x = np.array([[1, 0, 0], [0, cos(b), -sin(b)], [0, sin(b), cos(b)]])
-        about_z = np.array([[cos(c), -sin(c), 0], [sin(c), cos(c), 0], [0, 0, 1]])
-        turned: Floats = about_y @ about_x @ about_z
-        return turned
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Part of a take in which a mishap affects a marker.
-
-    Parameters
-    ----------
-    marker : counted from 0 at the clamp
-    start, stop : shares of the frames of the take, 0 to 1
-    """
-
-    marker: int
-    start: float
-    stop: float
-
-
-@dataclass(frozen=True, slots=True)
-class Mishaps:
-    """Mishaps of the markers of a take; `NO_MISHAPS` for a clean one.
-
-    Parameters
-    ----------
-    n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
-    long_gap : s, length of one long gap on a random marker; 0 for none
-    switch : where the marker and the next one swap labels; None for nowhere
-    unlabelled : where the marker is renamed ``Unlabeled 1234``; None for nowhere
-    """
-
-    n_gaps: int = 8
-    long_gap: float = 1.2
-    switch: Stretch | None = Stretch(3, 0.40, 0.55)
-    unlabelled: Stretch | None = Stretch(5, 0.70, 0.72)
-
-
-NO_MISHAPS = Mishaps(n_gaps=0, long_gap=0.0, switch=None, unlabelled=None)
-MISHAPS = (
-    Mishaps(),
-    Mishaps(n_gaps=4, long_gap=0.0, switch=Stretch(1, 0.62, 1.0), unlabelled=None),
-    Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=Stretch(2, 0.3, 0.33)),
-)
-"""Mishaps in the tests of a campaign, in turn."""
-
-
-@dataclass(frozen=True, slots=True)
 class CantileverScenario:
     """A complete virtual test, from wire to test sheet.
 
@@ -267,9 +193,9 @@ class CantileverScenario:
     dwell: float = 0.0
     rest: float = 5.0
     clocks: Clocks = Clocks()
-    load_cell: LoadCell = LoadCell()
+    load_cell: LoadCell = field(default_factory=LoadCell)
     markers: MarkerLayout = MarkerLayout()
-    pose: Pose = Pose()
+    pose: Pose = field(default_factory=Pose)
     mishaps: Mishaps = field(default_factory=Mishaps)
     length_unit: str = "m"
 
@@ -279,13 +205,118 @@ class CantileverScenario:
         is_bundle = isinstance(self.mechanics.wire, BundleModel)
         return "taped-bundle" if is_bundle else "wire-cantilever"
 
+    def plan(self) -> Schedule:
+        """Plan motion and recordings, with rest at both ends of both records.
+
+        Both records begin at zero on their own clock; that of the cameras is true time.
+        """
+        clocks, stroke = self.clocks, self.mechanics.stroke
+        force_begins = -clocks.offset / (1.0 + clocks.drift)
+        start = max(0.0, force_begins) + self.rest
+        n_strokes = 2 * self.mechanics.cycles
+        strokes = np.arange(n_strokes + 1)
+        dwells = np.maximum(strokes - 1, 0) * self.dwell
+        arrivals = start + strokes * (stroke / self.speed) + dwells
+        departures = arrivals + self.dwell * ((strokes > 0) & (strokes < n_strokes))
+        end = float(arrivals[-1] + self.rest)
+        frame_times = np.arange(int(np.ceil(end * clocks.fps)) + 1) / clocks.fps
+        step = clocks.step_ratio / clocks.rate
+        samples = int(np.ceil((end - force_begins) * (1.0 + clocks.drift) / step)) + 1
+        force_clock: Floats = step * np.arange(samples, dtype=np.float64)
+        return Schedule(
+            corner_times=np.ravel(np.column_stack([arrivals, departures])),
+            progress=np.repeat(strokes * stroke, 2),
+            turning_times=arrivals,
+            end=end,
+            frame_clock=frame_times,
+            frame_times=frame_times,
+            force_clock=force_clock,
+            force_times=(force_clock - clocks.offset) / (1.0 + clocks.drift),
+        )
+
+    def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
+        """Return the records of force recorder and cameras, by role, and the true values."""
+        path, plan = solve_path(self.mechanics), self.plan()
+        force_random, camera_random = np.random.default_rng(seed).spawn(2)
+        force = self._record_force(path, plan, force_random)
+        layout = self.markers
+        progress = plan.progress_at(plan.frame_times)
+        drop = np.zeros((len(progress), 3))
+        drop[:, 1] = -path.travel(progress)
+        arc_lengths = np.array(layout.arc_lengths(self.mechanics.length))
+        x, y, angle = path.points(progress, arc_lengths)
+        across, up = -layout.centre_offset * np.sin(angle), layout.centre_offset * np.cos(angle)
+        take = film(
+            "Wire",
+            np.stack([x + across, y + up, np.zeros_like(x)], axis=2) + drop[:, None, :],
+            plan,
+            camera_random,
+            pose=self.pose,
+            fps=self.clocks.fps,
+            unit=self.length_unit,
+            noise=layout.noise,
+            scrambled=layout.scrambled,
+            clamp=(drop + np.asarray(layout.pivot), layout.pivot_noise, layout.turn_noise),
+            mishaps=self.mishaps,
+        )
+        truth = {
+            "clock": {"offset": self.clocks.offset, "drift": self.clocks.drift},
+            "true_gain": force.true_gain,
+            "rotation_specimen_to_lab": self.pose.rotation(),
+            **_list_specimen_facts(path),
+            "markers": list_markers(take.labels, arc_lengths),
+            "mishaps": [asdict(event) for event in take.log],
+            **_evaluate(path, plan),
+        }
+        return {"force": force, "markers": take}, truth
+
+    def _record_force(
+        self, path: MechanicalPath, plan: Schedule, random: np.random.Generator
+    ) -> ForceRecord:
+        """Return the record of the tension of the string, and of direction and pulses of motor."""
+        pulses_per_metre = 8e6
+        progress = plan.progress_at(plan.force_times)
+        volts, gain = self.load_cell.read(path.tension(progress), random)
+        moving = np.diff(progress, append=progress[-1]) > 0.0
+        down = moving & (np.floor_divide(progress, self.mechanics.stroke) % 2 == 0)
+        signals = {
+            FORCE_PATH: volts,
+            "Model Root/Motor/Direction": down.astype(np.float64),
+            "Model Root/Motor/Frequency": moving * round(pulses_per_metre * self.speed, 6),
+        }
+        return ForceRecord(plan.force_clock, signals, gain)
+
+    def describe_specimen(self) -> dict[str, object]:
+        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        entries: dict[str, object] = {"length": self.mechanics.length}
+        if self.mechanics.mass_per_length:
+            entries["mass_per_length"] = f"{1e3 * self.mechanics.mass_per_length:.6g} g/m"
+        if isinstance(self.mechanics.wire, BundleModel):
+            entries["bundle"] = self.mechanics.wire.describe()
+        return entries
+
+    def list_settings(self) -> list[Setting]:
+        """Return the values of the rig."""
+        mechanics, markers = self.mechanics, self.markers
+        return [
+            *self.load_cell.list_settings(),
+            Setting("rig.crosshead_speed", f"{1e3 * self.speed:.10g} mm/s"),
+            Setting("rig.stroke", mechanics.stroke),
+            Setting("rig.cycles", mechanics.cycles),
+            Setting("rig.string.length", mechanics.string_length),
+            Setting("rig.string.counterweight", f"{1e3 * mechanics.counterweight:.10g} g"),
+            Setting("markers.grip_offset", -markers.pivot[0]),
+            Setting("markers.pull_offset", markers.pull_offset),
+            Setting("markers.centre_offset", markers.centre_offset),
+        ]
+
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
 """Rig of the dissertation for a stranded wire, held straight by the string. Positions are denser
 where the strands begin to slip: the error of the interpolated force is 0.06 mN, and would be 5 mN
 with evenly spaced positions. The error from the number of stations is 0.02 mN."""
 
-TAPED_TEST = replace(WIRE_TEST, length=TAPED_LENGTH, steps_per_branch=60, crowding=2.0)
+TAPED_TEST = replace(WIRE_TEST, length=0.1143, steps_per_branch=60, crowding=2.0)
 """The same rig for a taped bundle. The error of the interpolated force is 3 mN, and 12 mN where the
 tape begins to slide; the noise is 3 mN. Exports and true values use the same interpolated path."""
 
@@ -311,13 +342,14 @@ def build_wire_scenario(
     )
 
 
-def build_taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
+def build_taped_scenario(name: str, *, cycles: int = 3, factor: float = 1.0) -> CantileverScenario:
     """Build a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
 
     Parameters
     ----------
     name : key of `TAPED_TYPES`
     cycles : number, each with a loading and an unloading branch
+    factor : of the sample on all moments
 
     Returns
     -------
@@ -329,17 +361,15 @@ def build_taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
     KeyError
         If the type is unknown.
     """
-    marker_spacing = 0.0127
-    bundle = TAPED_TYPES[name]
-    half = 0.5 * marker_spacing
+    half = 0.5 * 0.0127
+    bundle = replace(TAPED_TYPES[name], factor=factor)
+    markers = MarkerLayout(n_markers=9, first=half, pull_offset=half, centre_offset=bundle.radius)
     return CantileverScenario(
         specimen_type=name,
         spool=f"{name}-s1",
         mechanics=replace(TAPED_TEST, wire=bundle, cycles=cycles),
         load_cell=TAPED_CELL,
-        markers=MarkerLayout(
-            n_markers=9, first=half, pull_offset=half, centre_offset=bundle.radius
-        ),
+        markers=markers,
         mishaps=NO_MISHAPS,
         date="2026-03-11",
     )
@@ -403,8 +433,7 @@ class MechanicalPath:
 
     def tension(self, progress: Floats) -> Floats:
         """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
-        columns = [segment.tension[:, None] for segment in self.segments]
-        tension: Floats = self._look_up(progress, columns)[:, 0]
+        tension: Floats = self._look_up(progress, [s.tension[:, None] for s in self.segments])[:, 0]
         return tension
 
     def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
@@ -427,9 +456,13 @@ class MechanicalPath:
 
     def deflection(self, progress: Floats) -> Floats:
         """Return the deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
-        columns = [segment.y[:, -1:] for segment in self.segments]
-        deflection: Floats = self._look_up(progress, columns)[:, 0] - self.rest.y[-1]
+        height = self._look_up(progress, [s.y[:, -1:] for s in self.segments])[:, 0]
+        deflection: Floats = height - self.rest.y[-1]
         return deflection
+
+    def curve(self, progress: Floats) -> tuple[Floats, Floats]:
+        """Return deflection and force, m and N, at nondecreasing progress, shape (n,) each."""
+        return self.deflection(progress), self.tension(progress) - self.rest.tension
 
     def _look_up(self, progress: Floats, columns: list[Floats]) -> Floats:
         out = np.empty((len(progress), columns[0].shape[1]))
@@ -468,18 +501,25 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If an equilibrium does not exist.
     """
-    rig, state_at_rest = _attach_string(test)
+    rig, rest = _attach_string(test)
     cycles: list[list[Segment]] = []
-    state, max_curvature, starts = state_at_rest.state, 0.0, []
+    state, max_curvature, starts = rest.state, 0.0, []
     for number in range(1, test.cycles + 1):
         starts.append(state)
         # loops of a rate-independent law close
         if number > 2 and _is_same_state(state, starts[-2]):
-            cycles.append([_shift_segment(segment, 2.0 * test.stroke) for segment in cycles[-1]])
+            cycles.append([_repeat_segment(segment, test.stroke) for segment in cycles[-1]])
             continue
-        segments, state, max_curvature = _Cycle(test, rig, number).walk(state, max_curvature)
-        cycles.append(segments)
-    return MechanicalPath(test, rig, state_at_rest, tuple(s for cycle in cycles for s in cycle))
+        cycles.append([])
+        progress = 2.0 * test.stroke * (number - 1)
+        for goal in (test.stroke, 0.0):
+            branch = _Branch(test, rig, number, max_curvature)
+            for shapes in branch.solve(state, goal):
+                segment = _build_segment(shapes, number, goal > 0.0, progress)
+                cycles[-1].append(segment)
+                state, progress = shapes[-1].state, float(segment.progress[-1])
+                max_curvature = _find_largest_curvature(shapes, max_curvature)
+    return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
 
 
 def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
@@ -495,100 +535,87 @@ def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Cycle:
-    """Solver of a cycle, position by position; `max_curvature` is the largest curvature so far."""
+@dataclass(slots=True)
+class _Branch:
+    """Solver of a branch of a cycle, position by position.
+
+    Parameters
+    ----------
+    test, rig : wire and string
+    cycle : counted from 1
+    max_curvature : 1/m, largest curvature so far, on which the law of a bundle depends
+    """
 
     test: MechanicalTest
     rig: StringRig
-    number: int
+    cycle: int
+    max_curvature: float
+    _law: PlayLaw = field(init=False)
 
-    def walk(
-        self, state: WireState, max_curvature: float
-    ) -> tuple[list[Segment], WireState, float]:
-        """Load and unload; return segments, final state, and the largest curvature so far."""
-        segments: list[Segment] = []
-        progress = 2.0 * self.test.stroke * (self.number - 1)
-        for target in (self.test.stroke, 0.0):
-            for shapes in self._solve_branch(state, target, max_curvature):
-                segments.append(_build_segment(shapes, self.number, target > 0.0, progress))
-                state, progress = shapes[-1].state, float(segments[-1].progress[-1])
-                max_curvature = _find_largest_curvature(shapes, max_curvature)
-        return segments, state, max_curvature
-
-    def _solve_branch(
-        self, state: WireState, goal: float, max_curvature: float
-    ) -> Iterator[list[CantileverShape]]:
-        """Solve up to `goal` and yield the shapes of each segment between events, ends included."""
-        law = self._find_law(max_curvature)
-        shape = self._bend(law, state, state.travel)
-        event = self._find_event(law, shape)
+    def solve(self, state: WireState, goal: float) -> Iterator[list[CantileverShape]]:
+        """Solve up to a travel and yield the shapes of each segment between events, with ends."""
+        self._update_law()
+        shape = self._bend(state, state.travel)
         if shape.tension <= 0.0:  # slack: no bending until the string is taut
-            stop = min(event, goal) if goal > state.travel else goal
+            stop = min(self._find_event(shape), goal) if goal > state.travel else goal
             if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
-                end_shape = self._bend(law, shape.state, stop)
-                yield [shape, end_shape]
-                shape = end_shape
+                yield [shape, shape := self._bend(shape.state, stop)]
         if abs(goal - shape.state.travel) > _MIN_TRAVEL_STEP:
-            yield from self._solve_taut(shape, goal, max_curvature)
+            yield from self._solve_taut(shape, goal)
 
-    def _solve_taut(
-        self, shape: CantileverShape, goal: float, max_curvature: float
-    ) -> Iterator[list[CantileverShape]]:
+    def _solve_taut(self, shape: CantileverShape, goal: float) -> Iterator[list[CantileverShape]]:
+        """Solve with a taut string; from where it becomes slack, the wire moves with the clamp."""
         shapes, test = [shape], self.test
         share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-        for travel in shape.state.travel + share * (goal - shape.state.travel):
-            law, ahead, max_curvature = self._solve_step(shapes[-1], float(travel), max_curvature)
-            if ahead.tension > 0.0:
-                shapes.append(ahead)
+        for travel in (shape.state.travel + share * (goal - shape.state.travel)).tolist():
+            bent = self._solve_step(shapes[-1].state, travel)
+            if bent.tension > 0.0:
+                shapes.append(bent)
                 continue
-            event = self._find_event(law, shapes[-1])
-            slackened = _slacken(self._bend(law, shapes[-1].state, event))
+            event = self._find_event(shapes[-1])
+            bent = self._bend(shapes[-1].state, event)
+            slack = replace(bent, state=replace(bent.state, load=0.0))
             if abs(event - shapes[-1].state.travel) > _MIN_TRAVEL_STEP:
-                shapes.append(slackened)
+                shapes.append(slack)
             yield shapes
             if abs(goal - event) > _MIN_TRAVEL_STEP:
-                yield [slackened, self._bend(law, slackened.state, goal)]
+                yield [slack, self._bend(slack.state, goal)]
             return
         yield shapes
 
-    def _solve_step(
-        self, shape: CantileverShape, travel: float, max_curvature: float
-    ) -> tuple[PlayLaw, CantileverShape, float]:
+    def _solve_step(self, state: WireState, travel: float) -> CantileverShape:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
-        force_tolerance = 1e-5
+        tolerance = 1e-5  # of the slip moments
         wire = self.test.wire
         for _ in range(max_iterations):
-            law = self._find_law(max_curvature)
-            ahead = self._bend(law, shape.state, travel)
-            reached = _find_largest_curvature([ahead], max_curvature)
-            if not isinstance(wire, BundleModel) or reached == max_curvature:
+            self._update_law()
+            shape = self._bend(state, travel)
+            reached = _find_largest_curvature([shape], self.max_curvature)
+            if not isinstance(wire, BundleModel) or reached == self.max_curvature:
                 break
-            settled = abs(wire.held(reached) - wire.held(max_curvature)) < force_tolerance
-            max_curvature = reached
-            if settled:
+            is_settled = abs(wire.held(reached) - wire.held(self.max_curvature)) < tolerance
+            self.max_curvature = reached
+            if is_settled:
                 break
-        return law, ahead, max_curvature
+        return shape
 
-    def _find_law(self, max_curvature: float) -> PlayLaw:
-        """Return the law after a largest curvature, on which only bundles depend."""
+    def _update_law(self) -> None:
+        """Take the law after the largest curvature, on which only bundles depend."""
         wire = self.test.wire
-        return wire.law(self.number, max_curvature) if isinstance(wire, BundleModel) else wire.law()
+        if isinstance(wire, BundleModel):
+            self._law = wire.law(self.cycle, self.max_curvature)
+        else:
+            self._law = wire.law()
 
-    def _bend(self, law: PlayLaw, state: WireState, travel: float) -> CantileverShape:
-        return bend_to_travel(law, state, self.test.length, self.rig, travel)
+    def _bend(self, state: WireState, travel: float) -> CantileverShape:
+        return bend_to_travel(self._law, state, self.test.length, self.rig, travel)
 
-    def _find_event(self, law: PlayLaw, shape: CantileverShape) -> float:
+    def _find_event(self, shape: CantileverShape) -> float:
         """Return the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
-        hanging = bend_under_force(law, shape.state, self.test.length, weight)
+        hanging = bend_under_force(self._law, shape.state, self.test.length, weight)
         return self.rig.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
-
-
-def _slacken(shape: CantileverShape) -> CantileverShape:
-    """Set the tension of a shape to exactly zero."""
-    return replace(shape, state=replace(shape.state, load=0.0))
 
 
 def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float) -> float:
@@ -601,21 +628,240 @@ def _is_same_state(one: WireState, other: WireState) -> bool:
     return bool(np.max(np.abs(one.plays - other.plays), initial=0.0) <= 1e-9 * largest)
 
 
-def _shift_segment(segment: Segment, progress: float) -> Segment:
-    return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + progress)
+def _repeat_segment(segment: Segment, stroke: float) -> Segment:
+    return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + 2.0 * stroke)
 
 
 def _build_segment(
     shapes: list[CantileverShape], cycle: int, loading: bool, progress: float
 ) -> Segment:
     travel = np.array([shape.state.travel for shape in shapes])
-    return Segment(
-        cycle=cycle,
-        loading=loading,
-        progress=progress + np.abs(travel - travel[0]),
-        travel=travel,
-        tension=np.array([shape.tension for shape in shapes]),
-        x=np.array([shape.x for shape in shapes]),
-        y=np.array([shape.y for shape in shapes]),
-        angle=np.array([shape.angle for shape in shapes]),
+    arrays = {
+        name: np.array([getattr(shape, name) for shape in shapes])
+        for name in ("tension", "x", "y", "angle")
+    }
+    return Segment(cycle, loading, progress + np.abs(travel - travel[0]), travel, **arrays)
+
+
+KINK_WINDOW = (0.2e-3, 5e-3)
+"""Range of displacement of the kink and of the initial stiffness, m."""
+TRUTH_POINTS = 20_001
+_STIFFNESS_RANGE = 5e-3
+_FIT_POINTS = 800
+
+
+def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
+    """Fit a line between two displacements by least squares; return its slope, N/m."""
+    grid = np.linspace(start, stop, _FIT_POINTS)
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_build_weights())[0])
+
+
+def _build_weights() -> Floats:
+    """Return the square roots of the trapezoidal weights of a grid."""
+    roots = np.ones(_FIT_POINTS)
+    roots[[0, -1]] = np.sqrt(0.5)
+    return roots
+
+
+def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
+    """Compute the true numbers of a first loading.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise; the displacement increases from zero and
+        is dense enough for linear interpolation
+
+    Returns
+    -------
+    ``tangent_at_zero``, N/m; ``stiffness`` and ``windowed_stiffness``, N/m, slopes of the
+    least-squares lines over the first 5 mm and over `KINK_WINDOW`; ``kink``, see `find_kink`;
+    ``end_slope`` of the line over the last 5 mm, over ``windowed_stiffness``;
+    ``plateau_displacement`` and ``plateau_force``, m, N, from which the tangent over a millimetre
+    stays below a tenth of ``windowed_stiffness``; None if ``end_slope`` is 0.1 or more.
+    """
+    plateau_share = 0.1  # slope of the plateau over that of the window
+    zero_distance = 0.02e-3
+    windowed = fit_slope(displacement, force, *KINK_WINDOW)
+    last = float(displacement[-1])
+    end = fit_slope(displacement, force, last - _STIFFNESS_RANGE, last)
+    limit = plateau_share * windowed
+    onset = _find_plateau(displacement, force, limit) if end < limit else None
+    return {
+        "tangent_at_zero": float(np.interp(zero_distance, displacement, force)) / zero_distance,
+        "stiffness": fit_slope(displacement, force, 0.0, _STIFFNESS_RANGE),
+        "windowed_stiffness": windowed,
+        "kink": find_kink(displacement, force, *KINK_WINDOW),
+        "end_slope": end / windowed,
+        "plateau_displacement": onset,
+        "plateau_force": None if onset is None else float(np.interp(onset, displacement, force)),
+    }
+
+
+def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | None:
+    """Return where the tangent over 1 mm last falls below a limit, N/m: m, or None."""
+    step = 1e-3
+    grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
+    right, left = (
+        np.interp(grid + half, displacement, force) for half in (0.5 * step, -0.5 * step)
     )
+    tangent = (right - left) / step
+    above = np.flatnonzero(tangent >= limit)
+    if len(above) == 0 or above[-1] == len(grid) - 1:
+        return None
+    pair = slice(above[-1], above[-1] + 2)
+    return float(np.interp(-limit, -tangent[pair], grid[pair]))
+
+
+def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> Truth:
+    """Find the kink: the break point of the best two connected lines between two displacements.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise
+    start, stop : m
+
+    Returns
+    -------
+    ``displacement`` and ``force``, m, N, of the intersection of the best pair of lines by least
+    squares, ``stiffness_before`` and ``stiffness_after``, N/m. The break point is refined by a
+    parabola through the best point of the grid and its neighbours.
+    """
+    grid, roots = np.linspace(start, stop, _FIT_POINTS), _build_weights()
+    forces = np.interp(grid, displacement, force)
+
+    def fit(place: float) -> tuple[Floats, float]:
+        """Return level, slope and change of slope of the best lines, and the sum of squares."""
+        basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
+        lines = np.linalg.lstsq(roots[:, None] * basis, roots * forces, rcond=None)[0]
+        return lines, float(np.sum((roots * (basis @ lines - forces)) ** 2))
+
+    breaks = grid[10:-10]
+    misfits = np.array([fit(place)[1] for place in breaks.tolist()])
+    best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
+    below, middle, above = misfits[best - 1 : best + 2]
+    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
+    place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
+    level, first, change = fit(place)[0].tolist()
+    return {
+        "displacement": place,
+        "force": level + first * place,
+        "stiffness_before": first,
+        "stiffness_after": first + change,
+    }
+
+
+@lru_cache(maxsize=32)
+def evaluate_taped(path: MechanicalPath) -> Truth:
+    """Compute the true numbers of a bundle in the cantilever rig.
+
+    Parameters
+    ----------
+    path : the solved test; displacement is the deflection of the pull point, force the tension of
+        the string minus that at rest
+
+    Returns
+    -------
+    ``loading`` of the first cycle, see `evaluate_loading`; ``bending_stiffness``, N m^2, K L^3 / 3
+    with the slope K over `KINK_WINDOW`, uncorrected; ``loading_stiffness``, N/m, of each cycle,
+    slope over 5 mm from where the force exceeds its rest value; ``hardening``, these relative to
+    the first cycle.
+    """
+    shares = np.linspace(0.0, 1.0, TRUTH_POINTS)
+    starts = [2.0 * cycle for cycle in range(path.test.cycles)]
+    branches = [path.curve(path.test.stroke * (start + shares)) for start in starts]
+    loading = evaluate_loading(*branches[0])
+    slopes = [_fit_slope_after_slack(*branch) for branch in branches]
+    return {
+        "loading": loading,
+        "bending_stiffness": loading["windowed_stiffness"] * path.test.length**3 / 3.0,
+        "loading_stiffness": slopes,
+        "hardening": [slope / slopes[0] for slope in slopes],
+    }
+
+
+def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
+    """Return the slope over the first 5 mm from where the force exceeds zero, N/m."""
+    slack = np.flatnonzero(force <= 0.0)
+    begin = 0 if len(slack) == 0 else int(slack[-1])
+    pair = slice(begin, begin + 2)
+    start = float(np.interp(0.0, force[pair], displacement[pair]))
+    return fit_slope(displacement[begin:], force[begin:], start, start + _STIFFNESS_RANGE)
+
+
+def _list_specimen_facts(path: MechanicalPath) -> Truth:
+    """Return the law of the specimen, its corners for first loading, and its parameters."""
+    wire, parameters, bundle = path.test.wire, None, None
+    if isinstance(wire, StrandedWire):
+        parameters = {**wire.parameters, "sample_factor": wire.factor}
+    if isinstance(wire, BundleModel):
+        stiffnesses = dict(wire.stiffnesses)
+        bundle = {"stiffnesses": stiffnesses, "factor": wire.factor, **evaluate_taped(path)}
+    law = wire.law()
+    moment = np.append(0.0, law.half_widths)
+    curvature = law.respond(moment, law.make_unbent_history(len(moment))).curvature
+    return {
+        "law": asdict(wire),
+        "wire": parameters,
+        "bundle": bundle,
+        "first_loading": {"moment": moment.tolist(), "curvature": curvature.tolist()},
+    }
+
+
+def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
+    """Return the true values of every cycle and at the camera frames, on the marker clock.
+
+    ``time``, ``travel``, ``deflection`` and ``force`` are arrays over the frames; ``shapes`` holds
+    the axis of the wire in the specimen frame at six frames of each branch.
+    """
+    times, turns = schedule.frame_times, schedule.turning_times
+    progress = schedule.progress_at(times)
+    arc_length = np.linspace(0.0, path.test.length, 41)
+    shape_times = [np.linspace(start, stop, 6) for start, stop in pairwise(turns)]
+    frames = np.unique(np.searchsorted(times, np.concatenate(shape_times)))
+    x, y, _ = path.points(schedule.progress_at(times[frames]), arc_length)
+    deflection, force = path.curve(progress)
+    return {
+        "cycles": [_evaluate_cycle(path, turns, n) for n in range(1, path.test.cycles + 1)],
+        "time": times,
+        "travel": path.travel(progress),
+        "deflection": deflection,
+        "force": force,
+        "shapes": [
+            {"frame": frame, "arc_length": arc_length, "x": x[row], "y": y[row]}
+            for row, frame in enumerate(frames.tolist())
+        ],
+    }
+
+
+def _evaluate_cycle(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
+    """Return times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
+    start, top, stop = turning_times[2 * number - 2 : 2 * number + 1].tolist()
+    there_and_back = 2.0 * path.test.stroke
+    progress = there_and_back * (number - 1) + np.linspace(0.0, there_and_back, TRUTH_POINTS)
+    deflection, force = path.curve(progress)
+    return {
+        "cycle": number,
+        "start_time": start,
+        "top_time": top,
+        "stop_time": stop,
+        "peak_force": float(np.max(force)),
+        "peak_deflection": float(np.max(deflection)),
+        "residual_deflection": _find_residual(path, number),
+        "energy": float(np.trapezoid(force, deflection)),
+    }
+
+
+def _find_residual(path: MechanicalPath, number: int) -> float | None:
+    """Return the deflection at which the force first returns to zero on unloading."""
+    zero_force = 1e-9
+    for segment in path.segments:
+        if segment.cycle != number or segment.loading or segment.is_still:
+            continue
+        force = segment.tension - path.rest.tension
+        if force[-1] > zero_force:
+            return None
+        place = float(segment.progress[-1])
+        if force[-1] < -zero_force:
+            place = float(CubicSpline(segment.progress, force).roots(extrapolate=False)[0])
+        return float(path.deflection(np.array([place]))[0])
+    return None

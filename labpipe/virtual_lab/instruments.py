@@ -1,4 +1,4 @@
-"""Virtual instruments: schedule of a test, and records of force recorder, load frame and cameras.
+"""Virtual instruments: settings, schedule of a test, and records of recorder, frame and cameras.
 
 In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
 towards the pull. The initial orientation of the clamp's body is the identity for any pose of the
@@ -13,27 +13,140 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
-from labpipe.virtual_lab.cantilever_scenarios import (
-    CantileverScenario,
-    LoadCell,
-    MarkerLayout,
-    MechanicalPath,
-    Mishaps,
-    Pose,
-)
-from labpipe.virtual_lab.tensile import FrameInstruments, TensilePath
-from labpipe.virtual_lab.three_point import ConduitScenario, CylinderMarkers, ThreePointPath
 
 FORCE_PATH = "Model Root/Load Cell"
-DIRECTION_PATH, FREQUENCY_PATH = "Model Root/Motor/Direction", "Model Root/Motor/Frequency"
-TRIGGER_PATH = "Model Root/Trigger"
 PORT = "Out1"
+
+
+class Setting(NamedTuple):
+    """Value of the rig, which the test sheet states where the protocol has another.
+
+    Parameters
+    ----------
+    key : in the protocol
+    value : as in the protocol; a float is a length, m
+    because : reason for the override
+    """
+
+    key: str
+    value: object
+    because: str = "the virtual rig is set so"
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCell:
+    """Load cell, amplifier and converter.
+
+    Parameters
+    ----------
+    gain : N/V, nominal, as on the calibration sheet
+    gain_uncertainty : relative standard uncertainty from which the true gain is drawn
+    gain_error : relative error of the true gain, shared by tests; None to draw it
+    offset : V, output at no load
+    noise : N, rms, white
+    bits, full_scale : of the converter, +- `full_scale` in V
+    """
+
+    gain: float = 0.5
+    gain_uncertainty: float = 0.002
+    gain_error: float | None = None
+    offset: float = 0.013
+    noise: float = 4e-3
+    bits: int = 16
+    full_scale: float = 10.0
+
+    def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
+        """Return the output for a force, V, quantised and saturated, and the true gain, N/V."""
+        drawn = self.gain_uncertainty * random.standard_normal()
+        gain = float(self.gain * (1.0 + (drawn if self.gain_error is None else self.gain_error)))
+        sensed = force + self.noise * random.standard_normal(len(force))
+        step = 2.0 * self.full_scale / 2**self.bits
+        lowest, highest = -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
+        counts: Floats = np.clip(np.rint((sensed / gain + self.offset) / step), lowest, highest)
+        return counts * step, gain
+
+    def list_settings(self) -> list[Setting]:
+        """Return the values of the calibration sheet."""
+        error = f"{100 * self.gain_uncertainty:.10g} %"
+        return [
+            Setting("sources.force.calibration.gain", f"{self.gain:.10g} N/V"),
+            Setting("sources.force.calibration.gain_uncertainty", error),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of the rig in the frame of the motion-capture system (Y up).
+
+    Parameters
+    ----------
+    yaw, pitch, roll : rad, about Y, X and Z; roll is applied first, yaw last
+    origin : m, the clamped end at zero travel
+    """
+
+    yaw: float = 0.65
+    pitch: float = 0.04
+    roll: float = -0.03
+    origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
+
+    def rotation(self) -> Floats:
+        """Return the rotation from specimen to lab, shape (3, 3)."""
+        turned: Floats = Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
+        return turned
+
+    def to_lab(self, positions: Floats) -> Floats:
+        """Transform positions from the specimen frame to the motion-capture frame, m."""
+        turned: Floats = positions @ self.rotation().T + np.asarray(self.origin)
+        return turned
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Part of a take in which a mishap affects a marker.
+
+    Parameters
+    ----------
+    marker : counted from 0 at the clamp
+    start, stop : shares of the frames of the take, 0 to 1
+    """
+
+    marker: int
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mishaps:
+    """Mishaps of the markers of a take; `NO_MISHAPS` for a clean one.
+
+    Parameters
+    ----------
+    n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
+    long_gap : s, length of one long gap on a random marker; 0 for none
+    switch : where the marker and the next one swap labels; None for nowhere
+    unlabelled : where the marker is renamed ``Unlabeled 1234``; None for nowhere
+    """
+
+    n_gaps: int = 8
+    long_gap: float = 1.2
+    switch: Stretch | None = Stretch(3, 0.40, 0.55)
+    unlabelled: Stretch | None = Stretch(5, 0.70, 0.72)
+
+
+NO_MISHAPS = Mishaps(n_gaps=0, long_gap=0.0, switch=None, unlabelled=None)
+MISHAPS = (
+    Mishaps(),
+    Mishaps(n_gaps=4, long_gap=0.0, switch=Stretch(1, 0.62, 1.0), unlabelled=None),
+    Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=Stretch(2, 0.3, 0.33)),
+)
+"""Mishaps in the tests of a campaign, in turn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,77 +178,6 @@ class Schedule:
     def progress_at(self, times: Floats) -> Floats:
         """Return the travel, m, at true times, s; constant before and after the motion."""
         return np.interp(times, self.corner_times, self.progress)
-
-
-def plan_cantilever(scenario: CantileverScenario) -> Schedule:
-    """Plan a cantilever test: motion and recordings, with rest at both ends of both records.
-
-    Parameters
-    ----------
-    scenario : speed, dwell, rest, clocks and stroke are used
-
-    Returns
-    -------
-    The schedule. Both records begin at zero on their own clock; that of the cameras is true time.
-    """
-    clocks, stroke = scenario.clocks, scenario.mechanics.stroke
-    force_begins = -clocks.offset / (1.0 + clocks.drift)
-    start = max(0.0, force_begins) + scenario.rest
-    stroke_numbers = np.arange(2 * scenario.mechanics.cycles + 1)
-    stroke_time = stroke / scenario.speed
-    arrivals = (
-        start + stroke_numbers * stroke_time + np.maximum(stroke_numbers - 1, 0) * scenario.dwell
-    )
-    departures = arrivals + scenario.dwell * (
-        (stroke_numbers > 0) & (stroke_numbers < stroke_numbers[-1])
-    )
-    end = float(arrivals[-1] + scenario.rest)
-    frame_times = np.arange(int(np.ceil(end * clocks.fps)) + 1) / clocks.fps
-    step = clocks.step_ratio / clocks.rate
-    samples = int(np.ceil((end - force_begins) * (1.0 + clocks.drift) / step)) + 1
-    force_clock: Floats = step * np.arange(samples, dtype=np.float64)
-    return Schedule(
-        corner_times=np.ravel(np.column_stack([arrivals, departures])),
-        progress=np.repeat(stroke_numbers * stroke, 2),
-        turning_times=arrivals,
-        end=end,
-        frame_clock=frame_times,
-        frame_times=frame_times,
-        force_clock=force_clock,
-        force_times=(force_clock - clocks.offset) / (1.0 + clocks.drift),
-    )
-
-
-def plan_conduit(scenario: ConduitScenario) -> Schedule:
-    """Plan a three-point test: rest, motion down and up without dwell, rest.
-
-    Parameters
-    ----------
-    scenario : speed, rest, clocks and stroke are used
-
-    Returns
-    -------
-    The schedule; true time begins when the load frame starts.
-    """
-    clocks, stroke = scenario.clocks, scenario.test.stroke
-    stroke_time = stroke / scenario.speed
-    top = scenario.rest + stroke_time
-    stop = top + stroke_time
-    end = stop + scenario.rest
-    frames = int((end + clocks.camera_lead) * clocks.fps)
-    frame_clock: Floats = np.arange(frames, dtype=np.float64) / clocks.fps
-    samples = int((end - clocks.trigger_lag) * clocks.rate)
-    force_clock: Floats = np.arange(samples, dtype=np.float64) / clocks.rate
-    return Schedule(
-        corner_times=np.array([scenario.rest, stop]),
-        progress=np.array([0.0, 2.0 * stroke]),
-        turning_times=np.array([scenario.rest, top, stop]),
-        end=end,
-        frame_clock=frame_clock,
-        frame_times=frame_clock - clocks.camera_lead,
-        force_clock=force_clock,
-        force_times=clocks.trigger_lag + force_clock / (1.0 + clocks.recorder_drift),
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,54 +212,19 @@ class ForceRecord:
         return Recording(reader="dspace-mat", clocks=(clock,), channels=channels)
 
 
-def record_cantilever_force(
-    path: MechanicalPath,
-    scenario: CantileverScenario,
-    schedule: Schedule,
-    random: np.random.Generator,
-) -> ForceRecord:
-    """Simulate the force recorder of a cantilever test, which measures the tension of the string.
+@dataclass(frozen=True, slots=True)
+class ExportLayout:
+    """Layout of the export of a load frame.
 
     Parameters
     ----------
-    path : the solved test
-    scenario : load cell and motor
-    schedule : of the motion and the recordings
-    random : source of the true gain and of the noise
-
-    Returns
-    -------
-    The record.
+    force_unit : ``N`` or ``kN`` for MTS TestSuite, ``lbf`` for TestResources R-Controller
+    part_at : s, at which TestSuite begins another acquisition step. It then writes three files: one
+        for each step, not numbered in the order of time, and one without samples. None for one file
     """
-    pulses_per_metre = 8e6
-    progress = schedule.progress_at(schedule.force_times)
-    volts, gain = _read_volts(path.tension(progress), scenario.load_cell, random)
-    moving = np.diff(progress, append=progress[-1]) > 0.0
-    down = moving & (np.floor_divide(progress, scenario.mechanics.stroke) % 2 == 0)
-    pulses = np.where(moving, round(pulses_per_metre * scenario.speed, 6), 0.0)
-    signals = {FORCE_PATH: volts, DIRECTION_PATH: down.astype(np.float64), FREQUENCY_PATH: pulses}
-    return ForceRecord(schedule.force_clock, signals, gain)
 
-
-def record_conduit_force(
-    path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
-) -> ForceRecord:
-    """Simulate the force recorder of a three-point test; see `record_cantilever_force`."""
-    force = scenario.factor * path.force(schedule.progress_at(schedule.force_times))
-    volts, gain = _read_volts(force, scenario.load_cell, random)
-    signals = {FORCE_PATH: volts, TRIGGER_PATH: np.ones(len(volts))}
-    return ForceRecord(schedule.force_clock, signals, gain)
-
-
-def _read_volts(force: Floats, cell: LoadCell, random: np.random.Generator) -> tuple[Floats, float]:
-    """Return the output of a load cell, V, quantised and saturated, and its true gain, N/V."""
-    drawn = cell.gain_uncertainty * random.standard_normal()
-    gain = float(cell.gain * (1.0 + (drawn if cell.gain_error is None else cell.gain_error)))
-    sensed = force + cell.noise * random.standard_normal(len(force))
-    step = 2.0 * cell.full_scale / 2**cell.bits
-    lowest, highest = -(2 ** (cell.bits - 1)), 2 ** (cell.bits - 1) - 1
-    counts: Floats = np.clip(np.rint((sensed / gain + cell.offset) / step), lowest, highest)
-    return counts * step, gain
+    force_unit: str = "kN"
+    part_at: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,11 +236,15 @@ class FrameRecord:
     time : s, since the load frame started
     displacement : m, with tare, noise and resolution
     force : N, with tare, gain error, noise and resolution
+    layout : of the export
+    test_type : in the export's note that the test is synthetic
     """
 
     time: Floats
     displacement: Floats
     force: Floats
+    layout: ExportLayout = ExportLayout()
+    test_type: str = "tensile test"
 
     def recording(self) -> Recording:
         """Return the record as read from its export, in SI."""
@@ -255,116 +266,11 @@ def round_to_single(values: Floats) -> Floats:
     return values.astype(np.float32).astype(np.float64) + 0.0
 
 
-def record_crosshead(
-    path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
-) -> FrameRecord:
-    """Simulate the load frame of a three-point test, with a coarse force.
-
-    Parameters
-    ----------
-    path, scenario, schedule : as for `record_conduit_force`
-    random : source of the noise
-
-    Returns
-    -------
-    The record; its first sample is half a sampling interval after the start.
-    """
-    step = 1.0 / scenario.clocks.frame_rate
-    time: Floats = np.arange(0.5 * step, schedule.end, step)
-    progress = schedule.progress_at(time)
-    frame, noise = scenario.frame, random.standard_normal((2, len(time)))
-    force = scenario.factor * path.force(progress)
-    return FrameRecord(
-        time=time,
-        displacement=path.displacement(progress) + frame.displacement_noise * noise[0],
-        force=force + frame.force_tare + frame.force_noise * noise[1],
-    )
-
-
-def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
-    """Simulate the load frame of a tensile test.
-
-    Parameters
-    ----------
-    path : the test
-    random : source of the noise
-
-    Returns
-    -------
-    The record.
-
-    Raises
-    ------
-    ValueError
-        If the test has fewer than three samples.
-    """
-    instruments = path.scenario.instruments
-    time = plan_samples(instruments, path.end)
-    force = (1.0 + instruments.gain_error) * path.force(time) + instruments.tare
-    force += instruments.white_noise * random.standard_normal(len(time))
-    force += draw_slow_noise(instruments, time, random)
-    displacement = path.displacement(time) + instruments.displacement_tare
-    displacement += instruments.displacement_noise * random.standard_normal(len(time))
-    return FrameRecord(
-        time=time,
-        displacement=_quantise(displacement, instruments.displacement_step),
-        force=_quantise(force, instruments.force_step),
-    )
-
-
-def plan_samples(instruments: FrameInstruments, end: float) -> Floats:
-    """Return the sample times, s: an even grid, and a last sample off the grid, not after `end`."""
-    step = 1.0 / instruments.rate
-    last = instruments.last_step * step
-    count = int(np.floor((end - last - instruments.first_sample) / step)) + 1
-    if count < 2:
-        message = format_sentence(
-            "virtual_lab.few_samples", rate=instruments.rate, count=count + 1, end=end
-        )
-        raise ValueError(message)
-    grid = instruments.first_sample + step * np.arange(count)
-    return np.append(grid, grid[-1] + last)
-
-
-def draw_slow_noise(
-    instruments: FrameInstruments, time: Floats, random: np.random.Generator
-) -> Floats:
-    """Draw correlated noise at given times, N.
-
-    Parameters
-    ----------
-    instruments : rms and correlation time
-    time : shape (n,), s, increasing, not necessarily even
-    random : source of the noise
-
-    Returns
-    -------
-    shape (n,): stationary first-order autoregressive noise with the correlation
-    exp(-lag / correlation time).
-    """
-    correlation = np.exp(-np.diff(time, prepend=-np.inf) / instruments.correlation_time)
-    shocks = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
-    noise = np.empty(len(time))
-    level = 0.0
-    for sample, (share, shock) in enumerate(zip(correlation, shocks, strict=True)):
-        level = share * level + shock
-        noise[sample] = level
-    return instruments.slow_noise * noise
-
-
-def _quantise(values: Floats, step: float) -> Floats:
-    if step == 0.0:
-        return values
-    rounded: Floats = step * np.rint(values / step)
-    return rounded
-
-
 BODY = "Clamp"
 BODY_MARKERS = np.array(
     [[0.021, 0.014, 0.009], [-0.024, 0.011, -0.008], [0.004, -0.019, 0.017], [0.003, 0.022, -0.019]]
 )
 """The clamp's markers relative to its pivot, m, shape (4, 3)."""
-UNLABELLED = "Unlabeled 1234"
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,8 +305,8 @@ class Take:
         without a body
     quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
     labels : of the markers along the specimen, in order
-    arc_lengths : shape (markers along the specimen,), m
     log : mishaps, in the order in which they are applied
+    unit : of length in the export: m, cm or mm
     """
 
     time: Floats
@@ -411,11 +317,12 @@ class Take:
     fitted: Floats
     quality: Floats
     labels: tuple[str, ...]
-    arc_lengths: Floats
     log: tuple[MishapEvent, ...]
+    unit: str
 
     def recording(self) -> Recording:
         """Return the take as read from an export in metres with six decimals."""
+        parts = ("position", "rotation", "error")
         tracks = MarkerTracks(
             time=self.time,
             frames=np.arange(len(self.time), dtype=np.float64),
@@ -423,229 +330,97 @@ class Take:
             names=self.names,
             positions=self.positions.round(6),
             bodies=tuple(
-                replace(
-                    body,
-                    position=body.position.round(6),
-                    rotation=body.rotation.round(6),
-                    error=body.error.round(6),
-                )
+                replace(body, **{part: getattr(body, part).round(6) for part in parts})
                 for body in self.bodies
             ),
         )
         return Recording(reader="motive-csv", markers=tracks)
 
 
-def film_cantilever(
-    path: MechanicalPath,
-    scenario: CantileverScenario,
+def film(
+    group: str,
+    positions: Floats,
     schedule: Schedule,
     random: np.random.Generator,
+    *,
+    pose: Pose,
+    fps: float,
+    unit: str,
+    noise: float,
+    scrambled: bool,
+    clamp: tuple[Floats, float, float] | None = None,
+    mishaps: Mishaps = NO_MISHAPS,
 ) -> Take:
-    """Simulate the cameras in a cantilever test.
+    """Simulate a take.
 
     Parameters
     ----------
-    path : the solved test
-    scenario : marker layout, pose and mishaps
+    group : name of the markers along the specimen
+    positions : shape (frames, markers, 3), m, of their centres in the specimen frame
     schedule : of the motion and the recordings
-    random : source of noise and mishaps
-
-    Returns
-    -------
-    The take.
+    random : source of noise, labels and mishaps
+    pose : of the rig
+    fps : frames per second
+    unit : of length in the export: m, cm or mm
+    noise : m, rms per axis, of a marker
+    scrambled : whether the numbers of the labels are in random order along the specimen
+    clamp : its pivot in the specimen frame, shape (frames, 3), m, and the noise, rms per axis, of
+        pivot, m, and orientation, rad; None for no clamp
+    mishaps : of the markers
     """
-    layout, pose = scenario.markers, scenario.pose
-    progress = schedule.progress_at(schedule.frame_times)
-    drop = np.zeros((len(progress), 3))
-    drop[:, 1] = -path.travel(progress)
-    pivot = _transform_to_lab(drop + np.asarray(layout.pivot), pose)
-    body, fitted = _film_body(pivot, layout, random)
-    arc_lengths = np.array(layout.arc_lengths(scenario.mechanics.length))
-    wire = place_wire_markers(path, progress, arc_lengths, layout.centre_offset) + drop[:, None, :]
-    observed = np.concatenate(
-        [pivot[:, None, :] + BODY_MARKERS, _transform_to_lab(wire, pose)], axis=1
-    )
-    observed += layout.noise * random.standard_normal(observed.shape)
-    labels = _draw_labels("Wire", layout.n_markers, layout.scrambled, random)
-    names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS))) + labels
-    names, observed, log = apply_mishaps(
-        names, observed, scenario.mishaps, schedule, n_body=len(BODY_MARKERS), random=random
-    )
-    names, observed = _sort_columns(names, observed)
+    frames, n_markers = positions.shape[:2]
+    observed, names = pose.to_lab(positions), tuple[str, ...]()
+    bodies, fitted = tuple[RigidBody, ...](), np.zeros((frames, 0, 3))
+    if clamp is not None:
+        pivot = pose.to_lab(clamp[0])
+        body, fitted = _film_body(pivot, *clamp[1:], noise, random)
+        bodies = (body,)
+        names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
+        observed = np.concatenate([pivot[:, None, :] + BODY_MARKERS, observed], axis=1)
+    observed += noise * random.standard_normal(observed.shape)
+    numbers = random.permutation(n_markers) if scrambled else np.arange(n_markers)
+    labels = tuple(f"{group}:Marker{number + 1}" for number in numbers)
+    log = _draw_mishaps(mishaps, schedule, n_markers, random)
+    names, observed = _apply_mishaps((*names, *labels), observed, log, n_markers)
+    order = sorted(range(len(names)), key=lambda column: _rank_column(names[column]))
+    quality = 1.0 - np.abs(0.01 * random.standard_normal(fitted.shape[:2]))
     return Take(
         time=schedule.frame_clock,
-        rate=scenario.clocks.fps,
-        names=names,
-        positions=observed,
-        bodies=(body,),
+        rate=fps,
+        names=tuple(names[column] for column in order),
+        positions=observed[:, order],
+        bodies=bodies,
         fitted=fitted,
-        quality=np.clip(1.0 - np.abs(0.01 * random.standard_normal(fitted.shape[:2])), 0.0, 1.0),
+        quality=np.clip(quality, 0.0, 1.0),
         labels=labels,
-        arc_lengths=arc_lengths,
         log=log,
+        unit=unit,
     )
-
-
-def film_conduit(
-    path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
-) -> Take:
-    """Simulate the cameras in a three-point test.
-
-    Parameters
-    ----------
-    path : the solved test
-    scenario : markers, pose and clocks
-    schedule : of the motion and the recordings
-    random : source of the noise and of the order of the labels
-
-    Returns
-    -------
-    The take, without a body; its labels are in the order of `list_marker_places`.
-    """
-    markers = scenario.markers
-    progress = schedule.progress_at(schedule.frame_times)
-    observed = _transform_to_lab(place_cylinder_markers(path, markers, progress), scenario.pose)
-    observed += markers.noise * random.standard_normal(observed.shape)
-    labels = _draw_labels("Bundle", observed.shape[1], markers.scrambled, random)
-    names, observed = _sort_columns(labels, observed)
-    return Take(
-        time=schedule.frame_clock,
-        rate=scenario.clocks.fps,
-        names=names,
-        positions=observed,
-        bodies=(),
-        fitted=np.zeros((len(progress), 0, 3)),
-        quality=np.zeros((len(progress), 0)),
-        labels=labels,
-        arc_lengths=list_marker_places(markers)[0],
-        log=(),
-    )
-
-
-def _transform_to_lab(positions: Floats, pose: Pose) -> Floats:
-    """Transform positions from the specimen frame to the motion-capture frame, m."""
-    turned: Floats = positions @ pose.rotation().T + np.asarray(pose.origin)
-    return turned
-
-
-def _draw_labels(
-    group: str, number: int, scrambled: bool, random: np.random.Generator
-) -> tuple[str, ...]:
-    numbers = np.arange(number)
-    if scrambled:
-        numbers = random.permutation(numbers)
-    return tuple(f"{group}:Marker{number + 1}" for number in numbers)
-
-
-def _sort_columns(names: tuple[str, ...], observed: Floats) -> tuple[tuple[str, ...], Floats]:
-    """Sort columns as Motive does: bodies first, then numbers, unlabelled markers last."""
-
-    def rank(column: int) -> tuple[int, int]:
-        group, _, number = names[column].partition(":Marker")
-        return (2, 0) if not number else (int(group != BODY), int(number))
-
-    order = sorted(range(len(names)), key=rank)
-    return tuple(names[column] for column in order), observed[:, order]
-
-
-def place_wire_markers(
-    path: MechanicalPath, progress: Floats, arc_lengths: Floats, centre_offset: float
-) -> Floats:
-    """Compute marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
-    x, y, angle = path.points(progress, arc_lengths)
-    centres = [x - centre_offset * np.sin(angle), y + centre_offset * np.cos(angle)]
-    return np.stack([*centres, np.zeros_like(x)], axis=2)
 
 
 def _film_body(
-    pivot: Floats, layout: MarkerLayout, random: np.random.Generator
+    pivot: Floats, pivot_noise: float, turn_noise: float, noise: float, random: np.random.Generator
 ) -> tuple[RigidBody, Floats]:
     """Return the noisy pose of the clamp and its markers in that pose."""
     frames = len(pivot)
-    position = pivot + layout.pivot_noise * random.standard_normal((frames, 3))
-    turns = layout.turn_noise * random.standard_normal((frames, 3))
+    position = pivot + pivot_noise * random.standard_normal((frames, 3))
+    turns = turn_noise * random.standard_normal((frames, 3))
     quaternion = np.column_stack([0.5 * turns, np.ones(frames)])  # small turns about x, y, z
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     turned = np.cross(turns[:, None, :], BODY_MARKERS[None])
-    error = layout.noise * (1.5 + 0.2 * random.standard_normal(frames))
+    error = noise * (1.5 + 0.2 * random.standard_normal(frames))
     body = RigidBody(BODY, position, quaternion, np.abs(error))
     return body, position[:, None, :] + BODY_MARKERS + turned
 
 
-def list_marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
-    """Return arc length from mid-span, m, and angle at rest, rad, of the markers of all lines."""
-    half = markers.n_sections // 2
-    sections = markers.spacing * np.arange(-half, half + 1)
-    angles = np.repeat(markers.angles, len(sections))
-    return np.tile(sections, len(markers.angles)), angles
+def _rank_column(name: str) -> tuple[int, int]:
+    """Rank a column as Motive does: bodies first, then by number, unlabelled markers last."""
+    group, _, number = name.partition(":Marker")
+    return (int(group != BODY), int(number)) if number else (2, 0)
 
 
-def compute_twist(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
-    """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-    travel, _, _ = path.middle(progress)
-    turned: Floats = markers.twist * travel / path.test.stroke
-    return turned
-
-
-def place_cylinder_markers(
-    path: ThreePointPath, markers: CylinderMarkers, progress: Floats
-) -> Floats:
-    """Compute marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
-    sections, angles = list_marker_places(markers)
-    x, y, turn = path.points(progress, sections)
-    rolled_angles = angles - compute_twist(path, markers, progress)[:, None]
-    up = markers.centre_offset * np.sin(rolled_angles)
-    out = markers.centre_offset * np.cos(rolled_angles)
-    centres: Floats = np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2)
-    return centres
-
-
-def apply_mishaps(
-    names: tuple[str, ...],
-    positions: Floats,
-    mishaps: Mishaps,
-    schedule: Schedule,
-    *,
-    n_body: int,
-    random: np.random.Generator,
-) -> tuple[tuple[str, ...], Floats, tuple[MishapEvent, ...]]:
-    """Apply mishaps to the markers along the wire.
-
-    Parameters
-    ----------
-    names : of the markers of the body, then of those of the wire from the clamp on
-    positions : shape (frames, markers, 3), m
-    mishaps : to apply
-    schedule : gaps occur while the clamp moves
-    n_body : number of markers of the body
-    random : source of the gaps
-
-    Returns
-    -------
-    Names and positions with the mishaps, and the list of mishaps. A gap belongs to a marker, not to
-    a label: during a switch it appears under the other label.
-    """
-    frames, n_wire = len(positions), positions.shape[1] - n_body
-    log = _draw_events(mishaps, schedule, n_wire, random)
-    observed = positions.copy()
-    extra = np.full((frames, 1, 3), np.nan)
-    for event in log:
-        during, columns = slice(event.start, event.stop), [m + n_body for m in event.markers]
-        match event.kind:
-            case "gap":
-                observed[during, columns] = np.nan
-            case "unlabelled":
-                extra[during, 0] = observed[during, columns[0]]
-                observed[during, columns] = np.nan
-            case _:
-                observed[during, columns] = observed[during, columns[::-1]]
-    if any(event.kind == "unlabelled" for event in log):
-        return (*names, UNLABELLED), np.concatenate([observed, extra], axis=1), log
-    return names, observed, log
-
-
-def _draw_events(
-    mishaps: Mishaps, schedule: Schedule, n_wire: int, random: np.random.Generator
+def _draw_mishaps(
+    mishaps: Mishaps, schedule: Schedule, n_markers: int, random: np.random.Generator
 ) -> tuple[MishapEvent, ...]:
     """Draw frames and markers of all mishaps: gaps first, swapped labels last."""
     time = schedule.frame_times
@@ -656,11 +431,55 @@ def _draw_events(
     log: list[MishapEvent] = []
     for length in lengths:
         start = int(random.integers(first, max(first + 1, last - length)))
-        log.append(MishapEvent("gap", (int(random.integers(n_wire)),), start, start + int(length)))
+        marker = int(random.integers(n_markers))
+        log.append(MishapEvent("gap", (marker,), start, start + int(length)))
     stretches = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
-    for kind, stretch, n_markers in stretches:
+    for kind, stretch, n_affected in stretches:
         if stretch is not None:
-            markers = tuple(range(stretch.marker, stretch.marker + n_markers))
+            markers = tuple(range(stretch.marker, stretch.marker + n_affected))
             start, stop = (int(share * len(time)) for share in (stretch.start, stretch.stop))
             log.append(MishapEvent(kind, markers, start, stop))
     return tuple(log)
+
+
+def _apply_mishaps(
+    names: tuple[str, ...], positions: Floats, log: tuple[MishapEvent, ...], n_markers: int
+) -> tuple[tuple[str, ...], Floats]:
+    """Apply mishaps to the markers along the specimen, which are the last `n_markers`.
+
+    A gap belongs to a marker, not to a label: during a switch it appears under the other label.
+    """
+    first = len(names) - n_markers
+    extra = np.full((len(positions), 1, 3), np.nan)
+    for event in log:
+        during, columns = slice(event.start, event.stop), [first + n for n in event.markers]
+        if event.kind == "switch":
+            positions[during, columns] = positions[during, columns[::-1]]
+            continue
+        if event.kind == "unlabelled":
+            extra[during] = positions[during, columns]
+        positions[during, columns] = np.nan
+    if any(event.kind == "unlabelled" for event in log):
+        return (*names, "Unlabeled 1234"), np.concatenate([positions, extra], axis=1)
+    return names, positions
+
+
+def list_markers(labels: tuple[str, ...], arc_lengths: Floats) -> list[dict[str, object]]:
+    """Return the markers along a specimen for ``truth.json``; arc lengths in m."""
+    places = arc_lengths.round(12).tolist()
+    return [{"label": label, "arc_length": s} for label, s in zip(labels, places, strict=True)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TensionRecord:
+    """Samples of a testing machine with an extensometer, all of shape (n,).
+
+    Parameters
+    ----------
+    time, force, travel, extension : s, N, m, m; NaN after the extensometer is taken off
+    """
+
+    time: Floats
+    force: Floats
+    travel: Floats
+    extension: Floats

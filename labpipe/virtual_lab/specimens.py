@@ -30,9 +30,12 @@ slip moments and slip curvatures are multiplied by `locking`.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +62,13 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+
+
+@cache
+def read_catalog() -> dict[str, Any]:
+    """Read the tables of the lab's specimens and tensile tests, ``catalog.toml``."""
+    text = (files("labpipe.virtual_lab") / "catalog.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
 
 
 def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
@@ -126,17 +136,6 @@ class WireModel:
         numbers = asdict(self)
         del numbers["mass_per_length"]
         return make_stick_slip_law(**numbers)
-
-    def scaled(self, factor: float) -> WireModel:
-        """Return the wire with all moments at a given curvature multiplied by `factor`."""
-        return replace(
-            self,
-            stick_stiffness=self.stick_stiffness * factor,
-            stick_moment=self.stick_moment * factor,
-            slip_stiffness=self.slip_stiffness * factor,
-            reference_moment=self.reference_moment * factor,
-            last_moment=self.last_moment * factor,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,10 +223,6 @@ class StrandedWire:
             return law
         return harden(law, self.section(), self.isotropic_share, factor=self.factor)
 
-    def scaled(self, factor: float) -> StrandedWire:
-        """Return the wire with all moments at a given curvature multiplied by `factor`."""
-        return replace(self, factor=self.factor * factor)
-
     @property
     def mass_per_length(self) -> float:
         """Return the mass per length, kg/m, of the copper of the laid strands, and of the PVC."""
@@ -244,36 +239,16 @@ class StrandedWire:
         }
 
 
-_ONE_RING = (float(np.radians(12.0)),)
-_TWO_RINGS = (*_ONE_RING, float(np.radians(-15.0)))
+def _read_wire(
+    name: str, lay_angles_deg: list[float], copper_area: float | None = None, **sizes: Any
+) -> StrandedWire:
+    """Return a wire of the catalog; `copper_area` in m^2 instead of the strand's diameter."""
+    if copper_area is not None:
+        sizes["strand"] = compute_strand_diameter(copper_area, sizes["n_strands"])
+    return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **sizes)
 
 
-WIRES = {
-    wire.name: wire
-    for wire in (
-        StrandedWire("A1", 7, 0.26e-3, _ONE_RING, 1.4e-3, 0.3e-3),
-        StrandedWire("A2", 7, 0.32e-3, _ONE_RING, 1.6e-3, 0.3e-3),
-        StrandedWire("A3", 19, 0.24e-3, _TWO_RINGS, 1.8e-3, 0.3e-3),
-        StrandedWire(
-            "B1",
-            7,
-            compute_strand_diameter(0.35e-6, 7),
-            _ONE_RING,
-            1.1e-3,
-            0.2e-3,
-            is_compressed=True,
-        ),
-        StrandedWire(
-            "B2",
-            7,
-            compute_strand_diameter(0.49e-6, 7),
-            _ONE_RING,
-            1.25e-3,
-            0.2e-3,
-            is_compressed=True,
-        ),
-    )
-}
+WIRES = {name: _read_wire(name, **sizes) for name, sizes in read_catalog()["wires"].items()}
 """Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into insulation of
 0.3 mm as stated there; here its thickness is 0.2 mm."""
 
@@ -343,9 +318,9 @@ class BundleModel:
         ValueError
             If the wires do not make a bundle.
         """
-        plain = _build_law(replace(self, factor=1.0))
-        grown = self.held(max_curvature) * (1.0 if cycle == 1 else self.locking)
-        return scale_law(plain, self.factor, grown)
+        locking = 1.0 if cycle == 1 else self.locking
+        law = _build_law(replace(self, factor=1.0))
+        return scale_law(law, self.factor, self.held(max_curvature) * locking)
 
     def held(self, max_curvature: float) -> float:
         """Return the remaining share of all slip moments at a largest curvature, 1/m."""
@@ -360,10 +335,6 @@ class BundleModel:
         """Return the mass per length of the wires, kg/m, without tape and conduit."""
         return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
 
-    def scaled(self, factor: float) -> BundleModel:
-        """Return the bundle with all moments at a given curvature multiplied by `factor`."""
-        return replace(self, factor=self.factor * factor)
-
     @property
     def stiffnesses(self) -> Mapping[str, float]:
         """Return the contributions to the bending stiffness at first loading, N m^2.
@@ -371,18 +342,31 @@ class BundleModel:
         ``wires``, each about its own axis; ``friction``; ``glue``; ``conduit``; ``initial``, the
         sum of these; ``rigid``, of a section that stays plane.
         """
-        wires = sum(number * _get_wire(name).law().stiffness for name, number in self.wires)
-        rigid, outer = (
-            float(np.sum(stiffness)) for stiffness in _compute_axial_terms(lay_wires(self))
-        )
+        wires = sum(number * law.stiffness for number, law in _list_laws(self))
+        layout = lay_wires(self)
+        rigid, outer = float(np.sum(layout.rigid)), float(np.sum(layout.rigid * layout.is_outer))
         parts = {
             "wires": float(wires),
             "friction": self.friction_share * rigid,
             "glue": self.glue_share * outer,
             "conduit": self.conduit_stiffness,
         }
-        parts_sum = {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
-        return {name: self.factor * value for name, value in (parts | parts_sum).items()}
+        parts |= {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
+        return {name: self.factor * stiffness for name, stiffness in parts.items()}
+
+    def describe(self) -> dict[str, object]:
+        """Return the block ``bundle`` of a test sheet; positions for several types of wires."""
+        sizes = {name: {"number": n, "diameter": WIRES[name].diameter} for name, n in self.wires}
+        block = {"wires": sizes, "number": self.number, "arrangement": self.arrangement}
+        if len(self.wires) > 1:
+            layout = lay_wires(self)
+            places = zip(layout.x, layout.y, strict=True)
+            block["positions"] = [[f"{1e3 * x:.4f} mm", f"{1e3 * y:.4f} mm"] for x, y in places]
+        covers = {"tape": self.tape, "taping": self.taping, "conduit": self.conduit}
+        block |= {key: value for key, value in covers.items() if value != NONE}
+        if self.conduit_bore is not None:
+            block["conduit_bore"] = self.conduit_bore
+        return block
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -403,6 +387,11 @@ class WirePlaces:
     axial: Floats
     is_outer: Flags
 
+    @property
+    def rigid(self) -> Floats:
+        """Return EA y^2 of each wire, N m^2."""
+        return self.axial * self.y**2
+
 
 def lay_wires(bundle: BundleModel) -> WirePlaces:
     """Lay the wires in shells of the densest lattice, around a wire or around a gap.
@@ -416,16 +405,15 @@ def lay_wires(bundle: BundleModel) -> WirePlaces:
     ValueError
         If the wires do not fill shells.
     """
-    pitch = max(WIRES[name].diameter for name, _ in bundle.wires)
+    kinds = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
+    diameter = np.array([wire.diameter for wire in kinds])
+    copper = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in kinds])
+    axial = ANNEALED_COPPER.modulus * copper
     places, is_outer = _fill_shells(bundle.number)
     order = _order_by_kind(places, bundle)
-    x, y = pitch * places[order].T
-    kinds = [name for name, number in bundle.wires for _ in range(number)]
-    diameter = np.array([WIRES[name].diameter for name in kinds])
-    copper = [WIRES[name].n_strands * 0.25 * np.pi * WIRES[name].strand ** 2 for name in kinds]
-    axial = ANNEALED_COPPER.modulus * np.array(copper)
-    neutral = [float(axial @ coordinate / np.sum(axial)) for coordinate in (x, y)]
-    return WirePlaces(x - neutral[0], y - neutral[1], diameter, axial, is_outer[order])
+    x, y = np.max(diameter) * places[order].T
+    neutral_x, neutral_y = (float(axial @ along / np.sum(axial)) for along in (x, y))
+    return WirePlaces(x - neutral_x, y - neutral_y, diameter, axial, is_outer[order])
 
 
 def _fill_shells(number: int) -> tuple[Floats, Flags]:
@@ -439,14 +427,9 @@ def _fill_shells(number: int) -> tuple[Floats, Flags]:
         first, last = distance[order[number - 1 : number + 1]]
         if last - first > _SHELL_TOLERANCE:
             inside = places[order[:number]]
-            return inside, _count_neighbours(inside) < 6
+            distances = np.hypot(*(inside[:, None, :] - inside).transpose(2, 0, 1))
+            return inside, np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1) < 6
     raise ValueError(format_sentence("virtual_lab.open_shell", number=number))
-
-
-def _count_neighbours(places: Floats) -> Ints:
-    gaps = np.hypot(*(places[:, None, :] - places[None]).transpose(2, 0, 1))
-    touching: Ints = np.sum(np.abs(gaps - 1.0) < _SHELL_TOLERANCE, axis=1)
-    return touching
 
 
 def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
@@ -461,50 +444,36 @@ def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
-def _get_wire(name: str) -> StrandedWire:
-    return replace(WIRES[name], n_plays=24)
-
-
-def _compute_axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
-    """Return EA y^2 of each wire, and of the wires that touch the tape, N m^2."""
-    rigid = layout.axial * layout.y**2
-    return rigid, rigid * layout.is_outer
+def _list_laws(bundle: BundleModel) -> list[tuple[int, PlayLaw]]:
+    """Return the number of wires and the law of first loading of each type."""
+    return [(n, replace(WIRES[name], n_plays=24).first_loading()) for name, n in bundle.wires]
 
 
 @lru_cache(maxsize=64)
 def _build_law(bundle: BundleModel) -> PlayLaw:
     """Return the law of the first cycle, a polygon with the corners of all wires and sliders."""
     limits, stiffnesses = _build_sliders(bundle)
-    wires = [(number, _get_wire(name).first_loading()) for name, number in bundle.wires]
-    last = min(_get_wire(name).largest_curvature for name, _ in bundle.wires)
-    knots = _merge_corners([*(find_corners(law)[1] for _, law in wires), limits], last)
-    moment = bundle.conduit_stiffness * knots
-    for number, law in wires:
-        moment += number * _compute_moment(law, knots)
-    moment += np.minimum(knots[:, None], limits) @ stiffnesses
-    return make_polygon_law(knots, moment)
+    laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
+    last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
+    knots = _merge_corners([*(curvature for _, _, curvature, _ in laws), limits], last)
+    total = bundle.conduit_stiffness * knots
+    for number, moment, curvature, slopes in laws:
+        beyond = np.maximum(knots - curvature[-1], 0.0) / slopes[-1]
+        total += number * (np.interp(knots, curvature, moment) + beyond)
+    total += np.minimum(knots[:, None], limits) @ stiffnesses
+    return make_polygon_law(knots, total)
 
 
 def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
     """Return the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
     layout = lay_wires(bundle)
-    rigid, outer = _compute_axial_terms(layout)
     off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[off_axis])
-    mean = float(np.sqrt(np.mean(distance**2)))
-    limits = bundle.slip_curvature * mean / distance
-    stiffnesses = bundle.friction_share * rigid[off_axis]
+    limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
     glue = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
-    glue_stiffness = bundle.glue_share * float(np.sum(outer))
+    glue_stiffness = bundle.glue_share * float(np.sum(layout.rigid * layout.is_outer))
+    stiffnesses = bundle.friction_share * layout.rigid[off_axis]
     return np.append(limits, glue), np.append(stiffnesses, glue_stiffness)
-
-
-def _compute_moment(law: PlayLaw, curvature: Floats) -> Floats:
-    """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
-    moment, curvatures, slopes = find_corners(law)
-    beyond = np.maximum(curvature - curvatures[-1], 0.0) / slopes[-1]
-    moments: Floats = np.interp(curvature, curvatures, moment) + beyond
-    return moments
 
 
 def _merge_corners(corners: list[Floats], last: float) -> Floats:
@@ -516,21 +485,20 @@ def _merge_corners(corners: list[Floats], last: float) -> Floats:
     return distinct
 
 
-_PVC = BundleModel()
-_PET = replace(_PVC, glue_strain=None, tape="PET")
+def _read_bundles(kind: str) -> dict[str, BundleModel]:
+    """Return bundles of the catalog; the values of a group hold for all of its bundles."""
+    bundles = {}
+    for group in read_catalog()[kind]:
+        for name, values in group["types"].items():
+            bundle = BundleModel(**(group["all"] | values))
+            wires = tuple((wire, number) for wire, number in values["wires"])
+            glue_strain = None if bundle.tape == "PET" else bundle.glue_strain
+            bundles[name] = replace(bundle, wires=wires, glue_strain=glue_strain)
+    return bundles
 
 
-TAPED_TYPES = {
-    "TWB-B1-7-PVC": replace(_PVC, wires=(("B1", 7),)),
-    "TWB-B1-12-PVC": replace(_PVC, wires=(("B1", 12),)),
-    "TWB-B1-19-PVC": replace(_PVC, wires=(("B1", 19),)),
-    "TWB-B2-7-PVC": replace(_PVC, wires=(("B2", 7),)),
-    "TWB-B2-12-PVC": replace(_PVC, wires=(("B2", 12),)),
-    "TWB-B2-19-PVC": replace(_PVC, wires=(("B2", 19),)),
-    "TWB-MX-sym-PVC": replace(_PVC, wires=(("B1", 9), ("B2", 10)), arrangement="symmetric"),
-    "TWB-MX-asym-PVC": replace(_PVC, wires=(("B1", 10), ("B2", 9)), arrangement="asymmetric"),
-    "TWB-B1-19-PET": replace(_PET, wires=(("B1", 19),)),
-    "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
-    "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
-}
+TAPED_TYPES = _read_bundles("taped")
 """Taped bundles of the dissertation's Table 4.1, by type; PET tape never slides."""
+CONDUIT_TYPES = _read_bundles("conduits")
+"""Bundles in conduits of the dissertation's Table 4.2, by type. Wires in a tube are taped only at
+their ends, so that friction and glue hold them less; tape on the conduit has almost no effect."""

@@ -1,4 +1,4 @@
-"""Virtual tensile tests: settings, samples of the dissertation, and force over time.
+"""Virtual tensile tests: settings, samples, force over time, record, and true values.
 
 Everything is SI. Displacement is that of the crosshead from its position before the test; force is
 the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at which
@@ -8,15 +8,29 @@ Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3
 of the dissertation. Forces that it does not state are plausible values.
 
 The path is continuous and without noise. The crosshead starts at time zero.
+
+A tension test of a metal has an extensometer. Its first loading follows Ramberg and Osgood:
+strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. From the
+uniform strain on the specimen necks: its force falls as the square of the further strain, until it
+breaks.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from itertools import accumulate
+from typing import Any, ClassVar
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.cantilever_scenarios import Truth
+from labpipe.virtual_lab.instruments import ExportLayout, FrameRecord, Setting, TensionRecord
+from labpipe.virtual_lab.specimens import read_catalog
+
+_TABLE_POINTS = 200_001
+"""Points of the table for specimen and machine in series, whose error is below 1e-7 N."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +63,65 @@ class BilinearLaw:
         """Return the law with all forces multiplied by `factor`."""
         first, second = self.stiffness_first * factor, self.stiffness_second * factor
         return replace(self, stiffness_first=first, stiffness_second=second)
+
+    def force(self, distance: Floats) -> Floats:
+        """Compute the force of the specimen alone at first loading.
+
+        Parameters
+        ----------
+        distance : shape (n,), m, relative displacement of its ends
+
+        Returns
+        -------
+        shape (n,), N.
+
+        Notes
+        -----
+        F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where r is
+        `compute_ramp`. Outside toe and knee these are exactly the two straight lines.
+        """
+        taut = distance - self.foot
+        bend = self.stiffness_second - self.stiffness_first
+        first: Floats = self.stiffness_first * compute_ramp(taut, self.toe)
+        return first + bend * compute_ramp(taut - self.break_point, self.knee)
+
+    def force_in_series(self, displacement: Floats, compliance: float) -> Floats:
+        """Compute the force of specimen and machine in series at first loading, N, without slips.
+
+        Parameters
+        ----------
+        displacement : shape (n,), m, of the crosshead, not negative
+        compliance : m/N, of the machine
+
+        Notes
+        -----
+        The crosshead is at d = distance + compliance F(distance), which is tabulated and
+        interpolated.
+        """
+        if compliance == 0.0:
+            return self.force(displacement)
+        distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
+        force = self.force(distance)
+        return np.interp(displacement, distance + compliance * force, force)
+
+
+def compute_ramp(distance: Floats, width: float) -> Floats:
+    """Compute a ramp: zero, then slope 1, with a corner rounded over `width`.
+
+    Parameters
+    ----------
+    distance : shape (n,), m, from the corner
+    width : m, over which the slope grows linearly, half of it on either side
+
+    Returns
+    -------
+    shape (n,), m: the integral of the slope.
+    """
+    ramp = np.maximum(distance, 0.0)
+    if width == 0.0:
+        return ramp
+    within = (distance + 0.5 * width) ** 2 / (2.0 * width)
+    return np.where(np.abs(distance) < 0.5 * width, within, ramp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,20 +213,46 @@ class FrameInstruments:
     gain_error: float = 0.0
     gain_uncertainty: float = 0.005
 
+    def plan(self, end: float) -> Floats:
+        """Return the sample times, s: an even grid, and a last one off the grid, not after `end`.
 
-@dataclass(frozen=True, slots=True)
-class ExportLayout:
-    """Layout of the export of a test.
+        Raises
+        ------
+        ValueError
+            If there are fewer than three.
+        """
+        step = 1.0 / self.rate
+        last = self.last_step * step
+        count = int(np.floor((end - last - self.first_sample) / step)) + 1
+        if count < 2:
+            message = format_sentence(
+                "virtual_lab.few_samples", rate=self.rate, count=count + 1, end=end
+            )
+            raise ValueError(message)
+        grid = self.first_sample + step * np.arange(count)
+        return np.append(grid, grid[-1] + last)
 
-    Parameters
-    ----------
-    force_unit : ``N`` or ``kN`` for MTS TestSuite, ``lbf`` for TestResources R-Controller
-    part_at : s, at which TestSuite begins another acquisition step. It then writes three files: one
-        for each step, not numbered in the order of time, and one without samples. None for one file
-    """
+    def draw_slow_noise(self, time: Floats, random: np.random.Generator) -> Floats:
+        """Draw correlated noise at given times, N.
 
-    force_unit: str = "kN"
-    part_at: float | None = None
+        Parameters
+        ----------
+        time : shape (n,), s, increasing, not necessarily even
+        random : source of the noise
+
+        Returns
+        -------
+        shape (n,): stationary first-order autoregressive noise with the correlation
+        exp(-lag / correlation time).
+        """
+        correlation = np.exp(-np.diff(time, prepend=-np.inf) / self.correlation_time)
+        shocks = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
+        levels = accumulate(
+            zip(correlation, shocks, strict=True),
+            lambda level, step: step[0] * level + step[1],
+            initial=0.0,
+        )
+        return self.slow_noise * np.array(list(levels)[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +287,7 @@ class TensileScenario:
     instruments: FrameInstruments
     slips: tuple[GripSlip, ...] = ()
     failure: Failure | None = None
-    export: ExportLayout = ExportLayout()
+    export: ExportLayout = field(default_factory=ExportLayout)
     section: tuple[tuple[str, float], ...] = ()
     date: str = "2026-03-09"
     labels: tuple[tuple[str, str], ...] = ()
@@ -199,40 +298,162 @@ class TensileScenario:
         """Return the displacement at which the specimen fails or the crosshead stops, m."""
         return self.frame.stroke if self.failure is None else self.failure.displacement
 
+    @property
+    def last_time(self) -> float:
+        """Return the time at which the failure begins or full stroke is reached, s."""
+        return self.last_displacement / self.frame.speed
 
-TABLE_2_3 = {
-    "1a": (58.33, 31.78),
-    "1b": (57.71, 33.98),
-    "1c": (56.28, 32.98),
-    "2a": (47.09, 27.38),
-    "2b": (48.19, 28.81),
-    "2c": (46.08, 30.50),
-}
-"""First and second stiffness of the twist tubes, relative to their peak force, 1/m, by sample."""
-FRAME_COMPLIANCE = 2e-7
-"""Compliance of the MTS frame with load cell and grips, m/N."""
+    @property
+    def end(self) -> float:
+        """Return the time at which the machine stops recording, s."""
+        back = self.frame.stroke / self.frame.speed if self.frame.unloads else 0.0
+        return self.last_time + self.frame.overrun + back
+
+    def displacement(self, time: Floats) -> Floats:
+        """Return the displacement of the crosshead, m, at times, s."""
+        frame = self.frame
+        if self.failure is not None:
+            return frame.speed * np.clip(time, 0.0, self.end)
+        turn = self.last_time + frame.overrun
+        driven_back = frame.speed * np.maximum(time - turn, 0.0) * frame.unloads
+        driven = frame.speed * np.clip(time, 0.0, self.last_time)
+        return np.maximum(driven - driven_back, 0.0)
+
+    def force(self, time: Floats) -> Floats:
+        """Return the tension in the specimen, N, at times, s."""
+        force = self._load(np.minimum(time, self.last_time))
+        if self.failure is not None:
+            failure, elapsed = self.failure, np.maximum(time - self.last_time, 0.0)
+            intact = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
+            fibres = np.exp(-elapsed / failure.tail)
+            return force * ((1.0 - failure.residue) * intact + failure.residue * fibres)
+        if not self.frame.unloads:
+            return force
+        turned = time > self.last_time + self.frame.overrun
+        return np.where(turned, self._unload(self.displacement(time)), force)
+
+    def _load(self, time: Floats) -> Floats:
+        force = self.law.force_in_series(self.displacement(time), self.frame.compliance)
+        for slip in self.slips:
+            elapsed = time - slip.position / self.frame.speed
+            force = force - slip.drop * np.clip(elapsed / slip.duration, 0.0, 1.0)
+        return np.maximum(force, 0.0)
+
+    def _unload(self, displacement: Floats) -> Floats:
+        """Return the force on unloading by Masing's rule, until the specimen is slack again.
+
+        The unloading curve is the taut part of the loading curve, inverted and twice as large:
+        F = F_peak - 2 S((d_peak - d) / 2).
+        """
+        peak = float(self._load(np.array([self.last_time]))[0])
+        relief = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
+        released = 2.0 * replace(self.law, slack=0.0, toe=0.0).force(0.5 * relief)
+        driven_back = relief + self.frame.compliance * released
+        lost = np.interp(self.frame.stroke - displacement, driven_back, released)
+        return np.maximum(peak - lost, 0.0)
+
+    def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
+        """Return the record of the load frame, by role, and the true values."""
+        random, instruments = np.random.default_rng(seed), self.instruments
+        time = instruments.plan(self.end)
+        force = (1.0 + instruments.gain_error) * self.force(time) + instruments.tare
+        force += instruments.white_noise * random.standard_normal(len(time))
+        force += instruments.draw_slow_noise(time, random)
+        displacement = self.displacement(time) + instruments.displacement_tare
+        displacement += instruments.displacement_noise * random.standard_normal(len(time))
+        record = FrameRecord(
+            time,
+            _quantise(displacement, instruments.displacement_step),
+            _quantise(force, instruments.force_step),
+            self.export,
+        )
+        return {"frame": record}, self._evaluate(time)
+
+    def _evaluate(self, time: Floats) -> Truth:
+        """Return the true values of a test, free of tare, gain error and noise.
+
+        ``time``, ``displacement`` and ``force`` are those of the samples. Displacements count from
+        the position of the crosshead before the test; from the first sample they are smaller by
+        ``displacement[0]``. ``stiffness_first`` and ``stiffness_second``, N/m, include the
+        compliance of the machine, as in a measurement without compliance correction. ``foot`` is
+        the displacement at which the first straight line meets zero force, and ``break_point`` that
+        at which the two lines cross; None if the test ends before. ``failure_displacement`` is
+        where the force begins to drop, up to which ``energy_to_break`` counts, J; None without a
+        failure.
+        """
+        law, compliance = self.law, self.frame.compliance
+        fine = np.linspace(0.0, self.last_time, 100_001)
+        travelled, pulled = self.displacement(fine), self.force(fine)
+        top = int(np.argmax(pulled))
+        break_force = law.stiffness_first * law.break_point
+        from_foot = law.break_point + compliance * break_force
+        bends = law.foot + from_foot < self.last_displacement
+        failed = self.failure is not None
+        first, second = (
+            stiffness / (1.0 + stiffness * compliance)
+            for stiffness in (law.stiffness_first, law.stiffness_second)
+        )
+        return {
+            "time": time,
+            "displacement": self.displacement(time),
+            "force": self.force(time),
+            "foot": law.foot,
+            "stiffness_first": first,
+            "stiffness_second": second,
+            "specimen_stiffness_first": law.stiffness_first,
+            "specimen_stiffness_second": law.stiffness_second,
+            "break_point": law.foot + from_foot if bends else None,
+            "break_point_from_foot": from_foot if bends else None,
+            "break_force": break_force if bends else None,
+            "peak_force": float(pulled[top]),
+            "peak_displacement": float(travelled[top]),
+            "failure_displacement": self.last_displacement if failed else None,
+            "failure_force": float(pulled[-1]) if failed else None,
+            "energy_to_break": float(np.trapezoid(pulled, travelled)) if failed else None,
+            "slips": [asdict(slip) for slip in self.slips],
+        }
+
+    def describe_specimen(self) -> dict[str, object]:
+        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        blocks = {"labels": dict(self.labels), "observed": dict(self.observed)}
+        return {"length": self.length} | {name: block for name, block in blocks.items() if block}
+
+    def list_settings(self) -> list[Setting]:
+        """Return the uncertainty of the load cell, and sizes of a tube."""
+        key = "sources.frame.channels.force.scale_uncertainty"
+        certificate = f"{100.0 * self.instruments.gain_uncertainty:.10g} %"
+        return [
+            Setting(key, certificate, "certificate of the load cell"),
+            *(
+                Setting(f"specimen.section.{name}", size, "a tube of another size")
+                for name, size in self.section
+            ),
+        ]
+
+
+def _quantise(values: Floats, step: float) -> Floats:
+    return values if step == 0.0 else step * np.rint(values / step)
+
+
 GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
-_CORRUGATED = BilinearLaw(1.80e3, 0.55e3, 19e-3, knee=18e-3, slack=0.4e-3, toe=0.4e-3)
-_TAPE = BilinearLaw(12.0e3, 2.1e3, 6.5e-3, knee=3e-3, slack=0.5e-3, toe=0.8e-3)
-_CRIMP = BilinearLaw(0.8e3, 0.2e3, 1.0e-3, knee=0.4e-3, toe=0.2e-3)
-"""Of a strength of 1 N, reached 2 mm after the foot."""
-_BAR = BilinearLaw(1.55e8, 1.55e8, 1.0, slack=20e-6, toe=0.3e-6)
+TABLE_2_3 = {name: tuple(numbers) for name, numbers in read_catalog()["table_2_3"].items()}
+"""First and second stiffness of the twist tubes, relative to their peak force, 1/m, by sample."""
+_PARTS = {
+    "law": BilinearLaw,
+    "frame": LoadFrame,
+    "instruments": FrameInstruments,
+    "failure": Failure,
+    "export": ExportLayout,
+}
 
-_R_CONTROLLER = FrameInstruments(
-    rate=20.0,
-    first_sample=0.087,
-    white_noise=0.02,
-    slow_noise=0.03,
-    correlation_time=0.3,
-    displacement_noise=1e-6,
-    displacement_step=2.54e-6,
-    force_step=4.4482216152605e-3,
-    tare=-0.83,
-    displacement_tare=1.016e-3,
-    gain_uncertainty=GAIN_UNCERTAINTY,
-)
-"""A 500 lbf load cell, and a displacement sensor with a resolution of 1/10000 inch."""
+
+def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> TensileScenario:
+    """Return a test of the catalog with values of its own."""
+    table = read_catalog()["tensile"][protocol]
+    parts = {key: _PARTS[key](**table[key]) for key in _PARTS if key in table}
+    scenario = TensileScenario(**({"protocol": protocol} | table | parts | values))
+    return replace(scenario, instruments=replace(scenario.instruments, gain_error=gain_error))
 
 
 def build_corrugated_tube(
@@ -246,20 +467,10 @@ def build_corrugated_tube(
     factor : on the forces of the slit tube
     gain_error : of the load cell
     """
-    tube_type, _, sample = name.rpartition("-")
-    return TensileScenario(
-        name=name,
-        protocol="corrugated-tube",
-        specimen_type=tube_type,
-        spool=f"{tube_type}-s1",
-        sample=sample,
-        length=114.3e-3,
-        law=_CORRUGATED.scaled(factor),
-        frame=LoadFrame(speed=0.423e-3, stroke=50e-3),
-        instruments=replace(_R_CONTROLLER, gain_error=gain_error),
-        export=ExportLayout("lbf"),
-        date="2026-03-09",
-    )
+    kind, _, sample = name.rpartition("-")
+    names = {"name": name, "specimen_type": kind, "spool": f"{kind}-s1", "sample": sample}
+    tube = _read_scenario("corrugated-tube", gain_error=gain_error, **names)
+    return replace(tube, law=tube.law.scaled(factor))
 
 
 def build_twist_tube(
@@ -285,35 +496,25 @@ def build_twist_tube(
     The numbers of the table include the compliance of the frame. The displacement d at failure,
     from the foot, follows from 1 = n1 b + n2 (d - b), where b is the break point.
     """
+    names = {"name": f"twist-tube-{sample}", "spool": f"twist-tube-s{sample[0]}", "sample": sample}
+    tube = _read_scenario("twist-tube", gain_error=gain_error, **names)
+    compliance = tube.frame.compliance
     first, second = TABLE_2_3[sample]
-    law = BilinearLaw(
-        stiffness_first=_remove_compliance(first * peak_force),
-        stiffness_second=_remove_compliance(second * peak_force),
-        break_point=break_point * (1.0 - FRAME_COMPLIANCE * first * peak_force),
-        knee=1.0e-3,
+    law = replace(
+        tube.law,
+        stiffness_first=first * peak_force / (1.0 - compliance * (first * peak_force)),
+        stiffness_second=second * peak_force / (1.0 - compliance * (second * peak_force)),
+        break_point=break_point * (1.0 - compliance * first * peak_force),
         slack=slack,
-        toe=0.6e-3,
     )
     tears_at = law.foot + break_point + (1.0 - first * break_point) / second
-    return TensileScenario(
-        name=f"twist-tube-{sample}",
-        protocol="twist-tube",
-        specimen_type="twist-tube-10",
-        spool=f"twist-tube-s{sample[0]}",
-        sample=sample,
-        length=75e-3,
-        law=law,
-        frame=LoadFrame(speed=5e-3, stroke=60e-3, overrun=0.31, compliance=FRAME_COMPLIANCE),
-        instruments=_build_instruments(100.0, gain_error),
-        failure=Failure(tears_at, duration=0.02, residue=0.03, tail=0.15),
-        export=ExportLayout("kN"),
-        date="2026-03-10",
-    )
+    return _fail_at(replace(tube, law=law), tears_at)
 
 
-def _remove_compliance(stiffness: float) -> float:
-    """Return the stiffness of the specimen alone, without the compliance of the MTS frame."""
-    return stiffness / (1.0 - FRAME_COMPLIANCE * stiffness)
+def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
+    """Return the test with a failure of the catalog's kind at a displacement, m."""
+    assert scenario.failure is not None
+    return replace(scenario, failure=replace(scenario.failure, displacement=displacement))
 
 
 def build_pet_tape(
@@ -328,20 +529,10 @@ def build_pet_tape(
     fails_at : m, displacement
     gain_error : of the load cell
     """
-    return TensileScenario(
-        name=f"pet-tape-{sample}",
-        protocol="pet-tape",
-        specimen_type="pet-tape",
-        spool="pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2",
-        sample=sample,
-        length=0.3,
-        law=_TAPE.scaled(factor),
-        frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=FRAME_COMPLIANCE),
-        instruments=_build_instruments(20.0, gain_error),
-        failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
-        export=ExportLayout("N"),
-        date="2026-03-11",
-    )
+    spool = "pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2"
+    names = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
+    tape = _read_scenario("pet-tape", gain_error=gain_error, **names)
+    return _fail_at(replace(tape, law=tape.law.scaled(factor)), fails_at)
 
 
 def build_crimp_pull(
@@ -363,29 +554,14 @@ def build_crimp_pull(
     separation : kind of separation; of a slip the force falls over 3 mm
     gain_error : of the load cell
     """
-    speed = 25e-3 / 60.0
-    law = replace(_CRIMP.scaled(strength), slack=0.2e-3)
-    fails_at = law.foot + 2.0e-3
-    slip = Failure(fails_at, duration=3e-3 / speed, residue=0.0)
-    breaks = Failure(fails_at, duration=0.01, residue=0.0)
-    return TensileScenario(
-        name=f"{specimen_type}-{sample}",
-        protocol="crimp-pull",
-        specimen_type=specimen_type,
-        spool="reel-1",
-        sample=str(sample),
-        length=0.15,
-        law=law,
-        frame=LoadFrame(speed=speed, stroke=20e-3, overrun=3.5e-3 / speed),
-        instruments=replace(
-            _build_instruments(100.0, gain_error), white_noise=0.05, slow_noise=0.05, tare=0.4
-        ),
-        failure=slip if separation == "slip" else breaks,
-        export=ExportLayout("N"),
-        date="2026-03-12",
-        labels=(("conductor", conductor),),
-        observed=(("separation", separation),) if separation else (),
-    )
+    names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
+    stated = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
+    observed = (("separation", separation),) if separation else ()
+    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **stated)
+    pull = _fail_at(replace(pull, law=pull.law.scaled(strength)), pull.law.foot + 2.0e-3)
+    if separation != "slip" or pull.failure is None:
+        return pull
+    return replace(pull, failure=replace(pull.failure, duration=3e-3 / pull.frame.speed))
 
 
 def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
@@ -395,187 +571,105 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
     ----------
     gain_error : of the load cell
     """
-    instruments = _build_instruments(10.0, gain_error)
-    return TensileScenario(
-        name="stiff-bar-1",
-        protocol="stiff-bar",
-        specimen_type="stiff-bar",
-        spool="steel-12",
-        sample="1",
-        length=0.15,
-        law=_BAR,
-        frame=LoadFrame(speed=5e-6, stroke=0.35e-3, overrun=0.52, compliance=FRAME_COMPLIANCE),
-        instruments=replace(instruments, displacement_noise=2e-8, displacement_tare=0.0),
-        export=ExportLayout("kN"),
-        date="2026-03-11",
-    )
+    return _read_scenario("stiff-bar", gain_error=gain_error)
 
 
-def _build_instruments(rate: float, gain_error: float) -> FrameInstruments:
-    """Return the instruments of the MTS frame with a 50 kN load cell, oversized for these tests."""
-    return FrameInstruments(
-        rate=rate,
-        first_sample=1.95 / rate,
-        white_noise=0.15,
-        slow_noise=0.25,
-        correlation_time=5.0 / rate,
-        displacement_noise=2e-7,
-        displacement_tare=1.2e-5,
-        tare=2.7,
-        gain_error=gain_error,
-        gain_uncertainty=GAIN_UNCERTAINTY,
-    )
-
-
-_TABLE_POINTS = 200_001
-"""Points of the table for specimen and machine in series, whose error is below 1e-7 N."""
-
-
-def compute_ramp(distance: Floats, width: float) -> Floats:
-    """Compute a ramp: zero, then slope 1, with a corner rounded over `width`.
+@dataclass(frozen=True, slots=True)
+class MetalTension:
+    """A virtual tension test of a metal with an extensometer.
 
     Parameters
     ----------
-    distance : shape (n,), m, from the corner
-    width : m, over which the slope grows linearly, half of it on either side
-
-    Returns
-    -------
-    shape (n,), m: the integral of the slope.
-    """
-    ramp = np.maximum(distance, 0.0)
-    if width == 0.0:
-        return ramp
-    within = (distance + 0.5 * width) ** 2 / (2.0 * width)
-    return np.where(np.abs(distance) < 0.5 * width, within, ramp)
-
-
-def compute_specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
-    """Compute the force of the specimen alone at first loading.
-
-    Parameters
-    ----------
-    law : of the specimen
-    distance : shape (n,), m, relative displacement of its ends
-
-    Returns
-    -------
-    shape (n,), N.
-
-    Notes
-    -----
-    F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where r is `compute_ramp`.
-    Outside toe and knee these are exactly the two straight lines.
-    """
-    taut = distance - law.foot
-    bend = law.stiffness_second - law.stiffness_first
-    first: Floats = law.stiffness_first * compute_ramp(taut, law.toe)
-    return first + bend * compute_ramp(taut - law.break_point, law.knee)
-
-
-def compute_loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> Floats:
-    """Compute the force of specimen and machine in series at first loading, without slips.
-
-    Parameters
-    ----------
-    law : of the specimen
-    compliance : m/N, of the machine
-    displacement : shape (n,), m, of the crosshead, not negative
-
-    Returns
-    -------
-    shape (n,), N.
-
-    Notes
-    -----
-    The crosshead is at d = distance + compliance F(distance), which is tabulated and interpolated.
-    """
-    if compliance == 0.0:
-        return compute_specimen_force(law, displacement)
-    distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
-    force = compute_specimen_force(law, distance)
-    return np.interp(displacement, distance + compliance * force, force)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TensilePath:
-    """Motion and force of a virtual tensile test.
-
-    Parameters
-    ----------
-    scenario : the test
+    name : of the test and of its folder
+    modulus, proof_stress : E and Rp0.2, Pa
+    hardening : exponent n
+    diameter, gauge_length : m, of the specimen and of the extensometer
+    uniform_strain, last_strain : at the largest force, and at the break
+    last_share : force at the break, of the largest one
+    extensometer_off : strain at which the extensometer is taken off; None if it stays on
+    rate : Hz
+    strain_rates : 1/s, up to 0.4 % of strain, and from there on
+    force_noise, extension_noise : N and m, white
+    frame_compliance : m/N, of machine and grips
+    preload : N, at the start
     """
 
-    scenario: TensileScenario
+    name: str = "tension-1"
+    modulus: float = 200e9
+    proof_stress: float = 400e6
+    hardening: float = 12.0
+    diameter: float = 5e-3
+    gauge_length: float = 25e-3
+    uniform_strain: float = 0.10
+    last_strain: float = 0.15
+    last_share: float = 0.75
+    extensometer_off: float | None = None
+    rate: float = 10.0
+    strain_rates: tuple[float, float] = (1e-4, 1e-3)
+    force_noise: float = 3.0
+    extension_noise: float = 3e-8
+    frame_compliance: float = 4e-8
+    preload: float = 50.0
+    protocol: ClassVar[str] = "iso-6892"
+    specimen_type: ClassVar[str] = "virtual steel"
+    spool: ClassVar[str] = "bar-1"
+    sample: ClassVar[str] = "1"
+    date: ClassVar[str] = "2026-03-13"
 
     @property
-    def last_time(self) -> float:
-        """Return the time at which the failure begins or full stroke is reached, s."""
-        return self.scenario.last_displacement / self.scenario.frame.speed
+    def area(self) -> float:
+        """Return the original area, m^2."""
+        return 0.25 * np.pi * self.diameter**2
 
-    @property
-    def end(self) -> float:
-        """Return the time at which the machine stops recording, s."""
-        frame = self.scenario.frame
-        back = frame.stroke / frame.speed if frame.unloads else 0.0
-        return self.last_time + frame.overrun + back
+    def stress(self, strain: Floats) -> Floats:
+        """Return the stress of first loading without necking, Pa, at strains of any shape."""
+        stresses = self.proof_stress * np.linspace(0.0, 4.0, 40_001)
+        strains = stresses / self.modulus + 0.002 * (stresses / self.proof_stress) ** self.hardening
+        return np.interp(strain, strains, stresses)
 
-    def displacement(self, time: Floats) -> Floats:
-        """Return the displacement of the crosshead, m, at times, s."""
-        frame = self.scenario.frame
-        if self.scenario.failure is not None:
-            return frame.speed * np.clip(time, 0.0, self.end)
-        turn = self.last_time + frame.overrun
-        driven_back = frame.speed * np.maximum(time - turn, 0.0) * frame.unloads
-        driven = frame.speed * np.clip(time, 0.0, self.last_time)
-        return np.maximum(driven - driven_back, 0.0)
+    def force(self, strain: Floats) -> Floats:
+        """Return the force, N, at strains of any shape."""
+        uniform = self.area * self.stress(np.minimum(strain, self.uniform_strain))
+        further = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
+        return uniform * (1.0 - (1.0 - self.last_share) * np.maximum(further, 0.0) ** 2)
 
-    def force(self, time: Floats) -> Floats:
-        """Return the tension in the specimen, N, at times, s."""
-        scenario = self.scenario
-        before = np.minimum(time, self.last_time)
-        force = self._loading(before)
-        if scenario.failure is not None:
-            return force * _compute_remaining_share(scenario.failure, time - self.last_time)
-        if not scenario.frame.unloads:
-            return force
-        turned = time > self.last_time + scenario.frame.overrun
-        return np.where(turned, self._unloading(self.displacement(time)), force)
+    def truth(self) -> dict[str, float]:
+        """Return the true values of the results of the protocol ``iso-6892``, SI."""
+        strength = float(self.stress(np.array(self.uniform_strain)))
+        last = self.last_share * strength
+        return {
+            "elastic_modulus": self.modulus,
+            "proof_stress_0_2": self.proof_stress,
+            "proof_stress_1": self.proof_stress * 5.0 ** (1.0 / self.hardening),
+            "tensile_strength": strength,
+            "elongation_at_maximum_force": self.uniform_strain,
+            "plastic_elongation_at_maximum_force": self.uniform_strain - strength / self.modulus,
+            "elongation_at_break": self.last_strain,
+            "plastic_elongation_at_break": self.last_strain - last / self.modulus,
+        }
 
-    def _loading(self, time: Floats) -> Floats:
-        scenario = self.scenario
-        displacement = self.displacement(time)
-        force = compute_loading_force(scenario.law, scenario.frame.compliance, displacement)
-        for slip in scenario.slips:
-            force = force - _compute_lost_force(slip, time - slip.position / scenario.frame.speed)
-        return np.maximum(force, 0.0)
+    def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
+        """Return the record of the machine, by role, and the true values."""
+        random = np.random.default_rng([seed, 68])
+        slow, fast = self.strain_rates
+        start = self.preload / (self.area * self.modulus)
+        knee = 0.004  # strain up to which the test is slow
+        turn = (knee - start) / slow
+        time = np.arange(int((turn + (self.last_strain - knee) / fast) * self.rate)) / self.rate
+        strain = start + slow * np.minimum(time, turn) + fast * np.maximum(time - turn, 0.0)
+        force, extension = self.force(strain), self.gauge_length * (strain - start)
+        travel = 1.2 * extension + self.frame_compliance * force
+        noisy = extension + random.normal(0.0, self.extension_noise, len(time))
+        if self.extensometer_off is not None:
+            noisy = np.where(strain > self.extensometer_off, np.nan, noisy)
+        force = force + random.normal(0.0, self.force_noise, len(time))
+        return {"frame": TensionRecord(time, force, travel, noisy)}, self.truth()
 
-    def _unloading(self, displacement: Floats) -> Floats:
-        """Return the force on unloading by Masing's rule, until the specimen is slack again.
+    def describe_specimen(self) -> dict[str, object]:
+        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        section = {"outer_diameter": self.diameter}
+        return {"gauge_length": self.gauge_length, "section": section}
 
-        The unloading curve is the taut part of the loading curve, inverted and twice as large:
-        F = F_peak - 2 S((d_peak - d) / 2).
-        """
-        scenario = self.scenario
-        law, compliance = scenario.law, scenario.frame.compliance
-        peak = float(self._loading(np.array([self.last_time]))[0])
-        relief = np.linspace(0.0, scenario.frame.stroke, _TABLE_POINTS)
-        taut = BilinearLaw(law.stiffness_first, law.stiffness_second, law.break_point, law.knee)
-        released = 2.0 * compute_specimen_force(taut, 0.5 * relief)
-        driven_back = relief + compliance * released
-        lost = np.interp(scenario.frame.stroke - displacement, driven_back, released)
-        return np.maximum(peak - lost, 0.0)
-
-
-def _compute_lost_force(slip: GripSlip, time: Floats) -> Floats:
-    """Return the force lost in a slip, N, at times after its start, s."""
-    return slip.drop * np.clip(time / slip.duration, 0.0, 1.0)
-
-
-def _compute_remaining_share(failure: Failure, time: Floats) -> Floats:
-    """Return the remaining share of the force at times after the start of the failure, s."""
-    after = np.maximum(time, 0.0)
-    intact = 1.0 - np.clip(after / failure.duration, 0.0, 1.0)
-    fibres = np.exp(-after / failure.tail)
-    share: Floats = (1.0 - failure.residue) * intact + failure.residue * fibres
-    return share
+    def list_settings(self) -> list[Setting]:
+        """Return no values: the machine is set as in the protocol."""
+        return []

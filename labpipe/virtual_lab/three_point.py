@@ -1,4 +1,4 @@
-"""Virtual three-point bending of a bundle in a conduit: settings, types, and quasi-static path.
+"""Virtual three-point bending of a bundle in a conduit: settings, path, records, true values.
 
 Everything is SI. In the specimen frame x is along the bundle, to the right as seen by the cameras,
 y is up, z is towards the cameras, and the origin is at mid-span at rest. Displacement is that of
@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -40,50 +40,32 @@ from scipy.optimize import brentq
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
-from labpipe.records.harness_bundle import NONE
-from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
-from labpipe.virtual_lab.specimens import BundleModel, ElasticModel, WireModel
-
-GAIN, OFFSET = -0.21082, 0.002846
-"""Calibration of the load cell, N/V and N: force is gain x volts + offset."""
+from labpipe.virtual_lab.cantilever_scenarios import (
+    TRUTH_POINTS,
+    Truth,
+    evaluate_loading,
+    fit_slope,
+)
+from labpipe.virtual_lab.instruments import (
+    FORCE_PATH,
+    ExportLayout,
+    ForceRecord,
+    FrameRecord,
+    LoadCell,
+    Pose,
+    Schedule,
+    Setting,
+    Take,
+    film,
+    list_markers,
+)
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, BundleModel, ElasticModel, WireModel
 
 CONDUIT_CELL = LoadCell(
-    gain=GAIN, gain_uncertainty=0.002, offset=-OFFSET / GAIN, noise=10e-3, full_scale=100.0
+    gain=-0.21082, gain_uncertainty=0.002, offset=0.002846 / 0.21082, noise=10e-3, full_scale=100.0
 )
-"""A cell of 500 lb; the recorder writes the volts of its amplifier, up to 100 V."""
-
-
-OUTER_DIAMETER = {"corrugated-tube": 10.2e-3, "twist-tube": 8.0e-3}
-"""Outer diameter of the conduits, m."""
-
-TAPING_EFFECT = {"coarse": 1.01, "half-lap": 1.02}
-"""Factor on all moments for a taped conduit; the tape has almost no effect."""
-
-_INSIDE = BundleModel(friction_share=0.05, glue_share=0.008, tape=NONE, taping=NONE)
-"""Wires in a tube are taped only at their ends, so that friction and glue hold them less."""
-
-
-_TUBE = replace(_INSIDE, conduit="corrugated-tube", conduit_bore=7.4e-3, conduit_stiffness=2e-3)
-_TWIST = replace(_INSIDE, conduit="twist-tube", conduit_bore=7.0e-3, conduit_stiffness=1e-3)
-_B1, _B2 = (("B1", 19),), (("B2", 19),)
-
-
-def _tape_conduit(bundle: BundleModel, taping: str) -> BundleModel:
-    """Return a bundle whose conduit is taped."""
-    return replace(bundle, tape="PVC", taping=taping).scaled(TAPING_EFFECT[taping])
-
-
-CONDUIT_TYPES = {
-    "CWB-1": replace(_TUBE, wires=_B1),
-    "CWB-2a": replace(_TUBE, wires=_B2),
-    "CWB-2b": _tape_conduit(replace(_TUBE, wires=_B2), "coarse"),
-    "CWB-2c": _tape_conduit(replace(_TUBE, wires=_B2), "half-lap"),
-    "CWB-3": replace(_TUBE, wires=(("B2", 12),)),
-    "CWB-4": replace(_TUBE, wires=(("B1", 10), ("B2", 9)), arrangement="symmetric"),
-    "CWB-5": replace(_TWIST, wires=_B1),
-    "CWB-6": replace(_TWIST, wires=_B2),
-}
-"""Bundles in conduits of the dissertation's Table 4.2, by type."""
+"""A cell of 500 lb, calibrated as -0.21082 N/V x volts + 0.002846 N; the recorder writes the volts
+of its amplifier, up to 100 V."""
 
 
 BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
@@ -172,6 +154,12 @@ class CylinderMarkers:
     noise: float = 3e-5
     scrambled: bool = True
 
+    def places(self) -> tuple[Floats, Floats]:
+        """Return arc length from mid-span, m, and angle at rest, rad, of the markers of lines."""
+        half = self.n_sections // 2
+        sections = self.spacing * np.arange(-half, half + 1)
+        return np.tile(sections, len(self.angles)), np.repeat(self.angles, len(sections))
+
 
 @dataclass(frozen=True, slots=True)
 class FrameCell:
@@ -233,10 +221,172 @@ class ConduitScenario:
         TypeError
             If the specimen is not a bundle.
         """
-        if not isinstance(self.test.bundle, BundleModel):
-            found = type(self.test.bundle).__name__
+        bundle = self.test.bundle
+        if not isinstance(bundle, BundleModel):
+            found = type(bundle).__name__
             raise TypeError(format_sentence("virtual_lab.no_bundle", found=found))
-        return self.test.bundle.scaled(self.factor)
+        return replace(bundle, factor=bundle.factor * self.factor)
+
+    def plan(self) -> Schedule:
+        """Plan rest, motion down and up without dwell, and rest.
+
+        True time begins when the load frame starts.
+        """
+        clocks = self.clocks
+        stroke_time = self.test.stroke / self.speed
+        turning_times: Floats = self.rest + stroke_time * np.arange(3.0)
+        end = float(turning_times[-1] + self.rest)
+        frames = int((end + clocks.camera_lead) * clocks.fps)
+        frame_clock: Floats = np.arange(frames, dtype=np.float64) / clocks.fps
+        samples = int((end - clocks.trigger_lag) * clocks.rate)
+        force_clock: Floats = np.arange(samples, dtype=np.float64) / clocks.rate
+        return Schedule(
+            corner_times=turning_times[[0, -1]],
+            progress=np.array([0.0, 2.0 * self.test.stroke]),
+            turning_times=turning_times,
+            end=end,
+            frame_clock=frame_clock,
+            frame_times=frame_clock - clocks.camera_lead,
+            force_clock=force_clock,
+            force_times=clocks.trigger_lag + force_clock / (1.0 + clocks.recorder_drift),
+        )
+
+    def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
+        """Return the records of recorder, cameras and frame, by role, and the true values."""
+        path, plan = solve_three_point(self.test), self.plan()
+        force_random, frame_random, camera_random = np.random.default_rng(seed).spawn(3)
+        force = self.factor * path.force(plan.progress_at(plan.force_times))
+        volts, gain = self.load_cell.read(force, force_random)
+        signals = {FORCE_PATH: volts, "Model Root/Trigger": np.ones(len(volts))}
+        take = self._film(path, plan, camera_random)
+        records = {"force": ForceRecord(plan.force_clock, signals, gain), "markers": take}
+        if self.has_frame_export:
+            records["frame"] = self._record_crosshead(path, plan, frame_random)
+        truth = {
+            "stiffnesses": dict(self.bundle.stiffnesses),
+            "true_gain": gain,
+            "markers": list_markers(take.labels, self.markers.places()[0]),
+            **self._evaluate(path, plan),
+        }
+        return records, truth
+
+    def _film(self, path: ThreePointPath, plan: Schedule, random: np.random.Generator) -> Take:
+        """Return the take of marker lines on a cylinder that bends and twists."""
+        layout, progress = self.markers, plan.progress_at(plan.frame_times)
+        sections, angles = layout.places()
+        x, y, turn = path.points(progress, sections)
+        rolled_angles = angles - self._compute_twist(path, progress)[:, None]
+        up = layout.centre_offset * np.sin(rolled_angles)
+        out = layout.centre_offset * np.cos(rolled_angles)
+        return film(
+            "Bundle",
+            np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2),
+            plan,
+            random,
+            pose=self.pose,
+            fps=self.clocks.fps,
+            unit=self.length_unit,
+            noise=layout.noise,
+            scrambled=layout.scrambled,
+        )
+
+    def _compute_twist(self, path: ThreePointPath, progress: Floats) -> Floats:
+        """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
+        turned: Floats = self.markers.twist * path.middle(progress)[0] / path.test.stroke
+        return turned
+
+    def _record_crosshead(
+        self, path: ThreePointPath, plan: Schedule, random: np.random.Generator
+    ) -> FrameRecord:
+        """Return the frame's own record, with a coarse force, from half a sampling interval on."""
+        step, frame = 1.0 / self.clocks.frame_rate, self.frame
+        time: Floats = np.arange(0.5 * step, plan.end, step)
+        progress = plan.progress_at(time)
+        noise = random.standard_normal((2, len(time)))
+        force = self.factor * path.force(progress)
+        return FrameRecord(
+            time=time,
+            displacement=path.displacement(progress) + frame.displacement_noise * noise[0],
+            force=force + frame.force_tare + frame.force_noise * noise[1],
+            layout=ExportLayout("N"),
+            test_type="three-point bending test",
+        )
+
+    def _evaluate(self, path: ThreePointPath, plan: Schedule) -> Truth:
+        """Return the true values of a test.
+
+        ``loading`` is that of the crosshead, see `evaluate_loading`; ``initial_bending_stiffness``,
+        N m^2, is that of the law before anything slips, ``bending_stiffness`` is K L^3 / 48 with
+        the slope K over `KINK_WINDOW`, uncorrected; ``residual_displacement``, m, is where the
+        roller leaves the bundle on unloading; ``energy``, J, is that of the cycle; ``clocks`` are
+        offsets of all clocks, s: ``force = force_offset + (1 + drift) x frame`` and ``markers =
+        marker_offset + frame``. Arrays are evenly spread over the cameras' clock, ``time``.
+        """
+        rate = 5.0  # Hz, of the arrays
+        stroke, clocks = self.test.stroke, self.clocks
+        down = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
+        cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
+        loading = evaluate_loading(down, self.factor * path.force(down))
+        force, displacement = self.factor * path.force(cycle), path.displacement(cycle)
+        top = int(np.argmax(force))
+        time: Floats = np.arange(0.0, plan.end + clocks.camera_lead, 1.0 / rate)
+        progress = plan.progress_at(time - clocks.camera_lead)
+        _, moment, curvature = path.middle(progress)
+        start_time, top_time, stop_time = plan.turning_times.tolist()
+        return {
+            "loading": loading,
+            "initial_bending_stiffness": self.bundle.law().stiffness,
+            "bending_stiffness": loading["windowed_stiffness"] * self.test.span**3 / 48.0,
+            "peak_force": float(force[top]),
+            "peak_displacement": float(displacement[top]),
+            "residual_displacement": path.residual,
+            "energy": float(np.trapezoid(force, displacement)),
+            "middle": self._evaluate_middle(path),
+            "start_time": start_time,
+            "top_time": top_time,
+            "stop_time": stop_time,
+            "clocks": {
+                "force_offset": -clocks.trigger_lag * (1.0 + clocks.recorder_drift),
+                "drift": clocks.recorder_drift,
+                "marker_offset": clocks.camera_lead,
+            },
+            "time": time,
+            "displacement": path.displacement(progress),
+            "force": self.factor * path.force(progress),
+            "twist": self._compute_twist(path, progress),
+            "curvature": curvature,
+            "moment": self.factor * moment,
+        }
+
+    def _evaluate_middle(self, path: ThreePointPath) -> Truth:
+        """Return curvature, moment and twist at full stroke, and the stiffness of mid-span.
+
+        The stiffness is the slope of moment over curvature for displacements of 1 to 10 mm, by
+        least squares over even steps of curvature.
+        """
+        _, moment, curvature = path.middle(np.linspace(1e-3, 10e-3, TRUTH_POINTS))
+        slope = fit_slope(curvature, moment, float(curvature[0]), float(curvature[-1]))
+        _, full_moment, full_curvature = path.middle(np.array([self.test.stroke]))
+        return {
+            "curvature": float(full_curvature[0]),
+            "moment": self.factor * float(full_moment[0]),
+            "bending_stiffness": self.factor * slope,
+            "twist": self.markers.twist,
+        }
+
+    def describe_specimen(self) -> dict[str, object]:
+        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        return {"span": self.test.span, "bundle": self.bundle.describe()}
+
+    def list_settings(self) -> list[Setting]:
+        """Return the values of the rig."""
+        return [
+            *self.load_cell.list_settings(),
+            Setting("rig.crosshead_speed", f"{1e3 * self.speed:.10g} mm/s"),
+            Setting("rig.stroke", self.test.stroke),
+            Setting("specimen.section.outer_diameter", 2.0 * self.test.outer_radius),
+            Setting("markers.centre_offset", self.markers.centre_offset),
+        ]
 
 
 def build_conduit_scenario(name: str) -> ConduitScenario:
@@ -253,7 +403,7 @@ def build_conduit_scenario(name: str) -> ConduitScenario:
     """
     marker_radius = 1.5e-3
     bundle = CONDUIT_TYPES[name]
-    radius = 0.5 * OUTER_DIAMETER[bundle.conduit]
+    radius = {"corrugated-tube": 5.1e-3, "twist-tube": 4.0e-3}[bundle.conduit]
     return ConduitScenario(
         test=ThreePointTest(bundle, outer_radius=radius),
         name=f"{name}-1",
@@ -376,43 +526,26 @@ def _solve_branch(
     """Solve up to a displacement; on unloading stop at zero force."""
     test, state = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for goal_displacement in (begin.displacement + share * (goal - begin.displacement)).tolist():
+    for displacement in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if is_unloading:
             released = half.release(state.plays)
-            if released.displacement >= goal_displacement - _MIN_DISPLACEMENT_STEP:
+            if released.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
                 yield released
                 return
-        state = _solve_displacement(
-            half, state, goal_displacement, begin.displacement, is_unloading=is_unloading
-        )
-        yield state
-
-
-def _solve_displacement(
-    half: HalfBundle,
-    state: HalfShape,
-    goal_displacement: float,
-    turned_at: float,
-    *,
-    is_unloading: bool,
-) -> HalfShape:
-    """Solve at a displacement, with halved steps where Newton's method fails."""
-    while True:
-        ahead = goal_displacement
-        while (
-            solved := half.settle(state, ahead, half.friction(ahead - turned_at, is_unloading))
-        ) is None:
-            ahead = 0.5 * (state.displacement + ahead)
-            if abs(ahead - state.displacement) < _MIN_DISPLACEMENT_STEP:
-                last = state.displacement
-                raise ValueError(
-                    format_sentence(
-                        "virtual_lab.no_equilibrium", displacement=goal_displacement, last=last
-                    )
+        step = displacement
+        while state.displacement != displacement:  # halved steps where Newton's method fails
+            friction = half.friction(step - begin.displacement, is_unloading)
+            solved = half.settle(state, step, friction)
+            if solved is not None:
+                state, step = solved, displacement
+                continue
+            step, last = 0.5 * (state.displacement + step), state.displacement
+            if abs(step - last) < _MIN_DISPLACEMENT_STEP:
+                message = format_sentence(
+                    "virtual_lab.no_equilibrium", displacement=displacement, last=last
                 )
-        if ahead == goal_displacement:
-            return solved
-        state = solved
+                raise ValueError(message)
+        yield state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -476,8 +609,9 @@ class HalfBundle:
         last = float(self.arc_length[-1])
         contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
         travel = float(gaps(contact)[1])
+        curvature, plays = answer.curvature, answer.plays
         x, y, angle = shape
-        return HalfShape(travel, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
+        return HalfShape(travel, 0.0, contact, x, y, angle, nothing, curvature, plays)
 
     def settle(
         self, state: HalfShape, goal_displacement: float, friction: float
@@ -511,11 +645,10 @@ class HalfBundle:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         answer = self.law.respond(moment, plays)
         shape = self._compute_shape(answer.curvature)
-        x, y, angle = shape
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
-        force = 2.0 * normal * float(fy)
-        curvature, after = answer.curvature, answer.plays
-        return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, after)
+        force, (x, y, angle) = 2.0 * normal * float(fy), shape
+        curvature, history = answer.curvature, answer.plays
+        return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, history)
 
     def _integrate(self, values: Floats) -> Floats:
         """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""

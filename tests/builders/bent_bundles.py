@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.protocol.load import dump_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult

@@ -58,7 +58,7 @@ def lifted(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]
 def loaded(law: PlayLaw, *, force: float, frames: int) -> list[CantileverShape]:
     """Shapes of a straight wire under a growing end load normal to the clamped axis."""
     shapes, state = [], make_straight(law, 48)
-    shapes.append(compute_shape(law, state, LENGTH))
+    shapes.append(compute_shape(state, LENGTH))
     for load in np.linspace(0.0, force, frames)[1:]:
         shapes.append(bend_under_force(law, state, LENGTH, np.array([0.0, float(load)])))
         state = shapes[-1].state

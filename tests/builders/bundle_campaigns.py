@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.campaign.grouping import find_differences, find_group_key, name_groups, sort_groups
+from labpipe.campaign.grouping import divide_into_groups, find_differences, name_groups
 from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
@@ -81,12 +81,8 @@ def three_of(bundle: Bundle | None, **more: object) -> list[Sample]:
 
 def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
     """Groups as a report makes them."""
-    fields = by or (TYPE,)
-    members: dict[object, list[Sample]] = {}
-    for sample in samples:
-        members.setdefault(find_group_key(sample, fields), []).append(sample)
-    keys = sort_groups(dict.fromkeys(find_group_key(sample, fields) for sample in samples), fields)
-    names = name_groups(keys, fields)
+    members = divide_into_groups(samples, by or (TYPE,))
+    names = name_groups(list(members))
     return [build_group(name, PROTOCOL, members[key], scaled=True) for key, name in names.items()]
 
 

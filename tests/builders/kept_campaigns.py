@@ -152,7 +152,7 @@ class KeptCampaign:
 
 def content_of(kept: KeptCampaign) -> dict[str, list[Any]]:
     """Rows of the catalog as it lies, without looking at the files of the tests."""
-    catalog = open_catalog(kept.processed)
+    catalog = open_catalog(kept.processed, [])
     try:
         tables = ("tests", "results", "inputs")
         return {name: sorted(catalog._all(f"select * from {name}"), key=repr) for name in tables}

@@ -13,7 +13,9 @@ from typing import Any, Self
 import pytest
 
 from labpipe.cli import main
-from labpipe.virtual_lab import NO_MISHAPS, CantileverScenario, simulate_test
+from labpipe.virtual_lab import simulate_test
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.instruments import NO_MISHAPS
 
 
 @dataclass(frozen=True, slots=True)

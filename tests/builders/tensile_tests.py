@@ -14,9 +14,9 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Result
-from labpipe.virtual_lab import TensileObservation, TensileScenario, observe
-from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.tensile import TensilePath
+from labpipe.virtual_lab import observe, simulate_test
+from labpipe.virtual_lab.lab_files import Observation
+from labpipe.virtual_lab.tensile import TensileScenario
 from tests.builders.small_tests import LabFolder
 
 SEGMENTS = {"twist-tube": (2e-3, 20e-3), "pet-tape": (1e-3, 35e-3)}
@@ -66,9 +66,9 @@ def shipped(repository: Path, name: str) -> Protocol:
     return parse_protocol(text, f"{name}.yaml")
 
 
-def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Result, ...]:
+def reduced_in_memory(test: Observation[TensileScenario], protocol: Protocol) -> tuple[Result, ...]:
     """Results of an observation, without files in between."""
-    frame, names = test.record.recording(), {"Load": "force", "Crosshead": "displacement"}
+    frame, names = test.records["frame"].recording(), {"Load": "force", "Crosshead": "displacement"}
     channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
     return reduce_recordings({"frame": replace(frame, channels=channels)}, protocol).results
 
@@ -78,46 +78,44 @@ def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:
     return true_values(observe(scenario, seed))
 
 
-def true_values(test: TensileObservation) -> dict[str, float]:
+def true_values(test: Observation[TensileScenario]) -> dict[str, float]:
     """As `true_results`, of a test that has been observed.
 
     Displacements count from the first sample, or from the foot where slack is taken off. A repaired
     curve ends higher by the drops of its slips. A slip is placed at the middle of its fall.
     """
     scenario, truth = test.scenario, test.truth
-    start = float(truth.displacement[0])
-    zero = truth.foot if scenario.protocol == "pet-tape" else start
-    peak = truth.peak_force + sum(slip.drop for slip in truth.slips)
+    start = float(truth["displacement"][0])
+    zero = truth["foot"] if scenario.protocol == "pet-tape" else start
+    peak = truth["peak_force"] + sum(slip.drop for slip in scenario.slips)
     values = {
         "peak_force.1": peak,
-        "peak_displacement.1": truth.peak_displacement - start,
-        "slack": truth.foot - start,
-        "stiffness": truth.stiffness_first,
-        "stiffness_first": truth.stiffness_first,
-        "stiffness_second": truth.stiffness_second,
-        "stiffness_first_per_peak_force": truth.stiffness_first / peak,
-        "stiffness_second_per_peak_force": truth.stiffness_second / peak,
-        "compliance": 1.0 / truth.stiffness_first,
+        "peak_displacement.1": truth["peak_displacement"] - start,
+        "slack": truth["foot"] - start,
+        "stiffness": truth["stiffness_first"],
+        "stiffness_first": truth["stiffness_first"],
+        "stiffness_second": truth["stiffness_second"],
+        "stiffness_first_per_peak_force": truth["stiffness_first"] / peak,
+        "stiffness_second_per_peak_force": truth["stiffness_second"] / peak,
+        "compliance": 1.0 / truth["stiffness_first"],
         **_true_moduli(test),
     }
     for number, slip in enumerate(scenario.slips, start=1):
         middle = slip.position + 0.5 * slip.duration * scenario.frame.speed
         values |= {f"slip_position.{number}": middle - zero, f"slip_drop.{number}": slip.drop}
-    if truth.failure_displacement is None:
+    if truth["failure_displacement"] is None:
         return values
-    assert truth.failure_force is not None
-    assert truth.energy_to_break is not None
     return values | {
-        "failure_displacement": truth.failure_displacement - zero,
-        "failure_force": truth.failure_force,
-        "energy_to_break": truth.energy_to_break,
+        "failure_displacement": truth["failure_displacement"] - zero,
+        "failure_force": truth["failure_force"],
+        "energy_to_break": truth["energy_to_break"],
         **_true_segments(test, zero),
     }
 
 
-def _true_moduli(test: TensileObservation) -> dict[str, float]:
+def _true_moduli(test: Observation[TensileScenario]) -> dict[str, float]:
     """Moduli for the sections that stand in the protocols."""
-    scaled = test.truth.stiffness_first * test.scenario.length
+    scaled = test.truth["stiffness_first"] * test.scenario.length
     outer, inner, wall = 14.1e-3, 10.7e-3, 0.27e-3
     return {
         "modulus_thin_wall": scaled / (math.pi * (outer - wall) * wall),
@@ -126,11 +124,11 @@ def _true_moduli(test: TensileObservation) -> dict[str, float]:
     }
 
 
-def _true_segments(test: TensileObservation, zero: float) -> dict[str, float]:
+def _true_segments(test: Observation[TensileScenario], zero: float) -> dict[str, float]:
     """The best two segments of the true curve, which has a rounded knee: by plain search."""
     low, high = SEGMENTS[test.scenario.protocol]
     x = np.linspace(low, high, 1500)
-    y = TensilePath(test.scenario).force((x + zero) / test.scenario.frame.speed)
+    y = test.scenario.force((x + zero) / test.scenario.frame.speed)
 
     def fitted(at: float) -> tuple[Floats, float]:
         design = np.column_stack([np.ones_like(x), np.minimum(x - at, 0), np.maximum(x - at, 0)])

@@ -13,8 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from labpipe.process.story import reduce_recordings
-from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.overrides import remove_absent_sources
+from labpipe.protocol.load import parse_protocol, remove_absent_sources
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result

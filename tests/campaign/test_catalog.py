@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -60,13 +59,13 @@ def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
     assert catalog.read_results("T1") == (RESULT,)
-    assert catalog.read_inputs("T1") == (("force", "a", "1"),)
+    assert catalog._all("select role, file, sha256 from inputs") == [("force", "a", "1")]
     before = catalog.read_file_states()
     assert before == {"T1": ENTRY.file_state}
-    newer = replace(ENTRY, row=replace(ENTRY.row, run="newer"), file_state=FileState("{}", "newer"))
+    newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
     catalog.put([newer])
-    catalog.put([replace(ENTRY, row=replace(ENTRY.row, state=STALE))], before)
-    bad = replace(ENTRY, row=replace(ENTRY.row, folder="T2", state=None))  # type: ignore[arg-type]
+    catalog.put([ENTRY._replace(row=ENTRY.row._replace(state=STALE))], before)
+    bad = ENTRY._replace(row=ENTRY.row._replace(folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
         catalog.put([ENTRY, bad])
     assert catalog.read_rows() == {"T1": newer.row}
@@ -80,7 +79,7 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
     assert catalog.claim("T1")
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
     assert catalog.claim("T1")
-    catalog.release_dead()
+    assert catalog.read_claims() == {}
     assert catalog._all("select * from running") == []
 
 
@@ -207,19 +206,19 @@ def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
 def test_claim_ends_with_its_process() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    claim = replace(new_claim(), pid=ended.pid, process="")
+    claim = new_claim()._replace(pid=ended.pid, process="")
     assert not is_alive(claim)
     ended.wait()
     assert not is_alive(claim)
     assert is_alive(new_claim())
-    assert not is_alive(replace(new_claim(), process="another boot 1"))
+    assert not is_alive(new_claim()._replace(process="another boot 1"))
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:
-    other = replace(new_claim(), host="elsewhere", pid=1)
+    other = new_claim()._replace(host="elsewhere", pid=1)
     assert is_alive(other)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
-        assert not is_alive(replace(other, since=time.time() - age))
+        assert not is_alive(other._replace(since=time.time() - age))
 
 
 @pytest.mark.parametrize(

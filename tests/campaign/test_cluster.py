@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 from distributed import Client
 
-from labpipe.campaign import cluster
-from labpipe.campaign.cluster import process_on_cluster
-from labpipe.campaign.executors import Outcome, local
+from labpipe.campaign import executors
+from labpipe.campaign.executors import Outcome, local, process_on_cluster
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.process.run import Task
 from tests.builders.clusters import Cluster, start_cluster
@@ -103,7 +102,7 @@ def test_only_the_test_that_kills_workers_fails(machines: Cluster, tmp_path: Pat
 def test_cluster_reports_the_failures_of_a_local_run(
     alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 60.0)  # a busy machine starts workers slowly
+    monkeypatch.setattr(executors, "_CONNECT_TIMEOUT", 60.0)  # a busy machine starts workers slowly
     alone.add_worker()
     labs = small_pulls(tmp_path, 3)
     labs[1].export.unlink()
@@ -155,7 +154,7 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
 
 
 def test_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 1.0)
+    monkeypatch.setattr(executors, "_CONNECT_TIMEOUT", 1.0)
     message = "--executor: expected a dask scheduler at 127.0.0.1:1, found no answer. Start"
     with pytest.raises(UsageError, match=message) as raised:
         list(process_on_cluster([Task(tmp_path)], "127.0.0.1:1"))

@@ -162,16 +162,16 @@ def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Pa
     other = replace(mine, run="0" * 64)
     stray = replace(mine, test="../c/T-1")
     file = saved(tmp_path / "decisions (1).json", mine, accepted, accepted, other, stray)
-    taken, faults = import_decision_file(processed, "c", file)
+    taken = import_decision_file(processed, "c", file)
     assert taken.added == [accepted]
     assert taken.n_known == 1
     assert [(each.test, why.split(":")[0]) for each, why in taken.not_imported] == [
         ("T-1", "exports, sheet, protocol or labpipe changed since the decision"),
         ("../c/T-1", "there is no such test"),
     ]
-    assert faults == ()
+    assert taken.faults == ()
     assert read_decisions(processed).decisions == (mine, accepted)
-    assert import_decision_file(processed, "c", file)[0].added == []
+    assert import_decision_file(processed, "c", file).added == []
 
 
 def test_import_uses_the_nearest_decision_file(processed: Path) -> None:

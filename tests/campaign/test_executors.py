@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from labpipe.campaign import workers
 from labpipe.campaign.executors import (
     Outcome,
     await_outcome,
@@ -24,10 +25,10 @@ from labpipe.campaign.executors import (
     process_task,
     process_tests,
 )
-from labpipe.campaign.watching import WarmWorker
-from labpipe.campaign.workers import ProcessDied, WorkerProcess, run_as_completed
+from labpipe.campaign.watching import import_all, process_in
+from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.run import Processed, Task, process_test
+from labpipe.process.run import Processed, Task, draw_figures, process_test
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 
@@ -64,7 +65,7 @@ def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_pa
     with pytest.raises(UsageError, match=message):
         process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
-    made = process_tests(tests[::2], figures=lambda _: False, jobs=2)
+    made = process_tests(tests[::2], figures=False, jobs=2)
     assert [type(one) for one in made] == [Processed, Processed]  # each beside its exports
     assert isinstance(made[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
@@ -89,9 +90,10 @@ def test_death_of_a_process_fails_its_call_only() -> None:
     assert run_all([], jobs=3) == []
     for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
         died = future.exception()
-        assert isinstance(died, ProcessDied)
-        assert died.how == how
-    assert ProcessDied(-63).how == "by the signal 63"
+        assert isinstance(died, ProcessingError)
+        assert died.code == "process_died"
+        assert f"found that it was ended {how}. " in str(died)
+    assert workers._describe_exit(-63) == "by the signal 63"
 
 
 def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
@@ -111,20 +113,20 @@ def test_closing_waits_for_started_calls_only(tmp_path: Path) -> None:
 def test_time_limit_fails_its_call_only() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
     late, second = run_all(calls, jobs=2, limit=5.0)
-    with pytest.raises(ProcessDied) as died:
+    with pytest.raises(ProcessingError, match=r"expected an end within 0\.08333") as died:
         late.result()
-    assert died.value.limit == 5.0
+    assert died.value.code == "time_limit"
     assert second.result() == 2
 
 
 def test_process_that_dies_between_calls_is_replaced() -> None:
     worker = WorkerProcess()
     try:
-        assert worker.call(partial(int, "1")) == 1
+        assert worker.call(partial(int, "1"), about="x") == 1
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert [worker.call(partial(int, text)) for text in ("2", "3")] == [2, 3]
+        assert [worker.call(partial(int, text), about="x") for text in ("2", "3")] == [2, 3]
     finally:
         worker.close()
 
@@ -174,9 +176,11 @@ def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
 
 def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = await_outcome(task, raising(ProcessDied(-signal.SIGTERM)))
+    error = ProcessingError.about("campaign.process_died", task.sheet, how="by the signal SIGTERM")
+    died = await_outcome(task, raising(error))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = await_outcome(task, raising(ProcessDied(-signal.SIGTERM, 120.0)))
+    late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
+    late = await_outcome(task, raising(late_error))
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
@@ -194,11 +198,15 @@ def raising(error: Exception) -> Callable[[], Outcome]:
 
 
 @pytest.fixture(scope="module")
-def worker() -> Iterator[WarmWorker]:
-    made = WarmWorker()
-    made.warm()
-    yield made
-    made.close()
+def pool() -> Iterator[Pool]:
+    """The one process of a watch."""
+    with Pool(1, limit=600.0) as made:
+        made.submit(import_all, about="labpipe")
+        yield made
+
+
+def call(pool: Pool, work: Callable[[], object]) -> object:
+    return pool.submit(work, about="x").result()
 
 
 def refuse() -> None:
@@ -207,14 +215,14 @@ def refuse() -> None:
 
 
 @pytest.mark.slow
-def test_warm_worker_draws_figures_after_processing(worker: WarmWorker, lab: Lab) -> None:
-    (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
+def test_warm_worker_draws_figures_after_processing(pool: Pool, lab: Lab) -> None:
+    (outcome,) = process_in(pool, [Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
     assert not (lab.processed / "figures").exists()
     before = lab.result.read_bytes()
 
-    worker.draw(lab.processed)
-    worker.call(os.getpid, about="x")  # waits for them
+    pool.submit(partial(draw_figures, lab.processed), about="x")
+    call(pool, os.getpid)  # waits for them
 
     drawn = {path.name: path.read_bytes() for path in (lab.processed / "figures").iterdir()}
     assert lab.result.read_bytes() == before
@@ -222,21 +230,21 @@ def test_warm_worker_draws_figures_after_processing(worker: WarmWorker, lab: Lab
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 
-def test_warm_worker_survives_failed_calls(worker: WarmWorker) -> None:
-    first = worker.call(os.getpid, about="x")
+def test_warm_worker_survives_failed_calls(pool: Pool) -> None:
+    first = call(pool, os.getpid)
     with pytest.raises(UsageError, match="no"):
-        worker.call(refuse, about="x")
-    assert first == worker.call(os.getpid, about="x") != os.getpid()
+        call(pool, refuse)
+    assert first == call(pool, os.getpid) != os.getpid()
     with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
-        worker.call(partial(os._exit, 3), about="x")
-    assert worker.call(os.getpid, about="x") not in {first, os.getpid()}
+        call(pool, partial(os._exit, 3))
+    assert call(pool, os.getpid) not in {first, os.getpid()}
 
 
 def test_death_of_the_warm_worker_is_an_outcome(
-    worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.watching.process_task", die)
-    (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
+    (outcome,) = process_in(pool, [Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 
 

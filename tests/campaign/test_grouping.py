@@ -15,13 +15,10 @@ from labpipe.campaign.grouping import (
     describe_differing_settings,
     divide_into_groups,
     find_differences,
-    find_group_key,
-    list_missing_fields,
     list_settings,
     name_groups,
     note_differing_settings,
     rename_shared_spools,
-    sort_groups,
 )
 from labpipe.errors import UsageError
 from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
@@ -44,18 +41,21 @@ TUBE = bundle_sample(None, 3, spool="s2")
 
 
 def test_group_keys_and_names() -> None:
-    by = ("wire", "cured")
-    keys = [find_group_key(sample, by) for sample in (SEVEN, TWELVE, TUBE)]
-    assert [key.field_values for key in keys] == [("B1", "24 h"), ("B1", ""), ("", "")]
-    assert list(name_groups(keys, by).values()) == [
-        "wire B1, cured 24 h",
-        "wire B1, without cured",
+    keys = list(divide_into_groups([SEVEN, TWELVE, TUBE], ("wire", "cured")))
+    assert list(name_groups(keys).values()) == [
         "without wire, without cured",
+        "wire B1, without cured",
+        "wire B1, cured 24 h",
     ]
-    assert [list_missing_fields(key, by) for key in keys[:2]] == [[], ["cured"]]
+    assert [key.missing_fields for key in keys[1:]] == [["cured"], []]
     for field, words in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
-        shuffled = [GroupKey((word,), "p") for word in reversed(words)]
-        assert [key.field_values[0] for key in sort_groups(shuffled, (field,))] == words
+        shuffled = [GroupKey(((field, word),), "p") for word in reversed(words)]
+        ranked = sorted(shuffled, key=lambda key: key.rank)
+        assert [key.fields[0][1] for key in ranked] == words
+    shared = [keys[1], keys[1]._replace(protocol="other")]
+    assert [*name_groups(shared).values()] == [
+        f"wire B1, without cured, {key.protocol}" for key in shared
+    ]
 
 
 def test_unknown_field_is_refused_with_the_nearest() -> None:
@@ -76,16 +76,19 @@ def test_spools_shared_by_types_are_renamed() -> None:
         f"{SEVEN.specimen.type} s1", f"{TWELVE.specimen.type} s1", "s2",
     ]  # fmt: skip
     again = replace(SEVEN, test="other")
-    assert rename_shared_spools([SEVEN, again]) == ([SEVEN, again], [])
+    samples, renamed = rename_shared_spools([SEVEN, again])
+    assert ([sample.specimen for sample in samples], renamed) == ([SEVEN.specimen] * 2, [])
 
 
 def test_lengths_divide_a_type_unless_fields_are_chosen() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
     samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
     found = divide_into_groups(samples)
-    assert list(name_groups(list(found), ["type"]).values()) == ["tube, 85 mm", "tube, 100 mm"]
+    assert list(name_groups(list(found)).values()) == ["tube, 85 mm", "tube, 100 mm"]
     assert [[each.specimen.sample for each in own] for own in found.values()] == [["0", "2"], ["1"]]
-    assert list(divide_into_groups(samples, ["type"])) == [GroupKey(("tube",), "taped-bundle")]
+    assert list(divide_into_groups(samples, ["type"])) == [
+        GroupKey((("type", "tube"),), "taped-bundle")
+    ]
 
 
 NONE = bundle_of("19 B2", conduit="corrugated-tube", tape="none", taping="none")

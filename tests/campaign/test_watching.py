@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -339,8 +339,8 @@ def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     campaign = WatchedCampaign(kept.folders, kept.stand_in)
     assert campaign.read_group_values(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
-    other = replace(row, specimen='{"length": 1, "sample": "2", "type": "A"}')
-    longer = replace(row, specimen='{"type": "A", "length": 2}')
+    other = row._replace(specimen='{"length": 1, "sample": "2", "type": "A"}')
+    longer = row._replace(specimen='{"type": "A", "length": 2}')
     assert make_group_key(row) == make_group_key(other) != make_group_key(longer)
 
 

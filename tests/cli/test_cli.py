@@ -14,7 +14,7 @@ import pytest
 from labpipe.campaign.serving import ReportServer
 from labpipe.cli import BAD_INPUT, DONE
 from labpipe.errors import LabpipeError
-from labpipe.virtual_lab import CantileverScenario
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from tests.builders.pulled_campaigns import make_pulls
 from tests.builders.small_tests import Lab, Run
 

@@ -19,9 +19,9 @@ from labpipe.cli.process import format_test
 from labpipe.cli.report import format_report
 from labpipe.cli.terminal import show_completed
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
-from labpipe.mechanics.studies.calibration_study import Calibrated
+from labpipe.mechanics.studies.calibration_file import Calibrated
 from labpipe.mechanics.studies.first_loadings import FirstLoading
-from labpipe.mechanics.studies.validation import compare_tests
+from labpipe.mechanics.studies.model_comparisons import compare_tests
 from labpipe.mechanics.studies.wire_models import ModelledWires
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate

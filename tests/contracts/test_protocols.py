@@ -8,7 +8,6 @@ import jsonschema
 import pytest
 import yaml
 
-from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,
@@ -17,7 +16,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.reference import format_json_schema
-from labpipe.protocol.schema import Protocol
+from labpipe.protocol.schema import Protocol, list_result_names
 from labpipe.readers.channels import find_channel
 
 SHIPPED = sorted((Path(__file__).parents[2] / "protocols").glob("*.yaml"))

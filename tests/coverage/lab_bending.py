@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,19 +20,20 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
-from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observation, observe
-from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign, WireCampaign
-from labpipe.virtual_lab.cantilever_scenarios import LoadCell, MechanicalPath, solve_path
-from labpipe.virtual_lab.instruments import FORCE_PATH
-from labpipe.virtual_lab.observations import write_sheet
-from labpipe.virtual_lab.specimens import TAPED_TYPES, ElasticModel
-from labpipe.virtual_lab.three_point import (
-    CONDUIT_TYPES,
-    ConduitScenario,
-    ThreePointTest,
-    solve_three_point,
+from labpipe.virtual_lab import WireCampaign, observe
+from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign
+from labpipe.virtual_lab.cantilever_scenarios import (
+    KINK_WINDOW,
+    CantileverScenario,
+    MechanicalPath,
+    evaluate_taped,
+    fit_slope,
+    solve_path,
 )
-from labpipe.virtual_lab.truth import KINK_WINDOW, LoadingTruth, evaluate_taped, fit_slope
+from labpipe.virtual_lab.instruments import FORCE_PATH, LoadCell
+from labpipe.virtual_lab.lab_files import Observation, write_sheet
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES, ElasticModel
+from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointTest, solve_three_point
 from tests.builders.bent_tests import law_moment
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
@@ -39,6 +41,7 @@ from tests.judges.foreign.rig import scale, stated
 Truth = dict[str, float]
 CheckReport = tuple[tuple[Result, ...], Truth]
 
+ROLES = {"force": ("force.mat",), "markers": ("take.csv",)}
 SPEED_ERROR = 0.005
 """Standard uncertainty of the speed that the protocol of conduits states."""
 WIRE_WINDOW, UNLOADING = (0.5e-3, 4e-3), (0.3e-3, 3e-3)
@@ -101,9 +104,11 @@ def on_a_string(
     All results, and what is true, by their names.
     """
     test, name = observe(scenario, seed), scenario.protocol
-    plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
-    force = _wandering(test.force, scenario.load_cell, name, seed)
-    results = _reduced({"force": force, "markers": _filmed(test.markers, name, seed)}, plan)
+    plan = _plan(write_sheet(_as_written(scenario, seed), ROLES), folder, protocols)
+    force = _wandering(test.recording("force"), scenario.load_cell, name, seed)
+    results = _reduced(
+        {"force": force, "markers": _filmed(test.recording("markers"), name, seed)}, plan
+    )
     return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
 
@@ -113,15 +118,15 @@ def on_two_supports(
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
     name, random = scenario.protocol, np.random.default_rng([seed, 71])
-    markers = _filmed(test.markers, name, seed)
+    markers = _filmed(test.recording("markers"), name, seed)
     roles: dict[str, Recording] = {
-        "force": _wandering(test.force, scenario.load_cell, name, seed),
+        "force": _wandering(test.recording("force"), scenario.load_cell, name, seed),
         "markers": markers,
     }
     span, speed, travel, centre = random.standard_normal(4).tolist()
-    if test.frame is not None:
+    if "frame" in test.records:
         travel *= scale(name, "frame", "displacement")
-        roles["frame"] = _in_file(test.frame, 1.0 + travel)
+        roles["frame"] = _in_file(test.recording("frame"), 1.0 + travel)
     span *= stated(name, "specimen", "uncertainty", "span")
     centre *= stated(name, "markers", "centre_uncertainty")
     told = 1.0 + SPEED_ERROR * speed  # of the way that speed and time make
@@ -212,7 +217,7 @@ def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:
     return reduce_recordings(named, plan).results
 
 
-def wire_truth(test: Observation) -> Truth:
+def wire_truth(test: Observation[CantileverScenario]) -> Truth:
     """Every number that is known of a wire, by the name of its result."""
     path = solve_path(test.scenario.mechanics)
     truth = {**_of_cycles(test), "initial_stiffness": gain_in_time(path, *WIRE_WINDOW)}
@@ -225,12 +230,12 @@ def wire_truth(test: Observation) -> Truth:
     return truth
 
 
-def taped_truth(test: Observation) -> Truth:
+def taped_truth(test: Observation[CantileverScenario]) -> Truth:
     """Every number that is known of a taped bundle, by the name of its result."""
     path = solve_path(test.scenario.mechanics)
     told = evaluate_taped(path)
-    truth = {**_of_cycles(test), **_of_loading(told.loading, told.bending_stiffness)}
-    pairs = zip(told.loading_stiffness, told.hardening, strict=True)
+    truth = {**_of_cycles(test), **_of_loading(told["loading"], told["bending_stiffness"])}
+    pairs = zip(told["loading_stiffness"], told["hardening"], strict=True)
     for cycle, (stiffness, hardening) in enumerate(pairs, start=1):
         truth[f"loading_stiffness.{cycle}"] = stiffness
         truth[f"hardening.{cycle}"] = hardening
@@ -238,15 +243,15 @@ def taped_truth(test: Observation) -> Truth:
     return truth | {"initial_stiffness": gain_in_time(path, *KINK_WINDOW)}
 
 
-def _of_cycles(test: Observation) -> Truth:
+def _of_cycles(test: Observation[CantileverScenario]) -> Truth:
     clocks = test.scenario.clocks
     truth = {"clock_offset": clocks.offset, "clock_drift": clocks.drift}
-    for cycle, each in enumerate(test.truth.cycles, start=1):
-        truth[f"peak_force.{cycle}"] = each.peak_force
-        truth[f"peak_displacement.{cycle}"] = each.peak_deflection
-        truth[f"energy.{cycle}"] = each.energy
-        if each.residual_deflection is not None:
-            truth[f"residual_displacement.{cycle}"] = each.residual_deflection
+    for cycle, each in enumerate(test.truth["cycles"], start=1):
+        truth[f"peak_force.{cycle}"] = each["peak_force"]
+        truth[f"peak_displacement.{cycle}"] = each["peak_deflection"]
+        truth[f"energy.{cycle}"] = each["energy"]
+        if each["residual_deflection"] is not None:
+            truth[f"residual_displacement.{cycle}"] = each["residual_deflection"]
     return truth
 
 
@@ -272,17 +277,17 @@ def _ratio(progress: Floats, deflection: Floats, force: Floats, inside: Flags) -
     return float((lever @ force[inside]) / (lever @ deflection[inside]))
 
 
-def _of_loading(loading: LoadingTruth, bending_stiffness: float) -> Truth:
+def _of_loading(loading: dict[str, Any], bending_stiffness: float) -> Truth:
     truth = {
-        "initial_stiffness": loading.windowed_stiffness,
+        "initial_stiffness": loading["windowed_stiffness"],
         "bending_stiffness": bending_stiffness,
-        "kink_displacement": loading.kink.displacement,
-        "kink_force": loading.kink.force,
-        "end_slope": loading.end_slope,
+        "kink_displacement": loading["kink"]["displacement"],
+        "kink_force": loading["kink"]["force"],
+        "end_slope": loading["end_slope"],
     }
-    if loading.plateau_displacement is not None and loading.plateau_force is not None:
-        truth["plateau_displacement"] = loading.plateau_displacement
-        truth["plateau_force"] = loading.plateau_force
+    if loading["plateau_displacement"] is not None and loading["plateau_force"] is not None:
+        truth["plateau_displacement"] = loading["plateau_displacement"]
+        truth["plateau_force"] = loading["plateau_force"]
     return truth
 
 
@@ -298,19 +303,19 @@ def windowed(test: ThreePointTest) -> float:
     return fit_slope(way, solve_three_point(test).force(way), *KINK_WINDOW)
 
 
-def conduit_truth(test: ConduitObservation) -> Truth:
+def conduit_truth(test: Observation[ConduitScenario]) -> Truth:
     """Every number that is known of a conduit bundle, by the name of its result."""
     known = test.truth
-    stiffness = as_elastic_bar(test.scenario.test, known.loading.windowed_stiffness)
-    truth = _of_loading(known.loading, stiffness) | {
-        "peak_force.1": known.peak_force,
+    stiffness = as_elastic_bar(test.scenario.test, known["loading"]["windowed_stiffness"])
+    truth = _of_loading(known["loading"], stiffness) | {
+        "peak_force.1": known["peak_force"],
         "peak_displacement.1": test.scenario.test.stroke,  # not the place of the largest force
-        "energy.1": known.energy,
-        "mid_span_curvature": known.middle.curvature,
-        "mid_span_bending_stiffness": known.middle.bending_stiffness,
-        "twist": known.middle.twist,
+        "energy.1": known["energy"],
+        "mid_span_curvature": known["middle"]["curvature"],
+        "mid_span_bending_stiffness": known["middle"]["bending_stiffness"],
+        "twist": known["middle"]["twist"],
     }
-    if test.frame is not None:
-        truth["clock_offset"] = known.clocks["force_offset"]
-        truth["clock_drift"] = known.clocks["drift"]
+    if "frame" in test.records:
+        truth["clock_offset"] = known["clocks"]["force_offset"]
+        truth["clock_drift"] = known["clocks"]["drift"]
     return truth

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab import TensileObservation, TensileScenario
+from labpipe.virtual_lab.lab_files import Observation
 from labpipe.virtual_lab.tensile import (
     TABLE_2_3,
     GripSlip,
+    TensileScenario,
     build_corrugated_tube,
     build_pet_tape,
     build_stiff_bar,
@@ -34,13 +35,16 @@ def drawn(kind: str, seed: int) -> TensileScenario:
     return KINDS[kind](random, gain_error)
 
 
-def as_recorded(kind: str, seed: int, test: TensileObservation) -> TensileObservation:
+def as_recorded(
+    kind: str, seed: int, test: Observation[TensileScenario]
+) -> Observation[TensileScenario]:
     """The test, crosshead and zero of the force off by as much as the protocol says."""
     by = scale(kind, "frame", "displacement") * float(np.random.default_rng([seed, 79]).normal())
-    travel = test.record.displacement * (1.0 + by)
+    record = test.records["frame"]
+    travel = record.displacement * (1.0 + by)
     step = test.scenario.instruments.force_step
-    force = wandering(test.record.force, test.record.time, kind, seed, step)
-    return replace(test, record=replace(test.record, displacement=travel, force=force))
+    force = wandering(record.force, record.time, kind, seed, step)
+    return replace(test, records={"frame": replace(record, displacement=travel, force=force)})
 
 
 def wandering(force: Floats, time: Floats, kind: str, seed: int, step: float) -> Floats:
@@ -59,14 +63,14 @@ def wandering(force: Floats, time: Floats, kind: str, seed: int, step: float) ->
     return np.asarray(force + (step * np.rint(moved / step) if step else moved))
 
 
-def truth(kind: str, seed: int, test: TensileObservation) -> dict[str, float]:
+def truth(kind: str, seed: int, test: Observation[TensileScenario]) -> dict[str, float]:
     """True values; the specimen is not as large as the protocol says."""
     random = np.random.default_rng([seed, 83])
     sizes = {
         name: size + stated(kind, "specimen", "uncertainty", name) * float(random.normal())
         for name, size in {"length": test.scenario.length, **SECTIONS.get(kind, {})}.items()
     }
-    stretched = test.truth.stiffness_first * sizes["length"]
+    stretched = test.truth["stiffness_first"] * sizes["length"]
     return true_values(test) | {
         name: stretched / area(sizes) for name, area in AREAS.get(kind, {}).items()
     }

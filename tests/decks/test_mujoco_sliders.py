@@ -19,7 +19,7 @@ from labpipe.mechanics.decks.lookup import write_sliders_csv, write_sliders_json
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, write_mujoco_space_deck
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable

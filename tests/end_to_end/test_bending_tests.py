@@ -20,8 +20,8 @@ from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
 from labpipe.results.measured_law import evaluate_law
 from labpipe.store.read import read_result
-from labpipe.virtual_lab import CantileverScenario, observe
-from labpipe.virtual_lab.observations import simulate_test
+from labpipe.virtual_lab import observe, simulate_test
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.three_point import build_conduit_scenario
 from tests.builders.bent_tests import law_moment
 from tests.builders.reasons import why
@@ -178,8 +178,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, test = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario, seed)
-        force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
-        done: Any = reduce_recordings({"force": force, "markers": test.markers}, plan)
+        force = name_channels(test.recording("force"), plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings({"force": force, "markers": test.recording("markers")}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
-from labpipe.mechanics.studies.validation import N_SHAPES, compare_shapes
+from labpipe.mechanics.studies.model_comparisons import N_SHAPES, compare_shapes
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
@@ -22,8 +22,8 @@ from labpipe.mechanics.wire.wire_table import build_wire, wire_table
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
-from labpipe.virtual_lab import simulate_campaigns, simulate_test
-from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab import WireCampaign, simulate_campaigns, simulate_test
+from labpipe.virtual_lab.campaigns import WireGroup
 from labpipe.virtual_lab.specimens import WIRES as SPECIMENS
 from labpipe.virtual_lab.tensile import build_corrugated_tube
 from tests.approved import Approve

@@ -13,13 +13,8 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
-from labpipe.virtual_lab.observations import simulate_test
-from labpipe.virtual_lab.tensile import (
-    TABLE_2_3,
-    GripSlip,
-    build_corrugated_tube,
-    build_twist_tube,
-)
+from labpipe.virtual_lab import simulate_test
+from labpipe.virtual_lab.tensile import TABLE_2_3, GripSlip, build_corrugated_tube, build_twist_tube
 from tests.approved import Approve
 from tests.builders.small_tests import Run, RunSummary, state
 

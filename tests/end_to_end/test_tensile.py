@@ -13,9 +13,9 @@ import pytest
 from labpipe.cli import main
 from labpipe.records.curve import SlipDecision
 from labpipe.store.read import read_result
-from labpipe.virtual_lab import TensileScenario
 from labpipe.virtual_lab.tensile import (
     GripSlip,
+    TensileScenario,
     build_corrugated_tube,
     build_pet_tape,
     build_stiff_bar,

@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labpipe.process.clock_joining import fit_common_start, fit_turning_points, use_stated_clocks
-from labpipe.process.motion import Motion, Turn, check_turns, find_motion_turns
+from labpipe.process.motion import (
+    Motion,
+    Turn,
+    check_turns,
+    find_motion_turns,
+    fit_common_start,
+    fit_turning_points,
+    use_stated_clocks,
+)
 from labpipe.protocol.schema import AlignCommonStart, AlignStated, AlignTurningPoints
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit
@@ -316,7 +323,7 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     monkeypatch: pytest.MonkeyPatch, lag: float, is_used: bool
 ) -> None:
     repeat = Repeat(20.0, lag * (1.0 + DRIFT), 1e-3)
-    monkeypatch.setattr("labpipe.process.clock_joining._measure_repeat", lambda *_: repeat)
+    monkeypatch.setattr("labpipe.process.motion._measure_repeat", lambda *_: repeat)
     found = aligned(seen(3), window=ALIGN.motion_window)
     assert found.fit is not None
     assert ("repeated" in found.fit.method) is is_used

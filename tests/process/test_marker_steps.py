@@ -20,7 +20,9 @@ from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
 from labpipe.records.result import Status
 from labpipe.records.signals import Signals
-from labpipe.virtual_lab import Observation, observe
+from labpipe.virtual_lab import observe
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.lab_files import Observation
 from tests.approved import Approve
 from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
@@ -33,13 +35,13 @@ def protocol(repository: Path) -> Protocol:
 
 
 @pytest.fixture(scope="module")
-def observation() -> Observation:
+def observation() -> Observation[CantileverScenario]:
     return observe(small_scenario(), 3)
 
 
 @pytest.fixture
-def tracks(observation: Observation) -> MarkerTracks:
-    found = observation.markers.markers
+def tracks(observation: Observation[CantileverScenario]) -> MarkerTracks:
+    found = observation.recording("markers").markers
     assert found is not None
     return found
 
@@ -71,11 +73,11 @@ def done(
 
 
 def test_travel_and_deflection(
-    tracks: MarkerTracks, protocol: Protocol, observation: Observation
+    tracks: MarkerTracks, protocol: Protocol, observation: Observation[CantileverScenario]
 ) -> None:
     made, found = done(tracks, protocol, scale_error=5e-4)
     truth = observation.truth
-    for name, true in (("travel", truth.travel), ("deflection", truth.deflection)):
+    for name, true in (("travel", truth["travel"]), ("deflection", truth["deflection"])):
         signal = made.signals.filtered[name]
         assert signal.unit == "m"
         error = signal.values - true
@@ -172,7 +174,7 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
 def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
     usual = small_scenario()
     mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
-    found = observe(replace(usual, mechanics=mechanics), 3).markers.markers
+    found = observe(replace(usual, mechanics=mechanics), 3).recording("markers").markers
     assert found is not None
     assert "displacement" not in doubted(done(found, protocol)[1].entries)
     _, said = done(found, protocol, grip_offset=0.016)

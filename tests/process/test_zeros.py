@@ -11,14 +11,14 @@ from scipy.signal import lfilter
 
 from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
-from labpipe.process.story import reduce_recordings
-from labpipe.process.zeros import (
+from labpipe.process.steps import (
     average_level,
     fit_end_level,
     measure_moving_zero,
     required_samples,
     rezero_at_rest,
 )
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
@@ -114,8 +114,8 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 4)
-    force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    force = name_channels(seen.recording("force"), plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": seen.recording("markers")}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 

@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.grammar import build_pydantic_type
+from labpipe.protocol.grammar import FileStem, SingleLine, Text, build_pydantic_type
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
@@ -20,7 +20,6 @@ from labpipe.protocol.load import (
     validate_document,
 )
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.values import FileStem, SingleLine, Text
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.declarations import (
     Compliance,

@@ -13,12 +13,13 @@ import pytest
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import (
     dump_protocol,
+    find_absent_needs,
     load_protocol,
     load_test_sheet,
     parse_protocol,
+    remove_absent_sources,
     resolve,
 )
-from labpipe.protocol.overrides import find_absent_needs, remove_absent_sources
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
 from labpipe.protocol.source import PLAUSIBLE_RANGES
 from labpipe.results.stiffness import ComplianceResult, LineStiffness

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.cross_checks import list_result_names
 from labpipe.protocol.load import (
     dump_protocol,
     find_protocol,
@@ -27,6 +26,7 @@ from labpipe.protocol.schema import (
     Failure,
     MachineCompliance,
     Slips,
+    list_result_names,
 )
 from labpipe.records.declarations import Smooth, Span
 from tests.protocol.conftest import TUBE, WIRE

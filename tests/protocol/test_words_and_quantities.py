@@ -13,15 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from labpipe.protocol.grammar import build_pydantic_type
-from labpipe.protocol.plans import parse_name_pattern
-from labpipe.protocol.values import (
+from labpipe.protocol.grammar import (
     FileStem,
     QuantityText,
     build_path_validator,
+    build_pydantic_type,
     is_test_name,
     parse_whole_number,
 )
+from labpipe.protocol.plans import parse_name_pattern
 from labpipe.records.declarations import (
     Area,
     Compliance,

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from labpipe.errors import ReadError
 from labpipe.readers.number_table import (
     Body,
+    build_cell_error,
     drop_incomplete_line,
     find_thousandfold_jump,
     read_columns,
+    split_name_and_unit,
 )
-from labpipe.readers.text_cells import build_cell_error, split_name_and_unit
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 

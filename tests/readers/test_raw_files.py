@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.readers import describe_unknown
 from labpipe.readers.raw_files import (
     as_content,
     decode,
@@ -15,7 +16,6 @@ from labpipe.readers.raw_files import (
     read_head,
     reading,
 )
-from labpipe.readers.unknown_files import describe_unknown
 from tests.approved import Approve
 
 

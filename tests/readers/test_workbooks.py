@@ -12,9 +12,8 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.readers import read_export, recognise_export
+from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.readers.curve_files import CurveColumn, read_curve
-from labpipe.readers.unknown_files import describe_unknown
 from labpipe.readers.workbooks import (
     Cell,
     Table,

@@ -13,7 +13,7 @@ from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 from python_calamine import CalamineWorkbook
 
-from labpipe.mechanics.wire.end_load_path import interpolate_end_load
+from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.plot_records import Line, split_at_gaps

@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.errors import ProtocolError
 from labpipe.process.story import Reduction, reduce_recordings
-from labpipe.protocol.limit_cards import read_limit_card
+from labpipe.protocol.grammar import read_limit_card
 from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.yaml_text import FaultsError
 from labpipe.records.arrays import Floats
@@ -18,7 +18,7 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Specimen
 from labpipe.results.failures import ForceLimit
 from labpipe.statistics.lots import judge_sample
-from labpipe.virtual_lab.observations import observe
+from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.tensile import build_crimp_pull
 
 PROTOCOL = (Path(__file__).parents[2] / "protocols/crimp-pull.yaml").read_text(encoding="utf-8")
@@ -158,13 +158,13 @@ def test_peaks_of_virtual_crimps_lie_in_their_intervals(separation: str) -> None
             "c", seed, strength=130.0, conductor="AWG 20", separation=separation
         )
         test = observe(scenario, seed)
-        frame = test.record.recording()
+        frame = test.records["frame"].recording()
         names = {"Load": "force", "Crosshead": "displacement"}
         channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
         protocol = parse_protocol(PROTOCOL, "p.yaml")
         recording = replace(frame, channels=channels)
         results = {x.name: x for x in reduce_recordings({"frame": recording}, protocol).results}
-        truth = test.truth.peak_force, test.truth.peak_displacement - test.truth.foot
+        truth = test.truth["peak_force"], test.truth["peak_displacement"] - test.truth["foot"]
         for name, true in zip(is_inside, truth, strict=True):
             interval = results[name].interval
             assert interval is not None

@@ -196,7 +196,7 @@ def test_an_exact_loading_gives_its_law(law: PlayLaw, share: float) -> None:
 )
 def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: float) -> None:
     """It lies level, bent by its weight before anything is measured; left out, it shows."""
-    law = replace(WireModel(), stick_moment=2e-4).scaled(0.2).law()
+    law = WireModel(1e-3, 4e-5, 1e-3, 0.01, last_moment=0.06).law()
     shapes = lifted(law, travel=0.05, frames=201)
     own = HEAVY if weighs else 0.0
     pull = TipPull(STRING, WEIGHT, WEIGHT + compute_prop_force(own, LENGTH), LENGTH, own)

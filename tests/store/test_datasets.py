@@ -12,12 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from labpipe.store.datasets import Target, fletcher32, has_same_content
-from labpipe.store.hdf5_objects import (
+from labpipe.store.datasets import (
     COMPRESSION_LEVEL,
+    Target,
+    fletcher32,
     get_number,
     get_text,
     has_attribute,
+    has_same_content,
     is_empty,
     make_dataset,
     open_dataset,

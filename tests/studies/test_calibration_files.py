@@ -10,22 +10,26 @@ import numpy as np
 import pytest
 
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
-from labpipe.mechanics.studies.calibration_file import build_comparison_json, read_calibrated
-from labpipe.mechanics.studies.calibration_study import (
+from labpipe.mechanics.studies.calibration_file import (
     Calibrated,
-    apply_calibration,
     as_json,
+    build_comparison_json,
+    read_calibrated,
 )
-from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
-from labpipe.mechanics.studies.first_loadings import FirstLoading
-from labpipe.mechanics.studies.validation import (
+from labpipe.mechanics.studies.calibration_study import (
+    apply_calibration,
     build_sheet_wire,
     choose_wire,
-    compare_tests,
     drop_copies,
     find_wire_sheet,
-    note_misfits,
     require_wires,
+)
+from labpipe.mechanics.studies.first_loadings import FirstLoading
+from labpipe.mechanics.studies.model_comparisons import (
+    compare_external_curves,
+    compare_tests,
+    note_misfits,
+    read_external_curves,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
-from labpipe.virtual_lab.observations import Observation, observe
+from labpipe.virtual_lab.lab_files import Observation
 
 
 @pytest.fixture(scope="session")
@@ -22,5 +23,5 @@ def scenario() -> CantileverScenario:
 
 
 @pytest.fixture(scope="session")
-def observation(scenario: CantileverScenario) -> Observation:
+def observation(scenario: CantileverScenario) -> Observation[CantileverScenario]:
     return observe(scenario, 11)

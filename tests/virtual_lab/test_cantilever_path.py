@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.cantilever import bend_to_travel
+from labpipe.virtual_lab import simulate_test
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest, solve_path
-from labpipe.virtual_lab.instruments import plan_cantilever
-from labpipe.virtual_lab.observations import Observation, write_exports
+from labpipe.virtual_lab.lab_files import Observation
 
 
 def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:
@@ -44,50 +44,56 @@ def test_repeated_cycles_equal_solved_ones() -> None:
             assert tip == pytest.approx(shape.y[-1], abs=1e-10)
 
 
-def test_cycles_agree_with_the_arrays(observation: Observation) -> None:
+def test_cycles_agree_with_the_arrays(observation: Observation[CantileverScenario]) -> None:
     truth = observation.truth
-    for cycle in truth.cycles:
-        during = (truth.time >= cycle.start_time) & (truth.time <= cycle.stop_time)
-        force, deflection = truth.force[during], truth.deflection[during]
-        assert cycle.peak_force == pytest.approx(force.max(), rel=1e-3)
-        assert cycle.peak_deflection == pytest.approx(deflection.max(), rel=1e-3)
-        assert cycle.energy == pytest.approx(np.trapezoid(force, deflection), rel=1e-3)
-        assert cycle.energy > 0.0
-        assert cycle.start_time < cycle.top_time < cycle.stop_time
+    for cycle in truth["cycles"]:
+        during = (truth["time"] >= cycle["start_time"]) & (truth["time"] <= cycle["stop_time"])
+        force, deflection = truth["force"][during], truth["deflection"][during]
+        assert cycle["peak_force"] == pytest.approx(force.max(), rel=1e-3)
+        assert cycle["peak_deflection"] == pytest.approx(deflection.max(), rel=1e-3)
+        assert cycle["energy"] == pytest.approx(np.trapezoid(force, deflection), rel=1e-3)
+        assert cycle["energy"] > 0.0
+        assert cycle["start_time"] < cycle["top_time"] < cycle["stop_time"]
 
 
-def test_shapes_start_at_the_clamp_and_end_at_the_pull_point(observation: Observation) -> None:
+def test_shapes_start_at_the_clamp_and_end_at_the_pull_point(
+    observation: Observation[CantileverScenario],
+) -> None:
     truth, rest = observation.truth, solve_path(observation.scenario.mechanics).rest
-    assert len(truth.shapes) == 21
-    for shape in truth.shapes:
-        assert (shape.x[0], shape.y[0]) == pytest.approx((0.0, 0.0), abs=1e-12)
-        assert shape.y[-1] - rest.y[-1] == pytest.approx(truth.deflection[shape.frame], abs=1e-9)
-        chords = np.hypot(np.diff(shape.x), np.diff(shape.y))
+    assert len(truth["shapes"]) == 21
+    for shape in truth["shapes"]:
+        assert (shape["x"][0], shape["y"][0]) == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert shape["y"][-1] - rest.y[-1] == pytest.approx(
+            truth["deflection"][shape["frame"]], abs=1e-9
+        )
+        chords = np.hypot(np.diff(shape["x"]), np.diff(shape["y"]))
         assert np.sum(chords) == pytest.approx(0.085, rel=2e-4)
 
 
-def test_truth(observation: Observation, tmp_path: Path) -> None:
-    folder = write_exports(observation, tmp_path / "A2-085-1")
+def test_truth(observation: Observation[CantileverScenario], tmp_path: Path) -> None:
+    folder = simulate_test(observation.scenario, tmp_path / "A2-085-1", 11)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert truth["synthetic"] is True
     assert truth["seed"] == 11
     assert truth["clock"] == {"offset": 1.37, "drift": 40e-6}
-    assert truth["true_gain"] == observation.force_record.true_gain
+    assert truth["true_gain"] == observation.records["force"].true_gain
     for name in ("time", "travel", "deflection", "force"):
-        wanted = getattr(observation.truth, name)
+        wanted = observation.truth[name]
         np.testing.assert_allclose(truth[name], wanted, rtol=0, atol=1e-11)
     turn = np.array(truth["rotation_specimen_to_lab"])
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-10)
     assert [cycle["cycle"] for cycle in truth["cycles"]] == [1, 2]
-    assert truth["cycles"][0]["peak_force"] == observation.truth.cycles[0].peak_force
+    assert truth["cycles"][0]["peak_force"] == observation.truth["cycles"][0]["peak_force"]
     assert {event["kind"] for event in truth["mishaps"]} == {"gap", "switch", "unlabelled"}
-    assert [marker["label"] for marker in truth["markers"]] == list(observation.take.labels)
+    assert [marker["label"] for marker in truth["markers"]] == list(
+        observation.records["markers"].labels
+    )
     law = truth["first_loading"]
     assert np.interp(1e-3, law["moment"], law["curvature"]) == pytest.approx(1e-3 / 5e-3)
 
 
 def test_dwell_stops_the_clamp_at_every_turn() -> None:
-    schedule = plan_cantilever(replace(CantileverScenario(), dwell=2.0))
+    schedule = replace(CantileverScenario(), dwell=2.0).plan()
     first_top = schedule.turning_times[1]
     during = schedule.progress_at(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
     assert during == pytest.approx([0.052, 0.053, 0.053, 0.053, 0.054])

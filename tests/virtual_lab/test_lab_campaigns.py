@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab import ChosenTests, CrimpCampaign, CrimpLot
-from labpipe.virtual_lab.campaigns import TapedCampaign, TensileCampaign, WireCampaign
-from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario
+from labpipe.virtual_lab import ChosenTests, TensileCampaign, WireCampaign
+from labpipe.virtual_lab.campaigns import CrimpCampaign, CrimpLot, TapedCampaign
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.instruments import NO_MISHAPS
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.virtual_lab.tensile import TensilePath, TensileScenario
+from labpipe.virtual_lab.tensile import TensileScenario
 
 CAMPAIGNS = (WireCampaign(), TensileCampaign())
 
@@ -69,7 +70,7 @@ def test_samples_scatter_as_stated_and_share_the_load_cell() -> None:
 def test_lots_of_the_crimp_campaign_have_their_strength_and_separations() -> None:
     lot = CrimpLot("AWG 20", 130.0, 4.0, ("slip", ""))
     pulls = [scenario for scenario, _ in CrimpCampaign((lot,), samples=200).scenarios()]
-    strengths = [TensilePath(pull).force(np.array([pull_time(pull)]))[0] for pull in pulls]
+    strengths = [pull.force(np.array([pull_time(pull)]))[0] for pull in pulls]
     assert np.mean(strengths) == pytest.approx(130.0, abs=1.0)
     assert np.std(strengths) == pytest.approx(4.0, rel=0.15)
     assert pulls[0].labels == (("conductor", "AWG 20"),)

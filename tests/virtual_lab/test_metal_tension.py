@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab import MetalTension, simulate_tension
+from labpipe.virtual_lab import simulate_test
+from labpipe.virtual_lab.tensile import MetalTension
 from tests.builders.small_tests import Run
 
 
@@ -26,7 +27,7 @@ def test_intervals_hold_the_truth(scenario: MetalTension, tmp_path: Path, run: R
     held = []
     for seed in range(3):
         name = f"tension-{seed}"
-        test = simulate_tension(replace(scenario, name=name), tmp_path / "raw" / name, seed)
+        test = simulate_test(replace(scenario, name=name), tmp_path / "raw" / name, seed)
         done = run("process", test, "--no-figures", "--out", tmp_path / "out")
         assert done.status == 1, done.err
         summary = json.loads((tmp_path / "out" / name / "summary.json").read_text("utf-8"))
@@ -44,7 +45,7 @@ def test_intervals_hold_the_truth(scenario: MetalTension, tmp_path: Path, run: R
 
 def test_an_extensometer_that_is_taken_off(tmp_path: Path, run: Run) -> None:
     scenario = MetalTension(extensometer_off=0.02)
-    test = simulate_tension(scenario, tmp_path / "tension-1", 1)
+    test = simulate_test(scenario, tmp_path / "tension-1", 1)
     run("process", test, "--no-figures", "--out", tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "tension-1" / "summary.json").read_text("utf-8"))
     numbers = {number["name"]: number for number in summary["results"]}

@@ -9,12 +9,10 @@ import numpy as np
 import openpyxl
 import pytest
 
-from labpipe.virtual_lab.instruments import draw_slow_noise, plan_samples
-from labpipe.virtual_lab.observations import observe, simulate_test
+from labpipe.virtual_lab import observe, simulate_test
 from labpipe.virtual_lab.tensile import (
     FrameInstruments,
     GripSlip,
-    TensilePath,
     TensileScenario,
     build_corrugated_tube,
     build_pet_tape,
@@ -25,7 +23,7 @@ from labpipe.virtual_lab.tensile import (
 def test_slip_goes_on_parallel_and_lower() -> None:
     usual = build_corrugated_tube("CT-10-slit-1")
     slips = (GripSlip(18.75e-3, 0.47, 0.05), GripSlip(30.85e-3, 0.81, 0.1))
-    whole, slipped = TensilePath(usual), TensilePath(replace(usual, slips=slips))
+    whole, slipped = usual, replace(usual, slips=slips)
     time = np.linspace(0.0, whole.last_time, 100_001)
     lost = whole.force(time) - slipped.force(time)
     moved = whole.displacement(time)
@@ -36,7 +34,7 @@ def test_slip_goes_on_parallel_and_lower() -> None:
 
 
 def test_failure_takes_its_time_and_leaves_fibres() -> None:
-    path = TensilePath(build_pet_tape("1", fails_at=60e-3))
+    path = build_pet_tape("1", fails_at=60e-3)
     before, after, late = path.force(path.last_time + np.array([-1e-9, 0.15, 2.3]))
     at_failure = path.force(np.array([path.last_time]))[0]
     assert before == pytest.approx(at_failure, rel=1e-6)
@@ -48,7 +46,7 @@ def test_failure_takes_its_time_and_leaves_fibres() -> None:
 
 def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() -> None:
     usual = build_corrugated_tube("CT-10-3")
-    path = TensilePath(replace(usual, frame=replace(usual.frame, unloads=True)))
+    path = replace(usual, frame=replace(usual.frame, unloads=True))
     turn = path.last_time + usual.frame.overrun
     time = np.linspace(turn, path.end, 20_001)
     force, displacement = path.force(time), path.displacement(time)
@@ -76,20 +74,18 @@ def test_stiffness_and_break_point(
     truth = observe(scenario, 1).truth
     lines = []
     for start, stop in (first, second):
-        chosen = (truth.displacement > start) & (truth.displacement < stop)
-        points = truth.displacement[chosen], truth.force[chosen]
+        chosen = (truth["displacement"] > start) & (truth["displacement"] < stop)
+        points = truth["displacement"][chosen], truth["force"][chosen]
         lines.append(np.polynomial.Polynomial.fit(*points, 1).convert())
     one, two = lines
-    assert one.deriv()(0.0) == pytest.approx(truth.stiffness_first, rel=1e-6)
-    assert two.deriv()(0.0) == pytest.approx(truth.stiffness_second, rel=1e-6)
-    assert one.roots()[0] == pytest.approx(truth.foot, abs=1e-9)
-    assert truth.break_point is not None
-    assert (one - two).roots()[0] == pytest.approx(truth.break_point, abs=1e-8)
-    assert truth.break_point_from_foot is not None
-    assert truth.break_point == pytest.approx(truth.foot + truth.break_point_from_foot)
-    assert one(truth.break_point) == pytest.approx(truth.break_force, rel=1e-6)
-    given_way = 1.0 / truth.specimen_stiffness_first + scenario.frame.compliance
-    assert 1.0 / truth.stiffness_first == pytest.approx(given_way)
+    assert one.deriv()(0.0) == pytest.approx(truth["stiffness_first"], rel=1e-6)
+    assert two.deriv()(0.0) == pytest.approx(truth["stiffness_second"], rel=1e-6)
+    assert one.roots()[0] == pytest.approx(truth["foot"], abs=1e-9)
+    assert (one - two).roots()[0] == pytest.approx(truth["break_point"], abs=1e-8)
+    assert truth["break_point"] == pytest.approx(truth["foot"] + truth["break_point_from_foot"])
+    assert one(truth["break_point"]) == pytest.approx(truth["break_force"], rel=1e-6)
+    given_way = 1.0 / truth["specimen_stiffness_first"] + scenario.frame.compliance
+    assert 1.0 / truth["stiffness_first"] == pytest.approx(given_way)
 
 
 TUBE = replace(build_corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
@@ -101,12 +97,12 @@ def test_export_is_the_truth_with_small_errors(tmp_path: Path) -> None:
     rows = list(sheet.iter_rows(min_row=6, values_only=True))
     time, force, displacement = np.array(rows, dtype=np.float64).T
     truth = observe(TUBE, 21).truth
-    np.testing.assert_allclose(time, truth.time, atol=1e-6)
-    off = 4.4482216152605 * force - truth.force - TUBE.instruments.tare
+    np.testing.assert_allclose(time, truth["time"], atol=1e-6)
+    off = 4.4482216152605 * force - truth["force"] - TUBE.instruments.tare
     assert np.std(off) == pytest.approx(np.hypot(0.02, 0.03), rel=0.2)
     assert abs(np.mean(off)) < 0.01
     moved = 25.4e-3 * displacement - TUBE.instruments.displacement_tare
-    np.testing.assert_allclose(moved, truth.displacement, atol=7e-6)
+    np.testing.assert_allclose(moved, truth["displacement"], atol=7e-6)
 
 
 QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)
@@ -116,7 +112,7 @@ QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)
 def test_slow_noise_has_its_size_and_memory(correlation_time: float) -> None:
     instruments = replace(QUIET, slow_noise=0.3, correlation_time=correlation_time)
     time = np.linspace(0.0, 4000.0, 400_001)
-    noise = draw_slow_noise(instruments, time, np.random.default_rng(3))
+    noise = instruments.draw_slow_noise(time, np.random.default_rng(3))
     effective = 4000.0 / (2.0 * correlation_time)  # samples as good as independent
     tolerance = 4.0 / np.sqrt(effective)
     assert np.std(noise) == pytest.approx(0.3, rel=tolerance)
@@ -128,4 +124,4 @@ def test_slow_noise_has_its_size_and_memory(correlation_time: float) -> None:
 
 def test_a_test_without_samples_is_refused() -> None:
     with pytest.raises(ValueError, match=r"rate=100\.0: expected .*, found 2 in 0\.03 s"):
-        plan_samples(QUIET, 0.03)
+        QUIET.plan(0.03)

@@ -10,16 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from labpipe.virtual_lab.instruments import plan_conduit, record_conduit_force
-from labpipe.virtual_lab.specimens import ElasticModel
+from labpipe.virtual_lab import observe
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, ElasticModel
 from labpipe.virtual_lab.three_point import (
-    CONDUIT_TYPES,
     ThreePointPath,
     ThreePointTest,
     build_conduit_scenario,
     solve_three_point,
 )
-from labpipe.virtual_lab.truth import evaluate_conduit
 
 BUNDLE = CONDUIT_TYPES["CWB-1"]
 BAR = ElasticModel(0.1)
@@ -116,12 +114,12 @@ def test_truth_and_volts_of_a_bundle() -> None:
     cell = replace(usual.load_cell, noise=0.0, gain_error=0.0)
     markers = replace(usual.markers, noise=0.0, twist=0.1)
     scenario = replace(usual, load_cell=cell, markers=markers, factor=1.1)
-    path, plan = solve_three_point(scenario.test), plan_conduit(scenario)
-    truth = evaluate_conduit(path, scenario, plan)
-    assert truth.peak_force == pytest.approx(1.1 * path.loading[-1].force, rel=1e-3)
-    assert truth.residual_displacement == path.residual
-    assert truth.energy == pytest.approx(1.1 * outer_work(path), rel=2e-3)
-    record = record_conduit_force(path, scenario, plan, np.random.default_rng(1))
+    path, plan = solve_three_point(scenario.test), scenario.plan()
+    test = observe(scenario, 1)
+    truth, record = test.truth, test.records["force"]
+    assert truth["peak_force"] == pytest.approx(1.1 * path.loading[-1].force, rel=1e-3)
+    assert truth["residual_displacement"] == path.residual
+    assert truth["energy"] == pytest.approx(1.1 * outer_work(path), rel=2e-3)
     force = -0.21082 * record.volts + 0.002846
     times = record.clock / (1.0 + 20e-6) + 6e-3
     expected = 1.1 * path.force(plan.progress_at(times))

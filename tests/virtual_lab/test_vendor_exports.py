@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -12,31 +13,25 @@ import pytest
 from scipy.io import loadmat, whosmat
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cantilever_scenarios import solve_path
-from labpipe.virtual_lab.instruments import (
-    DIRECTION_PATH,
-    FREQUENCY_PATH,
-    FrameRecord,
-    plan_cantilever,
-)
-from labpipe.virtual_lab.observations import Observation
-from labpipe.virtual_lab.tensile import ExportLayout
-from labpipe.virtual_lab.vendor_exports import (
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, solve_path
+from labpipe.virtual_lab.instruments import ExportLayout, FrameRecord
+from labpipe.virtual_lab.lab_files import (
+    Observation,
     Run,
     write_control_desk,
+    write_frame,
     write_motive,
-    write_r_controller,
-    write_test_suite,
 )
 
 RUN = Run("A2-085-1", datetime(2026, 3, 4, 10, 5, 7), seed=11)
 
 
 def test_control_desk_is_exact_and_whole_numbers_are_small(
-    observation: Observation, tmp_path: Path
+    observation: Observation[CantileverScenario], tmp_path: Path
 ) -> None:
-    file, record = tmp_path / "force.mat", observation.force_record
-    write_control_desk(file, record, RUN)
+    record = observation.records["force"]
+    (name,) = write_control_desk(tmp_path, record, RUN)
+    file = tmp_path / name
     head = file.read_bytes()[:132]
     assert head.startswith(
         b"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: Wed Mar 04 10:08:50 2026 "
@@ -45,16 +40,18 @@ def test_control_desk_is_exact_and_whole_numbers_are_small(
     assert whosmat(file) == [("force", (1, 1), "struct")]
     content = loadmat(file, struct_as_record=False, squeeze_me=True)["force"]
     np.testing.assert_array_equal(content.X.Data, record.clock)
-    signals = (record.volts, record.signals[DIRECTION_PATH], record.signals[FREQUENCY_PATH])
+    signals = (record.volts, *list(record.signals.values())[1:])
     for channel, values in zip(content.Y, signals, strict=True):
         np.testing.assert_array_equal(channel.Data, values)
     assert [channel.Data.dtype for channel in content.Y] == [np.float64, np.uint8, np.uint16]
 
 
-def test_motive_has_six_decimals_and_blanks(observation: Observation, tmp_path: Path) -> None:
-    write_motive(tmp_path / "take.csv", observation.take, RUN, unit="m")
+def test_motive_has_six_decimals_and_blanks(
+    observation: Observation[CantileverScenario], tmp_path: Path
+) -> None:
+    write_motive(tmp_path, observation.records["markers"], RUN)
     with (tmp_path / "take.csv").open(newline="", encoding="ascii") as opened:
-        data, take = list(csv.reader(opened))[7:], observation.take
+        data, take = list(csv.reader(opened))[7:], observation.records["markers"]
     assert [row[0] for row in data] == [str(number) for number in range(len(take.time))]
     assert data[3][1] == "0.060000"
     cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in data])
@@ -71,7 +68,7 @@ RECORD = FrameRecord(TIME, displacement=5e-3 * TIME, force=2.7 + 100.0 * TIME)
 
 
 def test_r_controller_in_pounds_and_inches(tmp_path: Path) -> None:
-    (file,) = write_r_controller(tmp_path, RECORD, RUN)
+    (file,) = write_frame(tmp_path, replace(RECORD, layout=ExportLayout("lbf")), RUN)
     book = openpyxl.load_workbook(tmp_path / file)
     assert book.sheetnames == ["Test Data"]
     rows = [list(row) for row in book["Test Data"].iter_rows(values_only=True)]
@@ -96,7 +93,7 @@ def numbers(path: Path) -> Floats:
 
 
 def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
-    (name,) = write_test_suite(tmp_path, RECORD, ExportLayout(), RUN)
+    (name,) = write_frame(tmp_path, RECORD, RUN)
     assert name == "DAQ- Crosshead, … - (Timed).txt"
     content = (tmp_path / name).read_bytes()
     assert content.startswith(b"\xef\xbb\xbfFile Path: C:\\")
@@ -117,7 +114,7 @@ def test_test_suite_is_in_single_precision_of_si(tmp_path: Path) -> None:
 
 
 def test_parts_are_not_numbered_in_order_of_time(tmp_path: Path) -> None:
-    files = write_test_suite(tmp_path, RECORD, ExportLayout(part_at=0.2), RUN)
+    files = write_frame(tmp_path, replace(RECORD, layout=ExportLayout(part_at=0.2)), RUN)
     stem = "DAQ- Crosshead, … - (Timed)"
     assert files == (f"{stem}.txt", f"{stem}1.txt", f"{stem}2.txt")
     later, earlier = numbers(tmp_path / files[0]), numbers(tmp_path / files[1])
@@ -127,9 +124,11 @@ def test_parts_are_not_numbered_in_order_of_time(tmp_path: Path) -> None:
     assert lines(tmp_path / files[1])[0].endswith("(Timed)1.txt   ")
 
 
-def test_volts_times_true_gain_are_the_tension_and_white_noise(observation: Observation) -> None:
-    record, scenario = observation.force_record, observation.scenario
-    path, schedule = solve_path(scenario.mechanics), plan_cantilever(scenario)
+def test_volts_times_true_gain_are_the_tension_and_white_noise(
+    observation: Observation[CantileverScenario],
+) -> None:
+    record, scenario = observation.records["force"], observation.scenario
+    path, schedule = solve_path(scenario.mechanics), scenario.plan()
     tension = path.tension(schedule.progress_at(schedule.force_times))
     noise = (record.volts - scenario.load_cell.offset) * record.true_gain - tension
     assert np.std(noise) == pytest.approx(4e-3, rel=0.01)

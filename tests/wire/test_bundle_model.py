@@ -30,7 +30,7 @@ from labpipe.mechanics.wire.bundle_model import (
     compute_stretching_moment,
     find_common_curvatures,
 )
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleModel, BundleWire
 from tests.approved import Approve

@@ -10,27 +10,19 @@ import pytest
 from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_linear_plays
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import (
-    AtDeflection,
+    Cantilever,
     CantileverShape,
-    DeadLoad,
-    Pull,
     StringRig,
+    TipCondition,
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
     hold_level,
-    make_straight,
-)
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
-from labpipe.mechanics.wire.newton import (
-    Condition,
-    Wire,
-    bend_wire,
-    compute_jacobian,
-    compute_residual,
     make_interpolation_matrix,
     make_stations,
+    make_straight,
 )
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
 from tests.builders.cantilevers import LENGTH, WIRE
 from tests.builders.stranded_wires import contacts_of, wire
@@ -118,23 +110,23 @@ def test_a_long_step_does_not_end_in_a_curl() -> None:
 @pytest.mark.parametrize(
     "condition",
     [
-        DeadLoad(np.array([0.3, 1.7])),
-        AtDeflection(np.array([0.4])),
-        AtDeflection(np.array([0.4]), StringRig(7.6, 0.2, 1.0, 8.0)),
-        Pull(np.array([1.0, 8.0]), 7.6, 0.2),
+        TipCondition(dead_force=np.array([0.3, 1.7])),
+        TipCondition(deflection=np.array([0.4])),
+        TipCondition(StringRig(7.6, 0.2, 1.0, 8.0), deflection=np.array([0.4])),
+        TipCondition(StringRig(7.6, 0.2, 1.0, 8.0), travel=0.1),
     ],
 )
-def test_jacobian_against_central_differences(condition: Condition) -> None:
+def test_jacobian_against_central_differences(condition: TipCondition) -> None:
     n, law, h = 12, make_linear_plays(1.0), 1e-6
     stations = make_stations(n)
-    wire = Wire(LoadingTable.of_plays(law).bend, stations, 0.8, condition)
+    table = LoadingTable.of_plays(law)
+    wire = Cantilever(lambda moment, rows: table.bend(moment[rows]), stations, 0.8, condition)
     state = np.append(1.2 * (1.0 - stations.position), 0.9)
 
     def missing(values: Floats) -> Floats:
-        moment = values[None, :n]
-        return np.ravel(compute_residual(wire, bend_wire(wire, moment, values[n:]), moment))
+        return np.ravel(wire.bend(values[None, :n], values[n:]).find_residual())
 
-    exact = compute_jacobian(wire, bend_wire(wire, state[None, :n], state[n:]))[0]
+    exact = wire.bend(state[None, :n], state[n:]).find_jacobian()[0]
     for column in range(n + 1):
         step = h * (np.arange(n + 1) == column)
         slope = (missing(state + step) - missing(state - step)) / (2 * h)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire

@@ -26,6 +26,8 @@ from labpipe.mechanics.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
+    make_interpolation_matrix,
+    make_stations,
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import (
@@ -38,7 +40,7 @@ from labpipe.mechanics.wire.cross_section import (
     place_rings,
     place_sectors,
 )
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.mechanics.wire.friction import Contacts, compute_axial_strain, compute_sines
 from labpipe.mechanics.wire.friction import arrange_rings as rings_of
 from labpipe.mechanics.wire.materials import (
@@ -47,7 +49,6 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     compute_strand_moment,
 )
-from labpipe.mechanics.wire.newton import make_interpolation_matrix, make_stations
 from labpipe.mechanics.wire.packing import pack_strands
 from labpipe.mechanics.wire.wire_table import build_wire, make_layout, wire_table
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire

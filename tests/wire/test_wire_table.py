@@ -16,7 +16,7 @@ from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import compute_moment_curve, compute_stick_stiffness
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path, interpolate_end_load
+from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.friction import Contacts
 from labpipe.mechanics.wire.law_family import (
     LAW_FACTOR,

@@ -48,7 +48,7 @@ from labpipe.mechanics.law.sliders import (
     share_hardening,
     turn_directions,
 )
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable

@@ -388,6 +388,22 @@ class LoadingTable:
             curvature[reverses], slope[reverses] = before + 2.0 * half_curvature_change, rise
         return curvature, slope
 
+    def bend_back(self, rest: Floats, peak: Floats, moment: Floats) -> CurvatureAndSlope:
+        """Bend from a rest by way of the largest moments so far, behind which the wire unloads.
+
+        Parameters
+        ----------
+        rest : as for `bend_on`
+        peak, moment : shape (n, stations), N m
+        """
+        curvature, slope = self.bend_on(rest, peak)
+        falls = moment < peak
+        if falls.any():
+            half_curvature_change, rise = self.bend(0.5 * (peak - moment)[falls])
+            curvature[falls] -= 2.0 * half_curvature_change
+            slope[falls] = rise
+        return curvature, slope
+
     def changes_on(self, rest: Floats, moment: Floats, rest_change: Floats) -> Floats:
         """Return the derivatives of the curvature of `bend_on`, shape (parameters, n, stations).
 

@@ -187,17 +187,17 @@ class StabilityCheck:
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.places.total) % PER_ELEMENT >= FORCE
         self._kept = np.flatnonzero(~(is_force[rows] | is_force[columns]))
+        first, second = assembly.places.positions[:-1], assembly.places.positions[1:]
         pairs = [
-            *((rows[self._kept], columns[self._kept]),),
-            list_block_entries(
-                assembly.places.positions[:-1], FORCE, assembly.places.positions[:-1], FORCE
-            ),
-            list_block_entries(
-                assembly.places.positions[:-1], FORCE, assembly.places.positions[1:], 3
-            ),
-            list_block_entries(assembly.places.positions[1:], 3, assembly.places.positions[1:], 3),
+            (rows[self._kept], columns[self._kept]),
+            list_block_entries(first, FORCE, first, FORCE),
+            list_block_entries(first, FORCE, second, 3),
+            list_block_entries(second, 3, second, 3),
         ]
-        down, right = (_without_forces(np.concatenate(pair)) for pair in zip(*pairs, strict=True))
+        down, right = (
+            FORCE * (places // PER_ELEMENT) + places % PER_ELEMENT  # without the forces
+            for places in (np.concatenate(pair) for pair in zip(*pairs, strict=True))
+        )
         row, column = np.maximum(down, right), np.minimum(down, right)
         self.size = FORCE * n + 3
         self._deep = int(np.max(row - column)) + 1
@@ -207,12 +207,8 @@ class StabilityCheck:
         fixed = band.fixed[free]
         scale = band.scale[free]
         # off-diagonal entries come twice, except in the block between nodes
-        count = np.ones(len(row))
-        count[: len(self._kept)] = np.where(row == column, 1.0, 0.5)[: len(self._kept)]
-        element_block = slice(len(self._kept), len(self._kept) + n * FORCE * FORCE)
-        count[element_block] = np.where(row == column, 1.0, 0.5)[element_block]
-        last = slice(len(row) - 9 * n, len(row))
-        count[last] = np.where(row == column, 1.0, 0.5)[last]
+        count = np.where(row == column, 1.0, 0.5)
+        count[len(self._kept) + n * FORCE * FORCE : len(row) - 9 * n] = 1.0
         self._weights = count * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
         self._scale, self._fixed = scale, fixed
         self._drag = assembly.drag[free] * scale**2
@@ -245,10 +241,9 @@ class StabilityCheck:
             factors = self._factors(balance, shape, drag)
         if factors is None:
             return None
-        is_across = (np.arange(self.size) % FORCE >= TURN) & (
-            np.arange(self.size) % FORCE < TURN + 2
-        )
-        random_mode = np.cos(1.0 + 2.4 * np.arange(self.size)) * is_across
+        number = np.arange(self.size)
+        is_across = np.isin(number % FORCE, (TURN, TURN + 1))
+        random_mode = np.cos(1.0 + 2.4 * number) * is_across
         random_mode /= np.sqrt(np.sum(random_mode**2))
         pushed = push[self._free] * self._scale * ~self._fixed
         size = float(np.sqrt(np.sum(pushed**2)))
@@ -300,7 +295,3 @@ class StabilityCheck:
             flat.reshape(self.size, self._deep).T, lower=True, overwrite_ab=True
         )
         return None if failed else np.asarray(factors)
-
-
-def _without_forces(places: Floats) -> Floats:
-    return np.asarray(FORCE * (places // PER_ELEMENT) + places % PER_ELEMENT)

@@ -161,13 +161,17 @@ def _build_solution_distribution(
 ) -> InputDistribution:
     acts = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
-    uniform = _draw_sobol_points(random, draws, 3 + len(acts))
+    inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
+    uniform = 0.5 + inner_share * (Sobol(3 + len(acts), seed=random).random(draws) - 0.5)
     last = len(mixture.chance) - 1
     place = np.minimum(np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last)
-    student = _compute_student_divisors(uniform[:, 1], mixture.freedom)
+    student = np.ones(draws)  # divisors that turn normal draws into Student's t
+    if np.isfinite(mixture.freedom):
+        student = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
     normal = ndtri(uniform[:, 2:])
     inner = mixture.covariance[:, acts[:, None], acts]
-    roots = np.stack([_factor_covariance(covariance) for covariance in inner])
+    values, vectors = np.linalg.eigh(inner)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     normal_part = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
     changes = widening * (mixture.shift[place][:, acts] + normal_part / student[:, None])
     spread = np.einsum("s,sij->ij", mixture.chance, inner)
@@ -209,24 +213,6 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
     return InputDistribution(
         names, causes, centre, steps, np.hstack([part.amounts for part in parts])
     )
-
-
-def _draw_sobol_points(random: np.random.Generator, draws: int, numbers: int) -> Floats:
-    """Return Sobol points in the unit cube, shape (draws, numbers)."""
-    inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
-    return np.asarray(0.5 + inner_share * (Sobol(numbers, seed=random).random(draws) - 0.5))
-
-
-def _compute_student_divisors(uniform: Floats, freedom: float) -> Floats:
-    """Return the divisors that turn normal draws into Student's t."""
-    if np.isinf(freedom):
-        return np.ones(len(uniform))
-    return np.asarray(np.sqrt(chdtri(freedom, uniform) / freedom))
-
-
-def _factor_covariance(covariance: Floats) -> Floats:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _find_steps(covariance: Floats) -> Floats:

@@ -60,29 +60,21 @@ class Schedule:
         self.line, self.boundaries, self.steps, self.start = line, boundaries, steps, start
         self.n = len(line.lengths)
         _require_rows(boundaries, steps)
-        self.held = self._of(Held)
-        self.strings = self._of(String)
-        self.planes = self._of(Plane)
-        self.rings = self._of(Ring)
-        self.held_nodes = {k: self.node(boundaries[k]) for k in self.held}
-        self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
-        for k in self._of(Load):
-            self.node(boundaries[k])
-        self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
+        self.held = _select(boundaries, Held)
+        self.strings = _select(boundaries, String)
+        self.planes = _select(boundaries, Plane)
+        self.rings = _select(boundaries, Ring)
+        self.loads = _select(boundaries, Load)
+        nodes = {k: self._from_zero(boundaries[k], "node") for k in (*self.held, *self.strings)}
+        self.held_nodes = {k: nodes[k] for k in self.held}
+        self.string_nodes = np.array([nodes[k] for k in self.strings], dtype=int)
+        self.load_nodes = {k: self._from_zero(load, "node") for k, load in self.loads.items()}
+        self.start_places = np.array([self._ring_start(ring) for ring in self.rings.values()])
         self._require_one_each()
         start_line = replace(line, positions=start.positions, frames=start.frames)
         self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
-
-    def _of(self, boundary_type: type) -> tuple[int, ...]:
-        return tuple(
-            k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, boundary_type)
-        )
-
-    def node(self, boundary: Boundary) -> int:
-        """Return the node of a boundary, from 0."""
-        return self._from_zero(boundary, "node")
 
     def _from_zero(self, boundary: Boundary, name: str) -> int:
         """Return the node in a field of a boundary, counted from the start."""
@@ -114,23 +106,18 @@ class Schedule:
 
     def grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
-        releases = ((k, self._get(Held, k).release) for k in self.held)
-        return tuple(k for k, release in releases if release is None or step < release)
-
-    def is_clamp(self, k: int) -> bool:
-        """Return whether a boundary holds the frame of its node as well."""
-        return self._get(Held, k).frame is not None
+        return tuple(
+            k for k, grip in self.held.items() if grip.release is None or step < grip.release
+        )
 
     def force_scale(self) -> float:
         """Return the magnitude of the forces on the whole line, N."""
-        line = self.line
-        size = line.section.law.first_stiffness / line.length**2
-        for boundary in self.boundaries:
-            if isinstance(boundary, Gravity):
-                size += float(np.sum(self._masses)) * _find_largest(boundary.vector)
-            elif isinstance(boundary, Load):
-                size += _find_largest(boundary.force)
-        return size
+        weights = _select(self.boundaries, Gravity).values()
+        return (
+            self.line.section.law.first_stiffness / self.line.length**2
+            + sum(float(np.sum(self._masses)) * _find_largest(weight.vector) for weight in weights)
+            + sum(_find_largest(load.force) for load in self.loads.values())
+        )
 
     def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
         """Return the demands at a time.
@@ -140,56 +127,39 @@ class Schedule:
         time : in steps, from -1
         grips : indices of the boundaries that hold the line
         """
-        share = min(1.0, time + 1.0)
-        held_positions, clamps = self._places(time, share, grips)
-        anchors = np.array(
-            [_interpolate_path(self._get(String, k).anchor, time) for k in self.strings]
-        )
-        rings = self._ring_places(time, share)
-        return Demands(
-            held_positions, clamps, self._forces(time, share), anchors.reshape(-1, 3), rings
-        )
-
-    def _ring_places(self, time: float, share: float) -> Floats:
-        """Return the positions of the rings, which at first move from the line to their paths."""
-        places = [_interpolate_path(self._get(Ring, k).position, time) for k in self.rings]
-        target_positions = np.array(places).reshape(-1, 3)
-        if share < 1.0:
-            starts = [evaluate_curve(self.start.positions, u) for u in self.start_places]
-            target_positions = share * target_positions + (1.0 - share) * np.array(starts).reshape(
-                -1, 3
-            )
-        return target_positions
-
-    def _forces(self, time: float, share: float) -> Floats:
+        share, start = min(1.0, time + 1.0), self.start.positions
+        held = [_interpolate(self.held[k].position, time) for k in grips]
+        rings = [_interpolate(ring.position, time) for ring in self.rings.values()]
+        clamps = {
+            k: _interpolate(frames, time, is_frame=True)
+            for k in grips
+            if (frames := self.held[k].frame) is not None
+        }
         forces = np.zeros((self.n + 1, 3))
-        for boundary in self.boundaries:
-            if isinstance(boundary, Gravity):
-                forces += share * self._masses[:, None] * _interpolate_path(boundary.vector, time)
-            elif isinstance(boundary, Load):
-                forces[self.node(boundary)] += share * _interpolate_path(boundary.force, time)
-        return forces
+        for weight in _select(self.boundaries, Gravity).values():
+            forces += share * self._masses[:, None] * _interpolate(weight.vector, time)
+        for k, load in self.loads.items():
+            forces[self.load_nodes[k]] += share * _interpolate(load.force, time)
+        if share < 1.0:  # from the shape at rest to the start of the paths
+            nodes = (start[self.held_nodes[k]] for k in grips)
+            places = (evaluate_curve(start, place) for place in self.start_places)
+            held = [share * end + (1.0 - share) * x for x, end in zip(nodes, held, strict=True)]
+            rings = [share * end + (1.0 - share) * x for x, end in zip(places, rings, strict=True)]
+            clamps = {k: _turn(self._start_frames[k], end, share) for k, end in clamps.items()}
+        return Demands(
+            np.array(held).reshape(-1, 3),
+            np.array(list(clamps.values())).reshape(-1, 4),
+            forces,
+            np.array(
+                [_interpolate(string.anchor, time) for string in self.strings.values()]
+            ).reshape(-1, 3),
+            np.array(rings).reshape(-1, 3),
+        )
 
-    def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
-        held_positions = np.zeros((len(grips), 3))
-        clamps = []
-        for row, k in enumerate(grips):
-            grip, node = self._get(Held, k), self.held_nodes[k]
-            target_position = _interpolate_path(grip.position, time)
-            held_positions[row] = (
-                share * target_position + (1.0 - share) * self.start.positions[node]
-            )
-            if grip.frame is not None:
-                frame = _interpolate_frame_path(grip.frame, time)
-                if share < 1.0:
-                    frame = _interpolate_frames(self._start_frames[k], frame, share)
-                clamps.append(frame)
-        return held_positions, np.array(clamps).reshape(-1, 4)
 
-    def _get(self, boundary_type: type[T], k: int) -> T:
-        boundary = self.boundaries[k]
-        assert isinstance(boundary, boundary_type)
-        return boundary
+def _select(boundaries: tuple[Boundary, ...], kind: type[T]) -> dict[int, T]:
+    """Return the boundaries of a kind by their index."""
+    return {k: boundary for k, boundary in enumerate(boundaries) if isinstance(boundary, kind)}
 
 
 def get_boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
@@ -202,35 +172,32 @@ def _find_largest(path: Floats) -> float:
     return float(np.max(np.linalg.norm(path, axis=1)))
 
 
-def _interpolate_path(path: Floats, time: float) -> Floats:
+def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats:
     """Interpolate a path at a time."""
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)
+    if is_frame:
+        return _turn(path[k], path[k + 1], time - k)
     return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
 
 
-def _interpolate_frame_path(path: Floats, time: float) -> Floats:
-    if len(path) == 1 or time <= 0.0:
-        return np.asarray(path[0])
-    k = min(int(time), len(path) - 2)
-    return _interpolate_frames(path[k], path[k + 1], time - k)
-
-
-def _interpolate_frames(first: Floats, second: Floats, share: float) -> Floats:
+def _turn(first: Floats, second: Floats, share: float) -> Floats:
     turn = to_rotation_vectors(multiply(conjugate(first), second))
     return multiply(first, from_rotation_vectors(share * turn))
 
 
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
-    names = ("position", "frame", "anchor", "force", "vector")
     for boundary in boundaries:
-        for name in names:
+        for name in ("position", "frame", "anchor", "force", "vector"):
             path = getattr(boundary, name, None)
-            if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
-                continue
-            which, rows = get_boundary_name(boundaries, boundary), len(path)
-            message = format_sentence(
-                "mechanics.rod.path_rows", boundary=which, name=name, rows=rows, expected=steps + 1
-            )
-            raise ValueError(message)
+            if path is not None and path.ndim == 2 and len(path) not in (1, steps + 1):
+                raise ValueError(
+                    format_sentence(
+                        "mechanics.rod.path_rows",
+                        boundary=get_boundary_name(boundaries, boundary),
+                        name=name,
+                        rows=len(path),
+                        expected=steps + 1,
+                    )
+                )

@@ -8,7 +8,6 @@ import numpy as np
 
 from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.mechanics.rod.boundaries import Load, Plane
 from labpipe.mechanics.rod.path import Reason, RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_matrices, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
@@ -63,9 +62,8 @@ def build_state(
     moments = split_sides(supports, _compute_moments(assembly, now))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
-    for k, load in enumerate(schedule.boundaries):
-        if isinstance(load, Load):
-            reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
+    for k, load in schedule.loads.items():
+        reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
     clamped = [grips[int(row)] for row in supports.clamps]
     reaction_moments[clamped] = clamp_moments
     for k, touch in zip(schedule.planes, now.balance.plane_contacts, strict=True):
@@ -206,6 +204,11 @@ class NoEquilibriumError(Exception):
         super().__init__(reason.sentence)
         self.reason = reason
 
+    @classmethod
+    def of(cls, template: str, /, *, step: int, **facts: object) -> NoEquilibriumError:
+        """Make the error from a template and its facts, as `Reason.of`."""
+        return cls(Reason.of(template, step=step, **facts))
+
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     """Refuse held nodes that are too far apart, or that stretch an inextensible line taut.
@@ -239,7 +242,7 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
         if distance <= length * (1.0 + _LENGTH_ROUNDING - (min_slack if is_pulled else 0.0)):
             continue
         is_short = distance > length * (1.0 + _LENGTH_ROUNDING)
-        reason = Reason.of(
+        raise NoEquilibriumError.of(
             "mechanics.rod.too_short" if is_short else "mechanics.rod.taut",
             step=step,
             place=place,
@@ -247,7 +250,6 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
             length=length,
             distance=distance,
         )
-        raise NoEquilibriumError(reason)
 
 
 def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
@@ -260,22 +262,20 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     held_positions = schedule.demands(float(step), grips).held
     line = schedule.line
     clearance = 0.5 * line.section.diameter
-    for plane in (schedule.boundaries[k] for k in schedule.planes if grips):
-        assert isinstance(plane, Plane)
+    for plane in schedule.planes.values() if grips else ():
         heights = (held_positions - plane.point) @ plane.normal
         lowest = int(np.argmin(heights))
         if heights[lowest] < clearance - _LENGTH_ROUNDING * line.length:
-            grip = get_boundary_name(schedule.boundaries, schedule.boundaries[grips[lowest]])
-            reason = Reason.of(
+            k = grips[lowest]
+            raise NoEquilibriumError.of(
                 "mechanics.rod.in_plane",
                 step=step,
-                place=schedule.held_nodes[grips[lowest]],
-                grip=grip,
+                place=schedule.held_nodes[k],
+                grip=get_boundary_name(schedule.boundaries, schedule.held[k]),
                 table=get_boundary_name(schedule.boundaries, plane),
                 height=1e3 * heights[lowest],
                 clearance=1e3 * clearance,
             )
-            raise NoEquilibriumError(reason)
 
 
 def check_line(
@@ -291,19 +291,16 @@ def check_line(
     """
     max_fold = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
-    stretch = 100.0 * shape.stretches[element]
-    if stretch > 100.0 * max_strain:
-        most = 100.0 * max_strain
-        raise NoEquilibriumError(
-            Reason.of("mechanics.rod.torn", step=step, place=element, stretch=stretch, most=most)
+    stretch, most = 100.0 * shape.stretches[element], 100.0 * max_strain
+    if stretch > most:
+        raise NoEquilibriumError.of(
+            "mechanics.rod.torn", step=step, place=element, stretch=stretch, most=most
         )
     turns = np.linalg.norm(balance.cells.turns, axis=1)
     if float(np.max(turns, initial=0.0)) > max_fold:
         cell = int(np.argmax(turns))
         node = assembly.supports.nodes[cell]
-        raise NoEquilibriumError(
-            Reason.of("mechanics.rod.folded", step=step, place=node, turn=turns[cell])
-        )
+        raise NoEquilibriumError.of("mechanics.rod.folded", step=step, place=node, turn=turns[cell])
 
 
 def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
@@ -315,10 +312,8 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     balance : of the line
     step : number
     """
-    for k, thread in zip(schedule.rings, balance.ring_contacts, strict=True):
-        if not 0.0 < thread.place < schedule.n:
-            end = 0 if thread.place <= 0.0 else schedule.n
-            ring = get_boundary_name(schedule.boundaries, schedule.boundaries[k])
-            raise NoEquilibriumError(
-                Reason.of("mechanics.rod.left_ring", step=step, place=end, ring=ring)
-            )
+    for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
+        if not 0.0 < contact.place < schedule.n:
+            end = 0 if contact.place <= 0.0 else schedule.n
+            name = get_boundary_name(schedule.boundaries, ring)
+            raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -22,7 +22,7 @@ import numpy as np
 
 from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
-from labpipe.mechanics.rod.boundaries import Boundary, Plane
+from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import Reason, RodPath, RodState, Status
@@ -122,7 +122,6 @@ class _Walk:
         self.step = 0
         self.work = self.lost = self.friction_loss = self.jumped = self.slider_loss_in_jumps = 0.0
         self.failed = False
-        self.is_checked = self.settings.checks_stability
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
         memory = LineMemory(rests, contacts, self.schedule.start_places)
@@ -136,13 +135,10 @@ class _Walk:
     ) -> None:
         """Assemble the line with the grips that hold from a time on; `memory.rests` is by nodes."""
         self.grips, schedule = grips, self.schedule
-        held_grips = [(schedule.held_nodes[k], schedule.is_clamp(k)) for k in grips]
-        planes = tuple(
-            boundary.raised(0.5 * self.line.section.diameter)
-            for boundary in self.boundaries
-            if isinstance(boundary, Plane)
-        )
-        lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
+        held_grips = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
+        radius = 0.5 * self.line.section.diameter
+        planes = tuple(plane.raised(radius) for plane in schedule.planes.values())
+        lengths = np.array([string.length for string in schedule.strings.values()])
         self.assembly = Assembly(
             self.line,
             split_supports(self.line, tuple(held_grips)),
@@ -223,7 +219,9 @@ class _Walk:
             self._relax(time, is_unstable=True)
 
     def _is_stable(self, equilibrium: Equilibrium) -> bool:
-        return not self.is_checked or self.check.is_stable(equilibrium.balance, equilibrium.shape)
+        return not self.settings.checks_stability or self.check.is_stable(
+            equilibrium.balance, equilibrium.shape
+        )
 
     @property
     def _accepted_unstable(self) -> bool:
@@ -302,11 +300,15 @@ class _Walk:
         if not is_unstable:
             pulls = np.linalg.norm(self.now.shape.forces, axis=1)
             node = int(np.argmax(pulls))
-            reason = Reason.of(
+            raise NoEquilibriumError.of(
                 "mechanics.rod.no_equilibrium", step=self.step, place=node, pull=pulls[node]
             )
-            raise NoEquilibriumError(reason)
-        self._doubt_stability()
+        if not self._has_reason("unstable"):
+            push = np.zeros(self.assembly.places.total)
+            mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
+            moves = split_unknowns(push if mode is None else mode)[0]
+            node = int(np.argmax(np.linalg.norm(moves, axis=1)))
+            self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=node))
 
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
@@ -345,9 +347,7 @@ class _Walk:
     def _reach_rest(self, time: float) -> bool:
         """Accept a stable equilibrium without drag; return whether there is one."""
         final = self._find_equilibrium(time)
-        if final is None:
-            return False
-        if self.is_checked and not self.check.is_stable(final.balance, final.shape):
+        if final is None or not self._is_stable(final):
             return False
         self._commit(time, final)
         return True
@@ -363,9 +363,7 @@ class _Walk:
         )
         if equilibrium is None or not self._is_near_enough(equilibrium):
             return None
-        if self.is_checked and not self.check.is_stable(equilibrium.balance, equilibrium.shape):
-            return None
-        return equilibrium
+        return equilibrium if self._is_stable(equilibrium) else None
 
     def _perturbed_shape(self, size: float) -> Shape:
         """Return the shape, perturbed along its softest mode by a size relative to the line."""
@@ -384,15 +382,6 @@ class _Walk:
 
     # ---- results ------------------------------------------------------------------------------
 
-    def _doubt_stability(self) -> None:
-        """Record, once, the reason why an unstable equilibrium was accepted."""
-        push = np.zeros(self.assembly.places.total)
-        mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
-        moves = split_unknowns(push if mode is None else mode)[0]
-        node = int(np.argmax(np.linalg.norm(moves, axis=1)))
-        if not self._has_reason("unstable"):
-            self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=node))
-
     def _has_reason(self, code: str) -> bool:
         return any(reason.code == code for reason in self.reasons)
 
@@ -402,19 +391,14 @@ class _Walk:
         stored = self._stored_energy()
         jumps = self.jumped, self.slider_loss_in_jumps
         self.energies.append((self.work, stored, self.lost, self.friction_loss, *jumps))
-        last = self.line.section.law.last
-        node = int(np.argmax(state.bendings))
-        if state.bendings[node] > last and not self._has_reason("beyond_law"):
-            curvature = state.bendings[node]
-            self.reasons.append(
-                Reason.of(
-                    "mechanics.rod.beyond_law",
-                    step=step,
-                    place=node,
-                    curvature=curvature,
-                    last=last,
-                )
+        bendings, last = state.bendings, self.line.section.law.last
+        node = int(np.argmax(bendings))
+        if bendings[node] > last and not self._has_reason("beyond_law"):
+            curvature = bendings[node]
+            reason = Reason.of(
+                "mechanics.rod.beyond_law", step=step, place=node, curvature=curvature, last=last
             )
+            self.reasons.append(reason)
 
     def path(self) -> RodPath:
         """Return the path."""

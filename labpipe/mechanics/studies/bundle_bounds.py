@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from itertools import chain
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
+from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.bundle_friction import fit_friction
 from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
@@ -44,7 +44,6 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.figure_page import save_pages
 from labpipe.report.harness_figures import (
     BUNDLE_FIGURE,
     LOOP_FIGURE,
@@ -52,7 +51,6 @@ from labpipe.report.harness_figures import (
     make_loop_page,
 )
 from labpipe.store.read import read_outcome
-from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 
@@ -81,17 +79,38 @@ def bound_stiffnesses(
     The share is 0 where all wires and all strands slip, and 1 where nothing slips; see
     `compute_bounds_share`.
     """
-    with_bundles = [group for group in groups if _list_bundles(group)]
-    bundles = dict.fromkeys(chain.from_iterable(map(_list_bundles, with_bundles)))
-    bounds = _compute_bounds(list(bundles), {wire.name: wire for wire in wires})
-    for group in with_bundles:
-        for sample in group.samples:
-            yield _bound_sample(group, sample, bounds)
-        yield _bound_mean(group, bounds)
+    make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
+    bound = cache(partial(_bound, make_table))
+    for group in groups:
+        bundles = [_strip_covers(sample) for sample in group.samples]
+        if not any(bundles):
+            continue
+        for sample, bundle in zip(group.samples, bundles, strict=True):
+            bounds = bound(bundle) if bundle else (Reason.of("mechanics.studies.no_bundle"),)
+            yield _add_share(_find_stiffness(group, sample), bounds)
+        shared, *others = dict.fromkeys(bundles)
+        differ = (Reason.of("mechanics.studies.bundles_differ"),)
+        yield _add_share(_find_mean(group), differ if others or not shared else bound(shared))
 
 
-def _list_bundles(group: Group) -> list[Bundle]:
-    return [bundle for sample in group.samples if (bundle := _strip_covers(sample)) is not None]
+def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
+    if name not in specs:
+        return Reason.of("mechanics.studies.not_in_sheet", wire=name)
+    try:
+        return wire_table(specs[name])
+    except ValueError as error:
+        return Reason.of("mechanics.studies.no_law", wire=name, error=error)
+
+
+def _bound(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Bounds:
+    tables = [make_table(wire.type) for wire in bundle.wires]
+    if refused := tuple(table for table in tables if isinstance(table, Reason)):
+        return refused
+    laws = {table.name: table for table in tables if isinstance(table, WireTable)}
+    try:
+        return compute_bundle_model(bundle, laws)
+    except ValueError as error:
+        return (Reason.of("mechanics.studies.no_model", error=error),)
 
 
 def _strip_covers(sample: Sample) -> Bundle | None:
@@ -100,61 +119,23 @@ def _strip_covers(sample: Sample) -> Bundle | None:
     return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
-def _compute_bounds(
-    bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]
-) -> dict[Bundle, _Bounds]:
-    tables: dict[str, WireTable] = {}
-    refused: dict[str, Reason] = {}
-    for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
-        if name not in wires:
-            refused[name] = Reason.of("mechanics.studies.not_in_sheet", wire=name)
-            continue
-        try:
-            tables[name] = wire_table(wires[name])
-        except ValueError as error:
-            refused[name] = Reason.of("mechanics.studies.no_law", wire=name, error=error)
-    return {bundle: _model_bounds(bundle, tables, refused) for bundle in bundles}
-
-
-def _model_bounds(
-    bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
-) -> _Bounds:
-    reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
-    if reasons:
-        return reasons
-    try:
-        return compute_bundle_model(bundle, tables)
-    except ValueError as error:
-        return (Reason.of("mechanics.studies.no_model", error=error),)
-
-
-def _bound_sample(
-    group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]
-) -> BoundedStiffness:
+def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
     result = next((result for result in sample.results if result.name == STIFFNESS), None)
-    value = None if result is None else result.value
-    interval = None if result is None else result.interval
-    reasons: tuple[Reason, ...] = (Reason.of("mechanics.studies.no_stiffness"),)
-    if result is not None:
-        reasons = result.reasons if value is None else ()
-    stiffness = BoundedStiffness(group.name, sample.test, value, interval, reasons=reasons)
-    bundle = _strip_covers(sample)
-    if bundle is None:
-        return replace(stiffness, reasons=(Reason.of("mechanics.studies.no_bundle"),))
-    return _add_share(stiffness, bounds[bundle])
+    reasons: tuple[Reason, ...]
+    if result is None:
+        reasons = (Reason.of("mechanics.studies.no_stiffness"),)
+        return BoundedStiffness(group.name, sample.test, None, None, reasons=reasons)
+    reasons = result.reasons if result.value is None else ()
+    return BoundedStiffness(group.name, sample.test, result.value, result.interval, reasons=reasons)
 
 
-def _bound_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BoundedStiffness:
+def _find_mean(group: Group) -> BoundedStiffness:
     number = next((number for number in group.numbers if number.name == STIFFNESS), None)
-    mean = None if number is None or number.mean is None else number.mean.chosen
-    value = None if mean is None else mean.mean
-    stiffness = BoundedStiffness(group.name, "", value, mean.interval if mean else None)
-    if mean is None:
-        stiffness = replace(stiffness, reasons=(Reason.of("mechanics.studies.no_mean_stiffness"),))
-    shared = list(dict.fromkeys(map(_strip_covers, group.samples)))
-    if len(shared) > 1 or shared[0] is None:
-        return replace(stiffness, reasons=(Reason.of("mechanics.studies.bundles_differ"),))
-    return _add_share(stiffness, bounds[shared[0]])
+    if number is None or number.mean is None:
+        reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
+        return BoundedStiffness(group.name, "", None, None, reasons=reasons)
+    mean = number.mean.chosen
+    return BoundedStiffness(group.name, "", mean.mean, mean.interval)
 
 
 def _add_share(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
@@ -174,7 +155,6 @@ def _add_share(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
 
 
 BUNDLE_FILE = "bundle.json"
-FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 _UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
@@ -276,21 +256,26 @@ def model_bundle(
             "mechanics.studies.wires_do_not_fit", target, error=error
         ) from error
     folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
-    diameters = model.layout.diameter
-    conduits = [
-        Conduit(
-            bore, compute_packing_fraction(diameters, bore), fits_bore(model.smallest_bore, bore)
-        )
+    diameters, smallest = model.layout.diameter, model.smallest_bore
+    conduits = tuple(
+        Conduit(bore, compute_packing_fraction(diameters, bore), fits_bore(smallest, bore))
         for bore in offered
-    ]
-    modelled = ModelledBundle(name, model, tuple(conduits), compute_bore(diameters), folder)
+    )
+    modelled = ModelledBundle(name, model, conduits, compute_bore(diameters), folder)
     if test is not None:
         laws = [tables[wire.type] for wire in bundle.wires]
         try:
             modelled = replace(modelled, friction=fit_friction(model, laws, extract_loop(test)))
         except ValueError as error:
             modelled = replace(modelled, no_friction=str(error))
-    return _write(modelled, figures=figures, png=png)
+    owned, pages = [], []
+    if figures:
+        owned = [f"{FIGURES_FOLDER}/{name}.png" for name in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        pages = [make_bundle_page(model)]
+        if modelled.friction is not None:
+            pages.append(make_loop_page(name, modelled.friction))
+    texts = {BUNDLE_FILE: json.dumps(as_json(modelled))}
+    return replace(modelled, files=write_study(folder, texts, pages, owned=owned, png=png))
 
 
 def _read_bundle(
@@ -347,27 +332,16 @@ def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel
     return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
-def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:
-    folder = modelled.folder
-    names = (BUNDLE_FIGURE, LOOP_FIGURE) if figures else ()
-    owned = [f"{FIGURES_FOLDER}/{name}.png" for name in names]
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
-        with storing(folder):
-            (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
-        written = [stage / BUNDLE_FILE]
-        if figures:
-            pages = [make_bundle_page(modelled.model)]
-            if modelled.friction is not None:
-                pages.append(make_loop_page(modelled.name, modelled.friction))
-            written += save_pages(pages, stage / FIGURES_FOLDER, png=png)
-        files = tuple(folder / path.relative_to(stage) for path in written)
-    return replace(modelled, files=files)
-
-
 _NUMBERS = (
     *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
     *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
+)
+
+
+_FRICTION_NUMBERS = (
+    *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
+    *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
 )
 
 
@@ -389,7 +363,11 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         **select_json(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
         "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
         "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
-        "friction": friction and _build_friction_json(friction),
+        "friction": friction
+        and {
+            **select_json(friction, *_FRICTION_NUMBERS),
+            **select_json(friction.loop, "length", "deflection", "force", "branch"),
+        },
     }
 
 
@@ -470,15 +448,3 @@ def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
         rows.append(inside[np.round(evenly).astype(np.int64)])
         branches.append(np.full(len(evenly), number, dtype=np.int64))
     return np.concatenate(rows), np.concatenate(branches)
-
-
-_FRICTION_NUMBERS = (
-    *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
-    *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
-)
-
-
-def _build_friction_json(fit: FrictionFit) -> dict[str, object]:
-    return select_json(fit, *_FRICTION_NUMBERS) | select_json(
-        fit.loop, "length", "deflection", "force", "branch"
-    )

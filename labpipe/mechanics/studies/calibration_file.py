@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError
+from labpipe.mechanics.studies.wire_sheets import StatedCurve
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import (
@@ -22,55 +23,82 @@ from labpipe.records.wire_calibration import (
     CurveErrors,
     CurveMatch,
     ExternalCurveComparison,
-    IsotropicShare,
     ScatterMixture,
     Separability,
     Solution,
 )
-from labpipe.report.calibration_summary import ValidationGroup
+from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2
 
 
-def build_calibration_json(
-    calibration: Calibration,
-    groups: Sequence[ValidationGroup],
-    left_out: Mapping[str, str],
-    tested: float = math.nan,
-) -> dict[str, object]:
-    """Return a calibration as lists and SI numbers; None where there is no number.
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration with its comparisons.
 
     Parameters
     ----------
-    calibration : of one wire
-    groups : tests that it is compared with
+    folder : of the results
+    calibration : of the wire that was calibrated
+    groups : samples of one wire and length each, those of the calibrated wire first
     left_out : by file, why a test was not used
-    tested : 1/m, largest curvature in the tests
+    files : all that were written
+    comparisons : external curves, compared with tests and model
+    tested_curvature : 1/m, largest in the tests of the calibrated wire
+    shapes : of one sample of the calibrated wire and of the model, by test
+    stress_tables : of the calibrated wire in the sheet, by column
     """
+
+    folder: Path
+    calibration: Calibration
+    groups: tuple[ValidationGroup, ...]
+    left_out: Mapping[str, str]
+    files: tuple[Path, ...]
+    comparisons: tuple[ExternalCurveComparison, ...] = ()
+    tested_curvature: float = math.nan
+    shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
+    stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
+
+
+def as_json(done: Calibrated) -> dict[str, object]:
+    """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
+
+    Parameters
+    ----------
+    done : the calibration; None stands for a number that is missing
+    """
+    calibration, share = done.calibration, done.calibration.share
     friction = calibration.friction_separability
     numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    curve_numbers = (
+        *("test", "sample", "length", "sample_factor"),
+        *("sse", "rmse", "rmse_share", "runs_p"),
+    )
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
         **select_json(calibration, "wire", "method", *numbers, quality="notes"),
         "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],
         "solutions": [_build_solution(solution) for solution in calibration.solutions],
-        "isotropic_share": calibration.share and _build_share(calibration.share),
-        "tested_curvature": replace_non_finite(tested),
+        "isotropic_share": share
+        and {
+            **select_json(share, "value", "n_tests", "is_creep"),
+            **select_json(share.interval, "lower", "upper", "level"),
+            "by_number": {name: [part.lower, part.upper] for name, part in share.by_number.items()},
+        },
+        "tested_curvature": replace_non_finite(done.tested_curvature),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
         "separability": _build_separability(calibration.separability),
-        "friction_separability": None if friction is None else _build_separability(friction),
+        "friction_separability": friction and _build_separability(friction),
         "curves": [
-            select_json(
-                *(curve, "test", "sample", "length", "sample_factor"),
-                *("sse", "rmse", "rmse_share", "runs_p"),
-                lag_one="lag_one_correlation",
-            )
+            select_json(curve, *curve_numbers, lag_one="lag_one_correlation")
             for curve in calibration.curves
         ],
-        "groups": [_build_group(group) for group in groups],
-        "left_out": dict(left_out),
+        "groups": [_build_group(group) for group in done.groups],
+        "left_out": dict(done.left_out),
+        "comparisons": [build_comparison_json(comparison) for comparison in done.comparisons],
+        "stress_tables": {name: curve.as_json() for name, curve in done.stress_tables.items()},
     }
 
 
@@ -81,28 +109,15 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
         ends[0][0] = None
     if ends and parameter.is_open_above:
         ends[-1][1] = None
-    names = ("factor", "source", "size", "contradicts", "message")
-    prior = conflict and select_json(conflict, *names, value="centre", without="alone")
+    names = ("name", "value", "unit", "verdict", "profiles", "source")
+    prior_names = ("factor", "source", "size", "contradicts", "message")
     return {
-        **select_json(
-            parameter, "name", "value", "unit", "verdict", "profiles", "source", words="explanation"
-        ),
+        **select_json(parameter, *names, words="explanation"),
         "lower": ends[0][0] if ends else None,
         "upper": ends[-1][1] if ends else None,
         "level": interval and interval.level,
         "intervals": ends,
-        "prior": prior,
-    }
-
-
-def _build_share(share: IsotropicShare) -> dict[str, object]:
-    ends = {name: [part.lower, part.upper] for name, part in share.by_number.items()}
-    return {
-        **select_json(share, "value", "n_tests", "is_creep"),
-        "lower": share.interval.lower,
-        "upper": share.interval.upper,
-        "level": share.interval.level,
-        "by_number": ends,
+        "prior": conflict and select_json(conflict, *prior_names, value="centre", without="alone"),
     }
 
 
@@ -208,6 +223,10 @@ def read_calibrated(path: Path) -> CalibratedFile:
 
 def _parse_file(content: dict[str, Any]) -> CalibratedFile:
     solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
+    share, entry = None, content.get("isotropic_share")
+    if entry is not None and not entry["is_creep"]:
+        interval = Interval(float(entry["lower"]), float(entry["upper"]))
+        share = float(entry["value"]), interval.standard_error
     if not solutions:
         message = "no solution"
         raise ValueError(message)
@@ -216,15 +235,8 @@ def _parse_file(content: dict[str, Any]) -> CalibratedFile:
         solutions,
         float(content["widening"]),
         float(_floats(content["tested_curvature"])),
-        _parse_share(content.get("isotropic_share")),
+        share,
     )
-
-
-def _parse_share(entry: dict[str, Any] | None) -> tuple[float, float] | None:
-    if entry is None or entry["is_creep"]:
-        return None
-    interval = Interval(float(entry["lower"]), float(entry["upper"]))
-    return float(entry["value"]), interval.standard_error
 
 
 def _parse_solution(entry: dict[str, Any]) -> Solution:

@@ -5,40 +5,43 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError
+from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.studies.calibration_file import build_calibration_json, build_comparison_json
-from labpipe.mechanics.studies.external_curves import compare_external_curves, read_external_curves
+from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     note_sheet_weight,
     read_first_loadings,
     set_self_weight,
 )
-from labpipe.mechanics.studies.validation import (
-    build_sheet_wire,
-    choose_wire,
+from labpipe.mechanics.studies.model_comparisons import (
+    compare_external_curves,
     compare_shapes,
     compare_tests,
-    drop_copies,
-    find_wire_sheet,
     note_insulations,
     note_misfits,
-    require_wires,
+    read_external_curves,
 )
-from labpipe.mechanics.studies.wire_sheets import StatedCurve, read_wire_sheet
+from labpipe.mechanics.studies.study_files import write_study
+from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
 from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
 from labpipe.mechanics.wire.law_family import apply_values
-from labpipe.mechanics.wire.wire_table import build_wire, find_range, wire_table
+from labpipe.mechanics.wire.wire_table import (
+    build_wire,
+    find_linear_range,
+    find_range,
+    mass_per_length,
+    wire_table,
+)
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
@@ -49,51 +52,15 @@ from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
     CalibrationFailure,
-    ExternalCurveComparison,
     IsotropicShare,
     ParameterChoice,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
-from labpipe.report.calibration_summary import (
-    BentShape,
-    CalibrationReport,
-    ValidationGroup,
-    save_calibration_workbook,
-)
-from labpipe.report.figure_page import list_pngs, save_pages
-from labpipe.store.replace import locked, replacing_together
+from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook
+from labpipe.units import GRAVITY
 
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
-FIGURES_FOLDER = "figures"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
-    """A calibration with its comparisons.
-
-    Parameters
-    ----------
-    folder : of the results
-    calibration : of the wire that was calibrated
-    groups : samples of one wire and length each, those of the calibrated wire first
-    left_out : by file, why a test was not used
-    files : all that were written
-    comparisons : external curves, compared with tests and model
-    tested_curvature : 1/m, largest in the tests of the calibrated wire
-    shapes : of one sample of the calibrated wire and of the model, by test
-    stress_tables : of the calibrated wire in the sheet, by column
-    """
-
-    folder: Path
-    calibration: Calibration
-    groups: tuple[ValidationGroup, ...]
-    left_out: Mapping[str, str]
-    files: tuple[Path, ...]
-    comparisons: tuple[ExternalCurveComparison, ...] = ()
-    tested_curvature: float = math.nan
-    shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
-    stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
 
 
 def calibrate_tests(
@@ -147,24 +114,26 @@ def calibrate_tests(
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
     built = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
-    unweighted = [loading for loading in loadings if loading.curve.wire == name]
-    weight = note_sheet_weight(unweighted, built[name].self_weight)
-    loadings = [
-        set_self_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings
-    ]
+    weights = {wire: built[wire].self_weight for wire in tested}
+    weight = note_sheet_weight(
+        [loading for loading in loadings if loading.curve.wire == name], weights[name]
+    )
+    loadings = [set_self_weight(loading, weights[loading.curve.wire]) for loading in loadings]
     calibrating = [loading for loading in loadings if loading.curve.wire == name]
+    measured = [loading.curve for loading in calibrating]
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibrate(built[name], calibrating, settings, tables)
     share = _calibrate_share(specs[name], calibration, calibrating)
-    share_notes = tuple(_list_share_notes(specs[name], share))
-    calibration = replace(calibration, share=share, notes=(*calibration.notes, *share_notes))
-    measured = [loading.curve for loading in calibrating]
-    tested_curvature = find_tested_curvature(built[name], calibration.solutions[0].values, measured)
-    notes = (weight, *note_insulations(calibration, built, specs, loadings))
     groups = compare_tests(calibration, built, loadings)
-    notes = (*notes, *note_misfits(groups))
-    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
+    notes = [
+        *calibration.notes,
+        *_list_share_notes(specs[name], share),
+        *([] if weight is None else [weight]),
+        *note_insulations(calibration, built, specs, loadings),
+        *note_misfits(groups),
+    ]
+    calibration = replace(calibration, share=share, notes=tuple(notes))
     done = Calibrated(
         folder=shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
@@ -174,14 +143,164 @@ def calibrate_tests(
         comparisons=compare_external_curves(
             curves, calibration, built, groups, calibrating + loadings
         ),
-        tested_curvature=tested_curvature,
+        tested_curvature=find_tested_curvature(
+            built[name], calibration.solutions[0].values, measured
+        ),
         stress_tables=sheet.curves[name],
     )
     if figures:
         wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
-        done = replace(done, shapes=_compare_shapes(calibrating[0], wire))
-    calibrated = [apply_calibration(specs[test], calibration) for test in sorted(tested)]
-    return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))
+        deepest = float(np.max(measured[0].deflection))
+        shapes = compare_shapes(
+            calibrating[0].file, wire, measured[0].length, measured[0].rig, deepest
+        )
+        done = replace(done, shapes={measured[0].test: shapes} if shapes else {})
+    laws = [wire_table(apply_calibration(specs[wire], calibration)) for wire in sorted(tested)]
+    report = CalibrationReport(calibration, groups, done.shapes, done.comparisons)
+
+    def write_others(stage: Path) -> list[Path]:
+        save_calibration_workbook(report, stage / WORKBOOK_FILE)
+        return [stage / WORKBOOK_FILE, *write_decks(laws, stage)]
+
+    say("tables and decks")
+    files_written = write_study(
+        done.folder,
+        {MODEL_FILE: json.dumps(as_json(done), allow_nan=False)},
+        [*list_calibration_figures(report)] if figures else (),
+        write_others=write_others,
+        say=say,
+        png=png,
+    )
+    return replace(done, files=files_written)
+
+
+DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
+"""Names of the wire sheet in the working folder."""
+
+
+def find_wire_sheet() -> Path:
+    """Return the wire sheet of the working folder.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    for name in DEFAULT_SHEETS:
+        if Path(name).is_file():
+            return Path(name)
+    raise UsageError.about(
+        "mechanics.studies.no_wire_sheet", "--wire", names=" or ".join(DEFAULT_SHEETS)
+    )
+
+
+def choose_wire(
+    loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
+) -> str:
+    """Return the wire of the plan, or the only one with tests.
+
+    Parameters
+    ----------
+    loadings : of all tests
+    settings : the plan
+    plan : its file, for messages
+
+    Raises
+    ------
+    UsageError
+        If the wire of the plan has no tests, or it names none and several have tests.
+    """
+    tested = sorted({loading.curve.wire for loading in loadings})
+    wire = tested[0] if settings.wire is None and len(tested) == 1 else settings.wire
+    if wire in tested:
+        return str(wire)
+    if wire is None:
+        raise UsageError.about(
+            "mechanics.studies.several_wires",
+            plan or "tests",
+            count=len(tested),
+            wires=", ".join(tested),
+        )
+    raise UsageError.about(
+        "mechanics.studies.untested_wire",
+        plan or "plan",
+        "wire",
+        wire=wire,
+        tested=", ".join(sort_by_likeness(wire, tested)),
+    )
+
+
+def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], dict[str, str]]:
+    """Drop copies of first loadings, which would count as further tests.
+
+    Parameters
+    ----------
+    loadings : of all tests
+
+    Returns
+    -------
+    The first of all copies each, and by file why a copy was left out.
+    """
+    first: dict[tuple[bytes, bytes], FirstLoading] = {}
+    left_out: dict[str, str] = {}
+    for loading in loadings:
+        original = first.setdefault(
+            (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
+        )
+        if original is not loading:
+            error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
+            left_out[str(loading.file)] = str(error)
+    return list(first.values()), left_out
+
+
+def require_wires(
+    loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
+) -> None:
+    """Refuse tests of wires that are not in the sheet.
+
+    Parameters
+    ----------
+    loadings : of all tests
+    specs : wires of the sheet, by name
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    UsageError
+        If a wire is missing.
+    """
+    for wire in sorted({loading.curve.wire for loading in loadings} - set(specs)):
+        test = next(loading.curve.test for loading in loadings if loading.curve.wire == wire)
+        raise UsageError.about(
+            "mechanics.studies.type_not_in_sheet",
+            wires,
+            "column wire",
+            wire=wire,
+            test=test,
+            near=", ".join(sort_by_likeness(wire, list(specs))),
+        )
+
+
+def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
+    """Build a wire of the sheet.
+
+    Parameters
+    ----------
+    spec : of the wire
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    ProcessingError
+        If its strands do not fit.
+    """
+    try:
+        wire = build_wire(spec)
+    except ValueError as error:
+        raise build_wire_error(wires, spec, "a wire that can be built", error) from error
+    weight = GRAVITY * mass_per_length(spec, wire.section)
+    linear_range = find_linear_range(spec)
+    return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 
 def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
@@ -269,14 +388,6 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
             yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=last)
 
 
-def _compare_shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
-    """Return the shapes of the first test of the calibrated wire."""
-    curve = loading.curve
-    deepest = float(np.max(curve.deflection))
-    shapes = compare_shapes(loading.file, wire, curve.length, curve.rig, deepest)
-    return {curve.test: shapes} if shapes else {}
-
-
 def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
     """Return the choices of the plan; a parameter without one is free if it has an effect."""
     settings = {
@@ -293,43 +404,3 @@ def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
         )
         for name, setting in settings.items()
     }
-
-
-def _write(
-    done: Calibrated,
-    calibrated: Sequence[WireSpec],
-    say: Callable[[str], None],
-    *,
-    figures: bool,
-    png: bool,
-) -> tuple[Path, ...]:
-    """Write all files of a calibration together."""
-    folder = done.folder
-    report = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
-    owned = list_pngs(list_calibration_figures(report), FIGURES_FOLDER) if figures else []
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
-        say("tables and decks")
-        model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
-        model.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
-        save_calibration_workbook(report, workbook)
-        written = [model, workbook]
-        written += write_decks([wire_table(spec) for spec in calibrated], stage)
-        if figures:
-            drawings = list_calibration_figures(report)
-            written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
-        return tuple(folder / path.relative_to(stage) for path in written)
-
-
-def as_json(done: Calibrated) -> dict[str, object]:
-    """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
-
-    Parameters
-    ----------
-    done : the calibration
-    """
-    content = build_calibration_json(
-        *(done.calibration, done.groups, done.left_out), done.tested_curvature
-    )
-    stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
-    compared = [build_comparison_json(comparison) for comparison in done.comparisons]
-    return content | {"comparisons": compared, "stress_tables": stated}

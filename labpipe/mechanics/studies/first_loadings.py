@@ -50,9 +50,10 @@ def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -
     0 where the test has fewer than four samples at rest before its loading.
     """
     at_rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
-    zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
-    duration = next((step.over for step in zeroed), None)  # duration of the mean, s
-    return estimate_zero_error(curve.time[at_rest], curve.force[at_rest], duration)
+    durations = [
+        step.over for step in protocol.steps if isinstance(step, Zero) and step.channel == force
+    ]
+    return estimate_zero_error(curve.time[at_rest], curve.force[at_rest], *durations[:1])
 
 
 def estimate_place_error(
@@ -71,14 +72,17 @@ def estimate_place_error(
     force times the speed of the deflection. The latter is 0 for a test with a single clock.
     """
     at_rest = slice(0, first.start)
-    frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
-    duration = next((step.over for step in frames), None)  # duration of the reference, s
-    zero = estimate_zero_error(curve.time[at_rest], curve.displacement[at_rest], duration)
+    durations = [step.over for step in protocol.steps if isinstance(step, SpecimenFrame)]
+    zero = estimate_zero_error(curve.time[at_rest], curve.displacement[at_rest], *durations[:1])
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
-    return float(
-        np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _compute_speed(curve, first))
-    )
+    part = slice(first.start, first.stop)
+    valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
+    if len(valid) < 2 or not np.isfinite(clock):
+        return zero
+    ends = first.start + valid[[0, -1]]
+    speed = np.diff(curve.displacement[ends])[0] / np.diff(curve.time[ends])[0]
+    return float(np.hypot(zero, clock * speed))
 
 
 def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
@@ -112,7 +116,7 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     return common, test_error
 
 
-def estimate_zero_error(time: Floats, values: Floats, duration: float | None) -> float:
+def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:
     """Estimate the standard error of a zero, which is a mean over part of a rest.
 
     Parameters
@@ -139,17 +143,6 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None) ->
     return float(np.sqrt(variance / (share * len(valid))))
 
 
-def _compute_speed(curve: Curve, first: Branch) -> float:
-    """Return the mean speed of the deflection over the branch, m/s."""
-    part = slice(first.start, first.stop)
-    valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
-    if len(valid) < 2:
-        return 0.0
-    begin, end = valid[0] + first.start, valid[-1] + first.start
-    moved = curve.displacement[end] - curve.displacement[begin]
-    return float(moved / (curve.time[end] - curve.time[begin]))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstLoading:
     """The first loading of a processed test.
@@ -172,6 +165,11 @@ class FirstLoading:
 
 class NotUsableError(LabpipeError):
     """A test that a calibration cannot use; the message states the reason."""
+
+    @classmethod
+    def of(cls, template: str, /, **facts: object) -> NotUsableError:
+        """Make the error from a template and its facts."""
+        return cls(format_sentence(template, **facts))
 
 
 def read_first_loadings(
@@ -238,39 +236,39 @@ def extract_first_loading(
     force, and those of the deflection times the slope of the curve.
     """
     min_points = 20
-    _require_cantilever(protocol)
+    if protocol.rig.string is None and not any(isinstance(s, FitShape) for s in protocol.steps):
+        raise NotUsableError.of("mechanics.studies.no_cantilever", protocol=protocol.name)
     _require_zeros(result)
     curve, branch = _find_first_branch(result)
     rest_notes = _check_rest(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
-        raise NotUsableError(format_sentence("mechanics.studies.no_length"))
+        raise NotUsableError.of("mechanics.studies.no_length")
     limit = min(up_to or np.inf, DEEPEST * length)
     part = slice(branch.start, branch.stop)
     deflection = average_blocks(curve.displacement[part], points)
     force = average_blocks(curve.force[part], points)
     usable = np.isfinite(deflection) & np.isfinite(force)
-    taken = usable & (deflection > 0.0) & (deflection <= limit)
-    if taken.sum() < min_points:
-        count, end = int(taken.sum()), 1e3 * limit
-        message = format_sentence(
-            "mechanics.studies.few_points", count=count, end=end, least=min_points
+    inside = usable & (deflection > 0.0) & (deflection <= limit)
+    if inside.sum() < min_points:
+        raise NotUsableError.of(
+            "mechanics.studies.few_points",
+            count=int(inside.sum()),
+            end=1e3 * limit,
+            least=min_points,
         )
-        raise NotUsableError(message)
     string, rig = protocol.rig.string, None
     if string is not None:
-        weight = GRAVITY * string.counterweight
-        rig = StringRig(string.length, weight, length, string.length)
-    sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
+        rig = StringRig(string.length, GRAVITY * string.counterweight, length, string.length)
     common_scale_error, test_scale_error = estimate_scale_errors(result)
     measured = MeasuredCurve(
         wire=result.specimen.type,
         test=result.test,
-        sample=sample,
+        sample=f"{result.specimen.spool}, sample {result.specimen.sample}",
         length=length,
-        deflection=deflection[taken],
-        force=force[taken],
-        noise=_estimate_point_noise(deflection[usable], force[usable])[taken[usable]],
+        deflection=deflection[inside],
+        force=force[inside],
+        noise=_estimate_point_noise(deflection[usable], force[usable])[inside[usable]],
         rig=rig,
         zero_error=estimate_force_zero_error(protocol, curve, branch),
         place_error=estimate_place_error(result, protocol, curve, branch),
@@ -278,15 +276,16 @@ def extract_first_loading(
         own_scale_error=test_scale_error,
         self_weight=_read_self_weight(protocol),
     )
+    channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
+    gain = 0.0 if channel is None else channel.gain_uncertainty
+    cycles, cycle_notes = read_cycles(result, measured)
     notes = (
         *_note_doubts(result),
         *rest_notes,
         *_note_cut(result.test, deflection[usable], limit),
+        *cycle_notes,
     )
-    channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
-    gain = 0.0 if channel is None else channel.gain_uncertainty
-    cycles, cycle_notes = read_cycles(result, measured)
-    return FirstLoading(measured, gain, (*notes, *cycle_notes), cycles=cycles)
+    return FirstLoading(measured, gain, notes, cycles=cycles)
 
 
 def read_cycles(
@@ -319,10 +318,10 @@ def read_cycles(
     if abs(growth) > max_growth:
         notes = (QualityNote.of("mechanics.studies.cycles_grow", result.test, growth=growth),)
     forces = [numbers.get(f"peak_force.{cycle}") for cycle in (1, 2)]
-    if abs(growth) <= max_growth and all(force and force.value for force in forces):
-        values = [float(force.value or 0.0) for force in forces if force]
+    values = [force.value if force and force.value else np.nan for force in forces]
+    ratio = values[1] / values[0]
+    if abs(growth) <= max_growth and np.isfinite(ratio):
         errors = [own_error(force) / value for force, value in zip(forces, values, strict=True)]
-        ratio = values[1] / values[0]
         left[RATIO] = ratio, abs(ratio) * hypot(*errors)
     cycles = CycledTest(result.test, curve.length, peak.value, left, curve.rig, curve.self_weight)
     return cycles, notes
@@ -376,8 +375,7 @@ def _check_rest(
         result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
     )
     if evidence.why_not_straight:
-        message = format_sentence("mechanics.studies.sagged", reason=evidence.why_not_straight)
-        raise NotUsableError(message)
+        raise NotUsableError.of("mechanics.studies.sagged", reason=evidence.why_not_straight)
     return tuple(list_rest_notes(result.test, evidence))
 
 
@@ -460,13 +458,6 @@ def note_insulation(spec: WireSpec, tested: float, *, of: str = "") -> QualityNo
     )
 
 
-def _require_cantilever(protocol: Protocol) -> None:
-    has_shape = any(isinstance(step, FitShape) for step in protocol.steps)
-    if protocol.rig.string is None and not has_shape:
-        message = format_sentence("mechanics.studies.no_cantilever", protocol=protocol.name)
-        raise NotUsableError(message)
-
-
 _NO_ZERO = ("zero_not_at_rest", "begins_under_load")
 """Codes of notes on a test whose force or deflection does not start at rest."""
 
@@ -482,26 +473,19 @@ def _require_zeros(result: TestResult) -> None:
     notes = [note for note in result.quality if note.code in _NO_ZERO]
     if notes:
         reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in notes)
-        raise NotUsableError(format_sentence("mechanics.studies.no_zero", reasons=reasons))
+        raise NotUsableError.of("mechanics.studies.no_zero", reasons=reasons)
 
 
 def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
     curve = result.curve
     if curve is None:
-        raise NotUsableError(format_sentence("mechanics.studies.no_curve"))
-    first = [
-        branch
-        for branch in curve.branches
-        if branch.cycle == 1 and branch.direction is Direction.LOADING
-    ]
+        raise NotUsableError.of("mechanics.studies.no_curve")
+    first = [b for b in curve.branches if (b.cycle, b.direction) == (1, Direction.LOADING)]
     if not first:
-        raise NotUsableError(format_sentence("mechanics.studies.no_first_loading"))
+        raise NotUsableError.of("mechanics.studies.no_first_loading")
     peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
-        reasons = peak.reason_text
-        raise NotUsableError(
-            format_sentence("mechanics.studies.failed_first_loading", reasons=reasons)
-        )
+        raise NotUsableError.of("mechanics.studies.failed_first_loading", reasons=peak.reason_text)
     return curve, first[0]
 
 

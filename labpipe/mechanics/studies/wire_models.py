@@ -16,6 +16,7 @@ from pathlib import Path
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
+from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
     StatedCurve,
     build_wire_error,
@@ -24,15 +25,12 @@ from labpipe.mechanics.studies.wire_sheets import (
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.report.wire_figures import list_figure_names, list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
-from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.store.summaries import select_json
 
 WORKBOOK_FILE = "wires.xlsx"
 MODEL_FILE = "model.json"
-FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 _MIN_PARALLEL_WIRES = 24
@@ -48,7 +46,7 @@ class ModelledWires:
     sheet, folder : wire sheet, folder of the results
     tables : of the wires that could be modelled, in the order of the sheet
     refused : name -> reason, of the other wires
-    files : all that were written, the workbook first
+    files : all that were written
     removed : wires of an earlier run that are no longer in the sheet; their files were removed
     curves : wire -> column of the sheet -> the stress table that it names there
     """
@@ -92,27 +90,39 @@ def model_wires(
         cannot be written; earlier results are then unchanged.
     """
     folder = Path("processed") / sheet.stem if out is None else out
-    _refuse_overwriting(sheet, folder)
+    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
+        if file.resolve() == sheet.resolve():
+            raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
     read = read_wire_sheet(sheet)
-    specs = read.specs
-    with _open_pool(len(specs), sheet) as pool:
-        modelled_wires, refused = make_tables(specs, sheet, say, pool)
-        if not modelled_wires:
+    with _open_pool(len(read.specs), sheet) as pool:
+        wires, refused = make_tables(read.specs, sheet, say, pool)
+        if not wires:
             raise ProcessingError("\n".join(refused.values()))
-        tables = tuple(wire.table for wire in modelled_wires)
-        removed = _find_removed_wires(folder, [spec.name for spec in specs])
+        tables = tuple(wire.table for wire in wires)
+        removed = _find_removed_wires(folder, [spec.name for spec in read.specs])
         modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
-        owned = _list_wire_files((*refused, *removed))
-        if figures:
-            owned += list_pngs(list_wire_figures(tables), FIGURES_FOLDER)
-        with locked(folder), replacing_together(folder, owned=owned) as stage:
-            say("tables and decks")
-            with storing(folder):
-                written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
-            if figures:
-                drawings = list_wire_figures(tables)
-                written += save_pages(drawings, stage / FIGURES_FOLDER, say=say, png=png)
-            files = tuple(folder / path.relative_to(stage) for path in written)
+        say("tables and decks")
+        stated = {name: describe_stress_tables(curves) for name, curves in read.curves.items()}
+
+        def write_others(stage: Path) -> list[Path]:
+            """Write workbook and decks; the workbook in a worker process where there is one."""
+            workbook, names = stage / WORKBOOK_FILE, [table.name for table in tables]
+            save = partial(save_wire_workbook, tables, workbook, refused=refused, stated=stated)
+            saving = pool.submit(save) if pool else None
+            decks = (wire.decks for wire in wires)
+            written = write_texts(dict(zip(names, decks, strict=True)), stage)
+            save() if saving is None else saving.result()
+            return [workbook, *written]
+
+        files = write_study(
+            folder,
+            {MODEL_FILE: json.dumps(as_json(modelled))},
+            [*list_wire_figures(tables)] if figures else (),
+            owned=_list_wire_files((*refused, *removed)),
+            write_others=write_others,
+            say=say,
+            png=png,
+        )
     return replace(modelled, files=files)
 
 
@@ -196,33 +206,6 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
         return ModelledWire(table, deck_texts(table))
     except ValueError as error:
         return str(error)
-
-
-def _write(
-    modelled: ModelledWires, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
-) -> list[Path]:
-    """Write workbook, model and decks; the workbook in a worker process where there is one."""
-    workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
-    stated = {name: describe_stress_tables(curves) for name, curves in modelled.curves.items()}
-    save = partial(
-        save_wire_workbook, modelled.tables, workbook, refused=modelled.refused, stated=stated
-    )
-    saving = pool.submit(save) if pool else None
-    model.write_text(json.dumps(as_json(modelled)), encoding="utf-8")
-    names = [table.name for table in modelled.tables]
-    written = write_texts(dict(zip(names, decks, strict=True)), stage)
-    if saving:
-        saving.result()
-    else:
-        save()
-    return [workbook, model, *written]
-
-
-def _refuse_overwriting(sheet: Path, folder: Path) -> None:
-    """Refuse to overwrite the wire sheet."""
-    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
-        if file.resolve() == sheet.resolve():
-            raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:

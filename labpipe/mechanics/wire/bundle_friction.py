@@ -31,7 +31,7 @@ from scipy.special import stdtrit
 
 from labpipe.mechanics.law.plays import PlayLaw
 from labpipe.mechanics.law.thinning import make_concave_law
-from labpipe.mechanics.wire.end_load_path import compute_end_load_path
+from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.harness_bundle import BundleLoop, BundleModel, FrictionFit
 from labpipe.records.wire import WireTable

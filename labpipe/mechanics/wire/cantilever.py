@@ -1,47 +1,41 @@
-"""The clamped wire in large deflection, each station with its own history (PHYSICS 5).
+"""The clamped wire in large deflection (PHYSICS 5, 8): one solver, and paths with history.
 
 The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
 bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the
-tip and the wire's own weight w per length,
+tip and the wire's own weight w per length along -y,
 
     M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
-    theta(s) = integral of kappa(M),
+    theta(s) = integral of kappa(M).
 
-at the stations of `wire.newton`; the load (an end load or the tension of the string) is one more
-unknown, fixed by one more condition. A path is followed in steps that are halved where Newton's
-method fails. Unlike the dissertation it uses no series and no single stiffness for the whole wire.
+Unknown are the moments at Chebyshev-Lobatto stations and one load, which a condition at the tip
+fixes; Newton's method solves many equilibria at once. Unlike the dissertation it uses no series and
+no single stiffness for the whole wire. `wire.first_loading` solves whole loading curves this way.
 
-The clamp is driven down, which in its own frame lifts the anchor of the string. The string is taut
-or slack; the counterweight always hangs at the tip.
-
-A wire with weight is mounted level and bends under its weight before the test. Its path therefore
-starts from this equilibrium and its history, not from zero moment (PHYSICS 8).
+A path with any history is followed in steps that are halved where Newton's method fails. The clamp
+is driven down, which in its own frame lifts the anchor of the string. The string is taut or slack;
+the counterweight always hangs at the tip. A wire with weight is mounted level and bends under its
+weight before the test: its path starts from this equilibrium and its history.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Annotated, TypeAlias
+from functools import lru_cache
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from labpipe.mechanics.law.plays import (
     CurvatureAndSlope,
     PlayLaw,
+    Response,
+    require,
     require_finite,
     require_not_negative,
     require_positive,
     require_within,
-)
-from labpipe.mechanics.wire.newton import (
-    Condition,
-    Demand,
-    Wire,
-    bend_wire,
-    make_stations,
-    solve,
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
 
@@ -49,61 +43,82 @@ DEFAULT_STATIONS = 64  # above about 100, BLAS starts threads, which is slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WireState(ArrayRecord):
-    """Moments and history of a wire, station by station.
+class Stations:
+    """Stations along a wire from the clamp to the tip, with integration matrices.
 
     Parameters
     ----------
-    moment : shape (stations,), N m
-    plays : shape (stations, plays), N m
-    force : shape (2,), N, at the tip
-    load : the unknown of the last solution, N: the string's tension or the end load
-    travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
-        of force
-    self_weight : N/m, of the wire, along -y
+    position : shape (n,), increasing, ends included
+    from_clamp : shape (n, n), values at the stations -> integral from the clamp to each station
+    to_tip : shape (n, n), values at the stations -> integral from each station to the tip
     """
 
-    moment: Annotated[Floats, "stations"]
-    plays: Annotated[Floats, "stations", "plays"]
-    force: Annotated[Floats, 2]
-    load: float = 0.0
-    travel: float = 0.0
-    self_weight: float = 0.0
+    position: Floats
+    from_clamp: Floats
+    to_tip: Floats
+
+    @property
+    def weights(self) -> Floats:
+        """Return quadrature weights over the whole wire, shape (n,)."""
+        weights: Floats = self.from_clamp[-1]
+        return weights
+
+    def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return angle, x and y at all stations of a wire, shape (n,) each."""
+        angle = self.from_clamp @ curvature
+        return angle, self.from_clamp @ np.cos(angle), self.from_clamp @ np.sin(angle)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CantileverShape:
-    """A wire in equilibrium; arrays are of shape (stations,) from the clamp to the tip.
+@lru_cache(maxsize=16)
+def make_stations(count: int, length: float = 1.0) -> Stations:
+    """Build `count` Chebyshev-Lobatto stations; exact for polynomials of degree count - 1.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than four.
+    """
+    if length != 1.0:
+        unit = make_stations(count)
+        return Stations(length * unit.position, length * unit.from_clamp, length * unit.to_tip)
+    require("count", count, ">= 4", holds=count >= 4)
+    nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
+    basis = chebyshev.chebvander(nodes, count - 1)
+    integrals = np.column_stack(
+        [chebyshev.chebval(nodes, chebyshev.chebint(unit, lbnd=-1)) for unit in np.eye(count)]
+    )
+    from_clamp: Floats = 0.5 * np.linalg.solve(basis.T, integrals.T).T.astype(np.float64)
+    to_tip: Floats = from_clamp[-1] - from_clamp
+    for matrix in (nodes, from_clamp, to_tip):
+        matrix.flags.writeable = False
+    return Stations(0.5 * (nodes + 1.0), from_clamp, to_tip)
+
+
+def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
+    """Return the matrix from values at the stations to values at `positions` in [0, 1].
 
     Parameters
     ----------
-    arc_length, x, y : m
-    angle : rad
-    curvature : 1/m
-    state : start of the next step
+    count : number of stations
+    positions : shape (m,), within [0, 1]
+
+    Returns
+    -------
+    Shape (m, count).
+
+    Raises
+    ------
+    ValueError
+        If a position lies outside.
     """
-
-    arc_length: Floats
-    x: Floats
-    y: Floats
-    angle: Floats
-    curvature: Floats
-    state: WireState
-
-    @property
-    def moment(self) -> Floats:
-        """Return the moments, N m."""
-        return self.state.moment
-
-    @property
-    def force(self) -> Floats:
-        """Return the force at the tip, N, shape (2,): string and counterweight together."""
-        return self.state.force
-
-    @property
-    def tension(self) -> float:
-        """Return the tension of the string, N; 0 where there is none or it is slack."""
-        return self.state.load
+    if np.any((positions < 0.0) | (positions > 1.0)):
+        message = f"positions={positions}: must be between 0 and 1"
+        raise ValueError(message)
+    nodes = 2.0 * make_stations(count).position - 1.0
+    basis = chebyshev.chebvander(nodes, count - 1)
+    basis_at_positions = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
+    matrix: Floats = np.linalg.solve(basis.T, basis_at_positions.T).T.astype(np.float64)
+    return matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,65 +145,290 @@ class StringRig:
         return float(y + rise - self.anchor_height)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeadLoad:
-    """A given force, N, shape (2,); the load is unused and zero."""
+class TipForce(NamedTuple):
+    """Force of a condition at the tip of n equilibria, and how far the condition is missed.
 
-    force: Floats
-
-    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
-        """Return the force itself."""
-        nothing = np.zeros_like(tip)
-        return Demand(nothing + self.force, nothing, load, nothing, gap_by_load=1.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AtDeflection:
-    """A pull that brings the tip to `deflection`, m, shape (equilibria,).
-
-    The load is the tension of a string that just reaches the tip; without a rig, a force normal to
-    the clamped axis.
+    Parameters
+    ----------
+    force : shape (n, 2), N
+    by_load, by_x : shape (n, 2), its derivatives by the load and by x of the tip
+    gap : shape (n,), zero where the condition holds
+    gap_by_tip : shape (n, 2), its derivative by the tip's position
+    gap_by_load : its derivative by the load
     """
 
-    deflection: Floats
-    rig: StringRig | None = None
-
-    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:
-        """Return the pull, and the gap to the deflection."""
-        upwards = np.zeros_like(tip)
-        upwards[:, 1] = 1.0
-        gap = tip[:, 1] - self.deflection[rows]
-        if self.rig is None:
-            return Demand(load[:, None] * upwards, upwards, gap, upwards)
-        lean = (self.rig.anchor_x - tip[:, 0]) / self.rig.string_length
-        rise = np.sqrt(1.0 - lean**2)
-        direction = np.stack([lean, rise], axis=1)
-        force = load[:, None] * direction - self.rig.weight * upwards
-        by_tip = np.zeros((*tip.shape, 2))
-        by_tip[:, :, 0] = (load / self.rig.string_length)[:, None] * np.stack(
-            [-np.ones_like(lean), lean / rise], axis=1
-        )
-        return Demand(force, direction, gap, upwards, by_tip)
+    force: Floats
+    by_load: Floats
+    by_x: Floats
+    gap: Floats
+    gap_by_tip: Floats
+    gap_by_load: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pull:
-    """A taut string from `anchor` (shape (2,), m) of `length`, and a `weight` (N) at the tip."""
+class TipCondition:
+    """What holds the tips of n equilibria: one of deflection, travel and dead force.
 
-    anchor: Floats
-    length: float
-    weight: float
+    Parameters
+    ----------
+    rig : string that pulls, with its counterweight; None for a force normal to the clamped axis
+    deflection : shape (n,), m, of the tips; the string just reaches them
+    travel : m, of the clamp: the string is taut
+    dead_force : shape (2,), N; the load is unused and zero
+    """
 
-    def demand(self, tip: Floats, load: Floats, rows: Ints) -> Demand:  # noqa: ARG002
-        """Return tension and weight; the gap is the string's stretch."""
-        to_anchor = self.anchor - tip
-        distance = np.hypot(*to_anchor.T)
-        by_load = to_anchor / self.length
-        force = load[:, None] * by_load - np.array([0.0, self.weight])
-        by_tip = -(load / self.length)[:, None, None] * np.eye(2)
-        return Demand(
-            force, by_load, distance - self.length, -to_anchor / distance[:, None], by_tip
-        )
+    rig: StringRig | None = None
+    deflection: Floats | None = None
+    travel: float = np.nan
+    dead_force: Floats | None = None
+
+    def pull(self, tip: Floats, load: Floats, rows: Ints) -> TipForce:
+        """Compute the force, and how far the condition is missed.
+
+        Parameters
+        ----------
+        tip : shape (n, 2), m
+        load : shape (n,), N
+        rows : shape (n,), which of the equilibria these are
+        """
+        x, y = tip.T
+        none, one = np.zeros_like(tip), np.ones_like(x)
+        if self.dead_force is not None:
+            return TipForce(none + self.dead_force, none, none, load, none, gap_by_load=1.0)
+        lean, rise, by_x, weight, reach = 0.0 * one, one, none, 0.0, 0.0 * one
+        if self.rig is not None:
+            weight, length = self.rig.weight, self.rig.string_length
+            lean = (self.rig.anchor_x - x) / length
+            rise = np.sqrt(1.0 - lean**2)
+            by_x = (load / length)[:, None] * np.stack([-one, lean / rise], axis=1)
+            reach = length * rise - self.rig.anchor_height
+        direction = np.stack([lean, rise], axis=1)
+        force = load[:, None] * direction - np.array([0.0, weight])
+        if self.deflection is not None:
+            gap, gap_by_x = y - self.deflection[rows], 0.0 * one
+        else:
+            gap, gap_by_x = y + reach - self.travel, lean / rise
+        return TipForce(force, direction, by_x, gap, np.stack([gap_by_x, one], axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BentWire:
+    """The wire bent by given moments; arrays of shape (n, stations).
+
+    Parameters
+    ----------
+    stations : along the wire
+    moment, curvature, slope : N m, 1/m, 1/(N m^2)
+    load : shape (n,), N
+    cos, sin : of the angle
+    levers : shape (n, stations, 2), m, of forces along x and y at the tip
+    tip : shape (n, 2), m
+    beyond : shape (stations,), N, weight beyond each station
+    held : by the condition
+    """
+
+    stations: Stations
+    moment: Floats
+    load: Floats
+    curvature: Floats
+    slope: Floats
+    cos: Floats
+    sin: Floats
+    levers: Floats
+    tip: Floats
+    beyond: Floats
+    held: TipForce
+
+    @property
+    def lateral(self) -> Floats:
+        """Return the derivative of the moments by a turn of the wire, N: the force along it."""
+        along, up = self.held.force.T[..., None]
+        return np.asarray((self.beyond - up) * self.sin - along * self.cos)
+
+    def find_residual(self) -> Floats:
+        """Return what the moments, N m, and the condition miss: shape (n, stations + 1)."""
+        bending = (self.levers @ self.held.force[:, :, None])[:, :, 0]
+        bending -= (self.beyond * self.cos) @ self.stations.to_tip.T
+        return np.column_stack([self.moment - bending, self.held.gap])
+
+    def find_jacobian(self) -> Floats:
+        """Return the derivatives of the residual, shape (n, stations + 1, stations + 1)."""
+        stations, held, n = self.stations, self.held, len(self.beyond)
+        turning = stations.from_clamp * self.slope[:, None, :]
+        across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
+        tip_by_moment = across @ turning
+        derivatives = np.empty((len(self.tip), n + 1, n + 1))
+        derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
+        if np.any(held.by_x):
+            derivatives[:, :n, :n] -= (self.levers @ held.by_x[:, :, None]) * tip_by_moment[:, :1]
+        derivatives[:, range(n), range(n)] += 1.0
+        derivatives[:, :n, n] = -(self.levers @ held.by_load[:, :, None])[:, :, 0]
+        derivatives[:, n, :n] = (held.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+        derivatives[:, n, n] = held.gap_by_load
+        return derivatives
+
+    def find_sensitivity(self, curvature_changes: Floats) -> Floats:
+        """Return the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
+
+        First by the gap of the condition, then by each parameter.
+
+        Parameters
+        ----------
+        curvature_changes : shape (parameters, n, stations), derivatives of the curvature at
+            constant moment
+        """
+        stations, held, n = self.stations, self.held, len(self.beyond)
+        turn = curvature_changes @ stations.from_clamp.T
+        tip_x, tip_y = ((turn * side) @ stations.weights for side in (-self.sin, self.cos))
+        bending = (turn * self.lateral) @ stations.to_tip.T
+        bending += (self.levers @ held.by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
+        missing = np.zeros((1 + len(curvature_changes), len(self.tip), n + 1))
+        missing[0, :, n] = -1.0
+        missing[1:, :, :n] = -bending
+        missing[1:, :, n] = held.gap_by_tip[:, 0] * tip_x + held.gap_by_tip[:, 1] * tip_y
+        solution = -np.linalg.solve(self.find_jacobian(), np.moveaxis(missing, 0, 2))
+        return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cantilever:
+    """A wire in search of n equilibria.
+
+    Parameters
+    ----------
+    law : curvature and its slope of some of the equilibria (rows), from the moments of all, of
+        shape (n, stations)
+    stations : along the length, m
+    self_weight : N/m
+    condition : at the tip
+    """
+
+    law: Callable[[Floats, Ints], CurvatureAndSlope]
+    stations: Stations
+    self_weight: float
+    condition: TipCondition
+
+    @property
+    def beyond(self) -> Floats:
+        """Return the weight beyond each station, N."""
+        position = self.stations.position
+        return np.asarray(self.self_weight * (position[-1] - position))
+
+    def bend(self, moment: Floats, load: Floats, rows: Ints | None = None) -> BentWire:
+        """Bend the wire by given moments, and evaluate the condition.
+
+        Parameters
+        ----------
+        moment, load : of all equilibria, shape (n, stations), N m, and (n,), N
+        rows : which of them to bend; None for all
+        """
+        rows = np.arange(len(load)) if rows is None else rows
+        stations = self.stations
+        curvature, slope = self.law(moment, rows)
+        angle = curvature @ stations.from_clamp.T
+        cos, sin = np.cos(angle), np.sin(angle)
+        levers = np.stack([-(sin @ stations.to_tip.T), cos @ stations.to_tip.T], axis=-1)
+        tip = np.stack([cos @ stations.weights, sin @ stations.weights], axis=-1)
+        held = self.condition.pull(tip, load[rows], rows)
+        bent = moment[rows], load[rows], curvature, slope
+        return BentWire(stations, *bent, cos, sin, levers, tip, self.beyond, held)
+
+    def solve(
+        self, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
+    ) -> BentWire | None:
+        """Find the equilibria next to a start, each of which converges on its own.
+
+        Parameters
+        ----------
+        moment, load : first guess, shape (n, stations), N m, and (n,), N
+        tolerance : last change of the moments, as a share of the largest; the next is of its square
+        floor : N m, added to the largest moment
+
+        Returns
+        -------
+        The wire in equilibrium; None if one of the iterations does not converge.
+        """
+        max_iterations = 40
+        max_turn = 0.7  # rad, of any part of the wire in one step
+        moment, load = np.array(moment), np.array(load)
+        left, length = np.arange(len(load)), self.stations.position[-1]
+        for _ in range(max_iterations):
+            bent = self.bend(moment, load, left)
+            missing = bent.find_residual()
+            if not np.isfinite(missing).all():
+                return None
+            step = -np.linalg.solve(bent.find_jacobian(), missing[:, :, None])[:, :, 0]
+            turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
+            step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
+            moment[left] += step[:, :-1]
+            load[left] += step[:, -1]
+            largest = np.max(np.abs(moment[left]), axis=1) + floor
+            left = left[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
+            if not left.size:
+                return self.bend(moment, load)
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireState(ArrayRecord):
+    """Moments and history of a wire, station by station.
+
+    Parameters
+    ----------
+    moment : shape (stations,), N m
+    curvature : shape (stations,), 1/m
+    plays : shape (stations, plays), N m
+    force : shape (2,), N, at the tip
+    load : the unknown of the last solution, N: the string's tension or the end load
+    travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
+        of force
+    self_weight : N/m, of the wire, along -y
+    """
+
+    moment: Annotated[Floats, "stations"]
+    curvature: Annotated[Floats, "stations"]
+    plays: Annotated[Floats, "stations", "plays"]
+    force: Annotated[Floats, 2]
+    load: float = 0.0
+    travel: float = 0.0
+    self_weight: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CantileverShape:
+    """A wire in equilibrium; arrays are of shape (stations,) from the clamp to the tip.
+
+    Parameters
+    ----------
+    arc_length, angle, x, y : m, rad, m, m
+    state : start of the next step
+    """
+
+    arc_length: Floats
+    angle: Floats
+    x: Floats
+    y: Floats
+    state: WireState
+
+    @property
+    def curvature(self) -> Floats:
+        """Return the curvatures, 1/m."""
+        return self.state.curvature
+
+    @property
+    def moment(self) -> Floats:
+        """Return the moments, N m."""
+        return self.state.moment
+
+    @property
+    def force(self) -> Floats:
+        """Return the force at the tip, N, shape (2,): string and counterweight together."""
+        return self.state.force
+
+    @property
+    def tension(self) -> float:
+        """Return the tension of the string, N; 0 where there is none or it is slack."""
+        return self.state.load
 
 
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
@@ -206,8 +446,8 @@ def make_straight(
     self_weight : N/m, of the wire; acts from the first step on
     """
     require_not_negative("self_weight", self_weight)
-    unbent = law.make_unbent_history(n_stations)
-    return WireState(np.zeros(n_stations), unbent, np.zeros(2), self_weight=self_weight)
+    straight, unbent = np.zeros(n_stations), law.make_unbent_history(n_stations)
+    return WireState(straight, straight, unbent, np.zeros(2), self_weight=self_weight)
 
 
 def hold_level(law: PlayLaw, length: float, self_weight: float) -> CantileverShape:
@@ -243,10 +483,6 @@ def bend_under_force(
     length : m
     force : shape (2,), N, fixed in direction
 
-    Returns
-    -------
-    The shape in equilibrium.
-
     Raises
     ------
     ValueError
@@ -258,8 +494,8 @@ def bend_under_force(
     require_finite("force", target)
 
     def step(present: WireState, share: float) -> WireState | None:
-        condition = DeadLoad(start + share * (target - start))
-        return settle(law, present, length, condition, travel=share)
+        condition = TipCondition(dead_force=start + share * (target - start))
+        return _settle(law, present, length, condition, travel=share)
 
     place = f"force={target.tolist()}"
     return _within_law(law, _walk_to(step, replace(state, travel=0.0), 1.0, place), length, place)
@@ -307,7 +543,8 @@ def deflect(
     """
 
     def step(present: WireState, travel: float) -> WireState | None:
-        return settle(law, present, length, AtDeflection(np.array([travel]), rig), travel=travel)
+        condition = TipCondition(rig, deflection=np.array([travel]))
+        return _settle(law, present, length, condition, travel=travel)
 
     return _walk_to(step, state, deflection, f"deflection={deflection!r}")
 
@@ -337,17 +574,15 @@ def bend_to_travel(
     slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
-        anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
-        condition = Pull(anchor, rig.string_length, rig.weight)
-        solution = settle(law, present, length, condition, travel=travel)
+        solution = _settle(law, present, length, TipCondition(rig, travel=travel), travel=travel)
         return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
-        weight = DeadLoad(np.array([0.0, -rig.weight]))
-        solution = settle(law, present, length, weight, travel=travel)
+        weight = TipCondition(dead_force=np.array([0.0, -rig.weight]))
+        solution = _settle(law, present, length, weight, travel=travel)
         if solution is None:
             return None
-        tip = compute_shape(law, solution, length)
+        tip = compute_shape(solution, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
         # exactly zero, without the rounding error of the solution
@@ -366,73 +601,49 @@ def bend_to_travel(
 
 def _within_law(law: PlayLaw, state: WireState, length: float, place: str) -> CantileverShape:
     require_within(law, state.moment, place)
-    return compute_shape(law, state, length)
+    return compute_shape(state, length)
 
 
-def compute_shape(law: PlayLaw, state: WireState, length: float) -> CantileverShape:
+def compute_shape(state: WireState, length: float) -> CantileverShape:
     """Compute the shape of a state in equilibrium."""
     stations = make_stations(len(state.moment), length)
-    curvature = law.respond(state.moment, state.plays).curvature
-    angle = stations.from_clamp @ curvature
-    x, y = (stations.from_clamp @ part for part in (np.cos(angle), np.sin(angle)))
-    return CantileverShape(stations.position, x, y, angle, curvature, state)
+    return CantileverShape(stations.position, *stations.bend(state.curvature), state)
 
 
-def settle(
-    law: PlayLaw,
-    state: WireState,
-    length: float,
-    condition: Condition,
-    *,
-    travel: float,
-    guess: tuple[Floats, float] | None = None,
-    tolerance: float = 1e-7,
+def _settle(
+    law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
-    """Find the equilibrium under a condition; None if Newton's method fails.
-
-    Parameters
-    ----------
-    law, state : law and history of the wire
-    length : m
-    condition : fixes the load
-    travel : m, of the new state
-    guess : moments and load to start from; None for those of the state
-    tolerance : of `newton.solve`; the next change is of its square
-
-    Returns
-    -------
-    The state; None also for an equilibrium far from the guess, such as a curl.
-    """
+    """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
     max_turn = 1.0  # rad, of any part of the wire in one step
-    floor_share = 1e-9  # of the moment that bends the wire by a radian
-    moment, load = (state.moment, state.load) if guess is None else guess
-    stations = make_stations(len(moment), length)
-    bend = partial(_bend_plays, law, state.plays)
-    wire = Wire(bend, stations, state.self_weight, condition)
-    floor = floor_share * law.stiffness / length
-    solved = solve(wire, moment[None], np.array([load]), tolerance=tolerance, floor=floor)
-    if solved is None:
+    tolerance = 1e-7  # last change of the moments; the next is of its square
+    floor = 1e-9 * law.stiffness / length  # of the moment that bends the wire by a radian
+    stations = make_stations(len(state.moment), length)
+    responses: list[Response] = []
+
+    def respond(moment: Floats, _: Ints) -> CurvatureAndSlope:
+        responses.append(law.respond(moment[0], state.plays))
+        return responses[-1].curvature[None], responses[-1].compliance[None]
+
+    wire = Cantilever(respond, stations, state.self_weight, condition)
+    load = np.array([state.load])
+    bent = wire.solve(state.moment[None], load, tolerance=tolerance, floor=floor)
+    if bent is None:
         return None
-    bent_wire = bend_wire(wire, *solved)
-    turn = stations.from_clamp @ (bent_wire.curvature - bend(moment[None])[0])[0]
+    turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(turn)) > max_turn:
         return None
-    plays = law.respond(solved[0][0], state.plays).plays
-    force, load = bent_wire.wanted.force[0], float(solved[1][0])
-    return WireState(solved[0][0], plays, force, load, travel, state.self_weight)
-
-
-def _bend_plays(law: PlayLaw, plays: Floats, moment: Floats) -> CurvatureAndSlope:
-    response = law.respond(moment[0], plays)
-    return response.curvature[None], response.compliance[None]
+    history, force = responses[-1].plays, bent.held.force[0]
+    return WireState(
+        *(bent.moment[0], bent.curvature[0], history, force),
+        *(float(bent.load[0]), travel, state.self_weight),
+    )
 
 
 def _walk_to(step: Step, state: WireState, goal: float, context: str) -> WireState:
     """Step the state to the goal; halve a step that fails."""
     min_step_share = 2.0**-12
-    distance = goal - state.travel
+    start, distance = state.travel, goal - state.travel
     step_share, done_share = 1.0, 0.0
-    start = state.travel
     while done_share < 1.0:
         next_share = min(1.0, done_share + step_share)
         next_state = step(state, goal if next_share == 1.0 else start + next_share * distance)

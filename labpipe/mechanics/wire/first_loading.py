@@ -1,112 +1,129 @@
-"""First loading of a clamped wire, with or without weight, all points at once (PHYSICS 5, 8).
+"""Loading curves of a clamped wire, all deflections at once (PHYSICS 5, 8).
 
 At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
-Without weight `wire.first_integral` gives every deflection; with weight Newton's method solves for
-the moments at Chebyshev-Lobatto stations of all wanted deflections together. The law is one of
-first loading; where the weight bent the wire the other way, it returns by Masing's rule.
-`wire.cantilever` follows the same path step by step with a history at each station, and also
-unloading, cycles and a slack string.
+With weight, or where parts near the tip unload, Newton's method solves for the moments at the
+stations of all deflections together (`wire.cantilever`); where the weight bent the wire the other
+way, and behind the largest moment of each station, the law returns by Masing's rule.
+
+Without weight the first integral gives every deflection. The force F = (Px, Py) at the tip turns
+the tangent t from the clamp on: with the complementary energy W*(M), the integral of kappa dM,
+F.t = q(M) = W*(M0) - W*(M) + Px while no part unloads, M0 the moment at the clamp. So the shape
+follows from integrals over the moment from tip to clamp,
+
+    length = integral of dM / R,    F.r = integral of q dM / R,    R = -dM/ds = sqrt(F.F - q^2),
+
+with r the position of the tip, and M0 = F x r.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from labpipe.mechanics.law.plays import LoadingTable
-from labpipe.mechanics.wire.cantilever import AtDeflection, StringRig
-from labpipe.mechanics.wire.first_integral import solve_weightless
-from labpipe.mechanics.wire.newton import Wire, bend_wire, compute_sensitivity, make_stations, solve
-from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.mechanics.law.plays import (
+    CurvatureAndSlope,
+    LoadingTable,
+    PlayLaw,
+    is_within,
+    require_finite,
+    require_not_negative,
+    require_positive,
+)
+from labpipe.mechanics.law.thinning import make_concave_law
+from labpipe.mechanics.wire.bending_law import MomentCurve
+from labpipe.mechanics.wire.cantilever import (
+    BentWire,
+    Cantilever,
+    CantileverShape,
+    StringRig,
+    TipCondition,
+    WireState,
+    compute_shape,
+    deflect,
+    make_interpolation_matrix,
+    make_stations,
+    make_straight,
+)
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+from labpipe.records.quality import QualityNote
+from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 N_LOADING_STATIONS = 24
 """Along a wire with weight: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
-MOMENT_TOLERANCE = 1e-5
-"""Last change of the moments, as a share of the largest; the next would be 1e-9."""
+PATH_STATIONS = 48
+"""Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 END_OF_FIRST_LOADING = 0.7
 """Deflection over length at which parts near the tip begin to unload, about."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingCurve(ArrayRecord):
-    """The curve of a cantilever on first loading; arrays of shape (n,), the first point at rest.
+    """A wire at rest and at deflections of its loading; arrays of shape (n,), the first at rest.
 
     Parameters
     ----------
-    deflection : m, of the tip across the undeformed axis, increasing
+    deflection : m, of the tip across the undeformed axis, from rest, increasing
+    moment : shape (n, stations), N m; without weight at the clamp alone
     tension : N, of the string, which is what the load cell reads; the end load where there is none
+    across : N, force across the wire at its tip; where it falls, so do the moments near the tip
     x : m, position of the tip along the undeformed axis
     tip_angle : rad, of the tangent at the tip from the undeformed axis
-    clamp_curvature, clamp_moment : 1/m, N m
+    clamp_curvature : 1/m
     stiffness : N/m, slope of tension against deflection
-    tension_change : shape (parameters, n), N, derivative at constant deflection by each of the
-        law's parameters
-    states : along the wire, from which a similar law is solved faster
+    tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
+        constant deflection, by each of the law's parameters
+    whole : the curve of which this is the first part, from which a similar law is solved faster
     """
 
     deflection: Vector
+    moment: Annotated[Floats, "n", "stations"]
     tension: Vector
+    across: Vector
     x: Vector
     tip_angle: Vector
     clamp_curvature: Vector
-    clamp_moment: Vector
     stiffness: Vector
     tension_change: Annotated[Floats, "parameters", "n"]
-    states: LoadingStates | None = None
+    whole: LoadingCurve | None = None
 
     @property
     def force(self) -> Floats:
         """Return the tension above that at rest, N, as a zeroed load cell reads it."""
         return np.asarray(self.tension - self.tension[0])
 
+    @property
+    def clamp_moment(self) -> Floats:
+        """Return the moments at the clamp, N m."""
+        return self.moment[:, 0]
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadingStates:
-    """A wire at rest and at deflections of its first loading.
-
-    Parameters
-    ----------
-    rest : shape (stations,), N m, moments at rest
-    rest_tension : N
-    deflection : shape (n,), m
-    moment : shape (n, stations), N m
-    tension : shape (n,), N
-    across : shape (n,), N, force across the wire at its tip; where it falls, so do the moments
-        near the tip
-    x, tip_angle : shape (n,), m, rad
-    curvature : shape (n,), 1/m, at the clamp
-    tension_change : shape (1 + parameters, n), derivative of tension less that at rest by the
-        deflection, N/m, and by each of the law's parameters, N
-    """
-
-    rest: Floats
-    rest_tension: float
-    deflection: Floats
-    moment: Floats
-    tension: Floats
-    across: Floats
-    x: Floats
-    tip_angle: Floats
-    curvature: Floats
-    tension_change: Floats
+    def cut(self, count: int) -> LoadingCurve:
+        """Return the first points of the curve."""
+        cut = {
+            name: getattr(self, name)[..., :count]
+            for name in (
+                *("deflection", "tension", "across", "x", "tip_angle", "clamp_curvature"),
+                *("stiffness", "tension_change"),
+            )
+        }
+        return replace(self, **cut, moment=self.moment[:count], whole=self)
 
     def count_loading(self) -> int:
-        """Count the deflections, from rest on, up to which no part of the wire unloads.
+        """Count the points, rest included, up to which no part of the wire unloads.
 
         Beyond about 0.7 of the length the moments near the tip fall; those of a sagging wire
         may fall earlier.
         """
         rounding_share = 1e-5  # of the largest moment
-        before = np.vstack([self.rest, self.moment[:-1]])
-        step, way = self.moment - before, before - self.rest
-        small = rounding_share * np.max(np.abs(self.moment), axis=1, keepdims=True)
-        turns = ((step * way < 0.0) & (np.abs(step) > small)).any(axis=1)
-        turns[1:] |= np.diff(self.across) <= 0.0
-        return int(np.argmax(turns)) if turns.any() else len(turns)
+        step = np.diff(self.moment, axis=0)
+        since_rest = self.moment[:-1] - self.moment[0]
+        small = rounding_share * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
+        turns = ((step * since_rest < 0.0) & (np.abs(step) > small)).any(axis=1)
+        turns[1:] |= np.diff(self.across[1:]) <= 0.0
+        return 1 + (int(np.argmax(turns)) if turns.any() else len(turns))
 
 
 def load_cantilever(
@@ -116,7 +133,7 @@ def load_cantilever(
     self_weight: float,
     deflection: float,
     *,
-    near: LoadingStates | None = None,
+    near: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Load a wire from rest to a deflection.
 
@@ -132,8 +149,7 @@ def load_cantilever(
 
     Returns
     -------
-    The curve: rest, then points up to the deflection, or until a part of the
-    wire unloads. Its derivatives by parameters are those of the force above that at rest.
+    The curve: rest, then points up to the deflection, or until a part of the wire unloads.
 
     Raises
     ------
@@ -144,30 +160,12 @@ def load_cantilever(
     crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
-    states = find_loading_states(table, length, rig, self_weight, deflections, near=near)
-    stop = states.count_loading()
-    rise = states.tension[0] - states.rest_tension
-    rest_slope = float(rise / states.deflection[0])  # before slip
-
-    def from_rest(rest: float, values: Floats) -> Floats:
-        return np.concatenate([[rest], values[:stop]])
-
-    rest_curvature, _ = table.bend(states.rest)
-    change = states.tension_change[1:, :stop]
-    return LoadingCurve(
-        deflection=from_rest(0.0, states.deflection),
-        tension=from_rest(states.rest_tension, states.tension),
-        x=from_rest(length, states.x),
-        tip_angle=from_rest(0.0, states.tip_angle),
-        clamp_curvature=from_rest(float(rest_curvature[0]), states.curvature),
-        clamp_moment=from_rest(float(states.rest[0]), states.moment[:, 0]),
-        stiffness=from_rest(rest_slope, states.tension_change[0]),
-        tension_change=np.hstack([np.zeros((len(change), 1)), change]),
-        states=states,
-    )
+    near = None if near is None else near.whole
+    curve = load_to(table, length, rig, self_weight, deflections, near=near)
+    return curve.cut(curve.count_loading())
 
 
-def find_loading_states(
+def load_to(
     table: LoadingTable,
     length: float,
     rig: StringRig | None,
@@ -175,146 +173,281 @@ def find_loading_states(
     deflections: Floats,
     *,
     n_stations: int | None = None,
-    near: LoadingStates | None = None,
-) -> LoadingStates:
+    near: LoadingCurve | None = None,
+) -> LoadingCurve:
     """Find the equilibria of a wire at rest and at given deflections.
 
     Parameters
     ----------
-    table, length, rig, self_weight, near : as for `load_cantilever`
+    table, length, rig, self_weight : as for `load_cantilever`
     deflections : shape (n,), m, from rest, in the direction of the pull, increasing
-    n_stations : along the wire. None for 24 with weight and for the first integral without, where
-        the only moments are those at the clamp
+    n_stations : along the wire; parts near the tip may then unload, which follows from the largest
+        moment at the deflections so far, and there are no derivatives. None for first loading
+        alone
+    near : curve at these deflections of a similar law, to start from
 
     Raises
     ------
     ValueError
         If no equilibrium is found.
     """
-    at_rest, at = AtDeflection(np.zeros(1), rig), AtDeflection(deflections, rig)
     if n_stations is None and self_weight == 0.0 and len(deflections):
-        states = _weightless_states(table, length, at, near)
-        if states is not None:
-            return states
+        curve = _load_weightless(table, length, rig, deflections, near)
+        if curve is not None:
+            return curve
         near = None
-    stations = make_stations(n_stations or N_LOADING_STATIONS, length)
-    from_tip = length - stations.position
+    count = n_stations or N_LOADING_STATIONS
+    stations = make_stations(count, length)
+    level = Cantilever(
+        lambda moment, rows: table.bend(moment[rows]),
+        stations,
+        self_weight,
+        TipCondition(rig, np.zeros(1)),
+    )
     tip_force = 0.375 * self_weight * length
-    level = Wire(table.bend, stations, self_weight, at_rest)
+    start = (tip_force - 0.5 * level.beyond) * (length - stations.position)
     begin = tip_force + (0.0 if rig is None else rig.weight)
-    start = (tip_force - 0.5 * level.beyond) * from_tip
-    first = _solve(level, at_rest, start[None], np.array([begin]))
-    rest_moment, tension = first[0][0], float(first[1][0])
-    loaded = replace(level, bend=partial(table.bend_on, rest_moment), condition=at)
-    solution = None if near is None else _solve_near(loaded, near)
-    if solution is None:
+    at_rest = _solve(level, start[None], np.array([begin]), 0.0)
+    rest = at_rest.moment[0]
+
+    def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
+        return table.bend_on(rest, moment[rows])
+
+    def bend_back(moment: Floats, rows: Ints) -> CurvatureAndSlope:
+        peaks = np.maximum.accumulate(np.vstack([rest, moment]), axis=0)[1:]
+        return table.bend_back(rest, peaks[rows], moment[rows])
+
+    farthest = float(np.max(deflections, initial=0.0))
+    condition, is_first_loading = TipCondition(rig, deflections), n_stations is None
+    loaded = replace(level, law=bend_on, condition=condition)
+    wire = loaded if is_first_loading else replace(loaded, law=bend_back)
+    bent = None
+    if near is None and count > _N_COARSE_STATIONS:
+        coarse = table, length, rig, self_weight, deflections
+        near = load_to(*coarse, n_stations=_N_COARSE_STATIONS)
+    if near is not None:
+        bent = _solve_near(wire, near)
+    if bent is None:
         clamp = _guess_clamp(table, length, deflections)[0]
-        guess = rest_moment + clamp[:, None] * from_tip / length, tension + clamp / length
-        solution = _solve_all(loaded, at, np.append(rest_moment, tension), guess)
-    moment, tensions = solution
-    bent_wire = bend_wire(loaded, moment, tensions)
-    rest_change = compute_sensitivity(level, bend_wire(level, *first), table.changes(first[0]))
-    changes = table.changes_on(rest_moment, moment, rest_change[1:, 0, :-1])
-    tension_change = compute_sensitivity(loaded, bent_wire, changes)[:, :, -1]
-    tension_change[1:] -= rest_change[1:, :, -1]
-    cos, sin, pull = bent_wire.cos[:, -1], bent_wire.sin[:, -1], bent_wire.wanted.force
-    return LoadingStates(
-        *(rest_moment, tension, deflections, moment, tensions),
-        across=pull[:, 1] * cos - pull[:, 0] * sin,
-        x=bent_wire.tip[:, 0],
-        tip_angle=np.arctan2(sin, cos),
-        curvature=bent_wire.curvature[:, 0],
-        tension_change=tension_change,
+        moment = rest + clamp[:, None] * (1.0 - stations.position / length)
+        bent = _solve(loaded, moment, at_rest.load + clamp / length, farthest)
+        bent = bent if is_first_loading else _solve(wire, bent.moment, bent.load, farthest)
+    return _make_curve(table, deflections, at_rest, bent, is_first_loading=is_first_loading)
+
+
+_N_COARSE_STATIONS = 24
+_MOMENT_TOLERANCE = 1e-5  # last change of moments, of the largest; the next would be 1e-9
+
+
+def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> BentWire:
+    solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
+    if solution is None:
+        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
+        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
+        raise ValueError(message)
+    return solution
+
+
+def _solve_near(wire: Cantilever, near: LoadingCurve) -> BentWire | None:
+    """Solve from a similar law; None where that leads far away, such as to a curl."""
+    max_change_share = 0.3  # of the largest moment
+    unit = wire.stations.position / wire.stations.position[-1]
+    start = near.moment[1:] @ make_interpolation_matrix(near.moment.shape[1], unit).T
+    solution = wire.solve(start, near.tension[1:], tolerance=_MOMENT_TOLERANCE)
+    if solution is None:
+        return None
+    change = np.abs(solution.moment - start).max(axis=1)
+    is_near = change <= max_change_share * np.abs(start).max(axis=1)
+    return solution if is_near.all() else None
+
+
+def _make_curve(
+    table: LoadingTable,
+    deflections: Floats,
+    at_rest: BentWire,
+    bent: BentWire,
+    *,
+    is_first_loading: bool,
+) -> LoadingCurve:
+    """Make the curve of equilibria; its derivatives hold for first loading."""
+    change = np.full((1 + len(table.first_change), len(deflections)), np.nan)
+    if is_first_loading:
+        rest_change = at_rest.find_sensitivity(table.changes(at_rest.moment))
+        changes = table.changes_on(at_rest.moment[0], bent.moment, rest_change[1:, 0, :-1])
+        change = bent.find_sensitivity(changes)[:, :, -1]
+        change[1:] -= rest_change[1:, :, -1]
+    names = ("moment", "load", "curvature", "cos", "sin", "tip")
+    moment, tension, curvature, cos, sin, tip = (
+        np.concatenate([getattr(at_rest, name), getattr(bent, name)]) for name in names
+    )
+    pull = np.concatenate([at_rest.held.force, bent.held.force])
+    rise = (tension[1] - tension[0]) / deflections[0] if len(deflections) else np.nan  # before slip
+    return LoadingCurve(
+        deflection=np.append(0.0, deflections),
+        moment=moment,
+        tension=tension,
+        across=pull[:, 1] * cos[:, -1] - pull[:, 0] * sin[:, -1],
+        x=tip[:, 0],
+        tip_angle=np.arctan2(sin[:, -1], cos[:, -1]),
+        clamp_curvature=curvature[:, 0],
+        stiffness=np.append(rise, change[0]),
+        tension_change=np.pad(change[1:], ((0, 0), (1, 0))),
     )
 
 
-def _weightless_states(
-    table: LoadingTable, length: float, at: AtDeflection, near: LoadingStates | None
-) -> LoadingStates | None:
+def _load_weightless(
+    table: LoadingTable,
+    length: float,
+    rig: StringRig | None,
+    deflections: Floats,
+    near: LoadingCurve | None,
+) -> LoadingCurve | None:
     """Find the equilibria of a wire without weight, with the moments at its clamp alone.
 
     None where there is no convergence, such as where parts near the tip unload.
     """
     min_excess = 0.1  # of the force over the smallest that can hold the moment
-    weight, solution = 0.0 if at.rig is None else at.rig.weight, None
+    weight, solution = 0.0 if rig is None else rig.weight, None
     if near is not None:
-        clamp = _moments_at(table, near.curvature)
-        load = weight + (near.tension - weight) * clamp / near.moment[:, 0]
-        solution = solve_weightless(table, length, at, np.array([clamp, near.x, load]))
+        clamp = _find_moments(table, near.clamp_curvature[1:])
+        load = weight + near.force[1:] * clamp / near.clamp_moment[1:]
+        start = np.array([clamp, near.x[1:], load])
+        solution = _solve_weightless(table, length, rig, deflections, start)
     if solution is None:
-        clamp, x = _guess_clamp(table, length, at.deflection)
+        clamp, x = _guess_clamp(table, length, deflections)
         load = np.maximum(clamp / x, (1.0 + min_excess) * table.energy(clamp)[:, 0])
-        solution = solve_weightless(table, length, at, np.array([clamp, x, weight + load]))
+        start = np.array([clamp, x, weight + load])
+        solution = _solve_weightless(table, length, rig, deflections, start)
     if solution is None:
         return None
-    (clamp, x, tension), tension_change = solution
-    force = at.demand(np.column_stack([x, at.deflection]), tension, np.arange(len(x))).force
+    (clamp, x, tension), change = solution
+    tip, at = np.column_stack([x, deflections]), TipCondition(rig, deflections)
+    force = at.pull(tip, tension, np.arange(len(x))).force
     size, along = np.linalg.norm(force, axis=1), table.energy(clamp)[:, 0] + force[:, 0]
-    return LoadingStates(
-        *(np.zeros(1), weight, at.deflection, clamp[:, None], tension),
-        across=np.sqrt(size**2 - along**2),
-        x=x,
-        tip_angle=np.arctan2(force[:, 1], force[:, 0]) - np.arccos(along / size),
-        curvature=table.curve(clamp)[:, 0],
-        tension_change=tension_change,
+    tip_angle = np.arctan2(force[:, 1], force[:, 0]) - np.arccos(along / size)
+    return LoadingCurve(
+        deflection=np.append(0.0, deflections),
+        moment=np.append(0.0, clamp)[:, None],
+        tension=np.append(weight, tension),
+        across=np.append(0.0, np.sqrt(size**2 - along**2)),
+        x=np.append(length, x),
+        tip_angle=np.append(0.0, tip_angle),
+        clamp_curvature=np.append(0.0, table.curve(clamp)[:, 0]),
+        stiffness=np.append((tension[0] - weight) / deflections[0], change[0]),
+        tension_change=np.pad(change[1:], ((0, 0), (1, 0))),
     )
-
-
-def _solve_near(wire: Wire, near: LoadingStates) -> tuple[Floats, Floats] | None:
-    """Solve from states of a similar law; None where that leads far away, such as to a curl."""
-    max_change_share = 0.3  # of the largest moment
-    solution = solve(wire, near.moment, near.tension, tolerance=MOMENT_TOLERANCE)
-    if solution is None:
-        return None
-    change = np.abs(solution[0] - near.moment).max(axis=1)
-    is_near = change <= max_change_share * np.abs(near.moment).max(axis=1)
-    return solution if is_near.all() else None
 
 
 def _guess_clamp(table: LoadingTable, length: float, deflections: Floats) -> tuple[Floats, Floats]:
     """Guess moments at the clamp, N m, and x of the tip, m, from those of a linear wire."""
     share = deflections / length
     turn = 3.0 * share / (1.0 - 0.5 * share**2)  # curvature at the clamp times length
-    return _moments_at(table, turn / length), length / (1.0 + turn**2 / 15.0)
+    return _find_moments(table, turn / length), length / (1.0 + turn**2 / 15.0)
 
 
-def _moments_at(table: LoadingTable, curvature: Floats) -> Floats:
+def _find_moments(table: LoadingTable, curvature: Floats) -> Floats:
     """Return the moments at curvatures, N m, on straight lines between and beyond the knots."""
     beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
     return np.asarray(np.interp(curvature, table.curvature, table.moment) + beyond)
 
 
-def _solve_all(
-    wire: Wire, at: AtDeflection, rest: Floats, start: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Solve for moments and tensions, first at some deflections, then between them."""
-    min_deflections = 60  # for fewer, solving every fourth first costs more
-    stride = 4
-    deflections, solution = at.deflection, np.column_stack(start)
-    if len(deflections) < min_deflections:
-        return _solve(wire, at, *start)
-    coarse = np.append(np.arange(0, len(deflections) - 1, stride), len(deflections) - 1)
-    fine = np.setdiff1d(np.arange(len(deflections)), coarse)
-    for rows in (coarse, fine):
-        if rows is fine:
-            states = np.vstack([rest, solution[coarse]])
-            spline = CubicSpline(np.append(0.0, deflections[coarse]), states)
-            solution[fine] = spline(deflections[fine])
-        part = replace(at, deflection=deflections[rows])
-        part_solution = _solve(wire, part, solution[rows, :-1], solution[rows, -1])
-        solution[rows] = np.column_stack(part_solution)
-    return solution[:, :-1], solution[:, -1]
+def _integrate(table: LoadingTable, moment: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """Integrate over the moments of wires from tip to clamp, by Gauss's rule.
+
+    Parameters
+    ----------
+    table : law of first loading
+    moment : shape (n,), N m, at the clamp, positive
+    force : shape (n, 2), N, at the tip
+
+    Returns
+    -------
+    Length and position x, y of the tip, m, shape (n, 3), and their derivatives by the moment, by Px
+    and Py, and by each of the law's parameters, shape (n, 3, 3 + parameters).
+    """
+    n_panels = 40  # besides those of the law: loads are within 1e-8 of the exact ones
+    min_square = 1e-6  # of F.F, where the wire would turn back before its tip
+    roots = (0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0))
+    even = moment.max() * np.linspace(0.0, 1.0, n_panels + 1)
+    edges = np.union1d(even, table.moment[table.moment < moment.max()])
+    widths, last = np.diff(edges), edges[np.searchsorted(edges, moment) - 1]
+    below, partial_width = np.where(edges[1:] <= last[:, None], widths, 0.0), moment - last
+    weights = 0.5 * np.column_stack([below, below, partial_width, partial_width])
+    whole = table.energy((edges[:-1] + np.outer(roots, widths)).ravel())
+    part = table.energy((last + np.outer(roots, partial_width)).T)
+    clamp, curvature = table.energy(moment), table.curve(moment)[:, 0]
+    (px, py), square = force.T, np.sum(force**2, axis=1)
+    energy = np.hstack([np.tile(whole[:, 0], (len(moment), 1)), part[:, :, 0]])
+    q = (clamp[:, 0] + px)[:, None] - energy
+    rate = np.maximum(square[:, None] - q**2, min_square * square[:, None])
+    plain = weights / np.sqrt(rate)
+    cube = plain / rate
+    cube_q = cube * q
+    length, along, i3, j3 = (np.sum(part, axis=1) for part in (plain, plain * q, cube, cube_q))
+
+    def sum_rises(kernel: Floats, total: Floats) -> Floats:
+        """Sum the changes of W*(M0) - W*(M) by the parameters."""
+        inside = kernel[:, :-2] @ whole[:, 1:]
+        inside += np.einsum("nk,nkp->np", kernel[:, -2:], part[:, :, 1:])
+        return np.asarray((clamp[:, 1:] * total[:, None] - inside).T)
+
+    by_length = [curvature * j3 + 1.0 / py, j3 - px * i3, -py * i3, *sum_rises(cube_q, j3)]
+    by_along = [square * curvature * i3 + px / py, square * i3 - px * j3, -py * j3]
+    by_along += list(square * sum_rises(cube, i3))
+    tip = (moment * np.array([py, -px]) + along * force.T) / square
+    by_tip = force.T[:, None] * np.array(by_along)
+    by_tip[:, :3] += np.array([[py, along, moment], [-px, -moment, along]])
+    by_tip[:, 1:3] -= 2.0 * tip[:, None] * force.T
+    derivatives = np.array([by_length, *(by_tip / square)])
+    return np.array([length, *tip]).T, np.moveaxis(derivatives, 2, 0)
 
 
-def _solve(wire: Wire, at: AtDeflection, moment: Floats, tension: Floats) -> tuple[Floats, Floats]:
-    wire = replace(wire, condition=at)
-    solution = solve(wire, moment, tension, tolerance=MOMENT_TOLERANCE)
-    if solution is None:
-        farthest = at.deflection[-1]
-        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
-        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
-        raise ValueError(message)
-    return solution
+def _solve_weightless(
+    table: LoadingTable, length: float, rig: StringRig | None, deflections: Floats, start: Floats
+) -> tuple[Floats, Floats] | None:
+    """Find equilibria at deflections by Newton's method.
+
+    Parameters
+    ----------
+    table, length, rig, deflections : as for `load_to`
+    start : shape (3, n), moment at the clamp, N m, x of the tip, m, and load, N
+
+    Returns
+    -------
+    The same of the equilibria, and the derivatives of their loads by the deflection and by each of
+    the law's parameters, shape (1 + parameters, n). None if there is no convergence.
+    """
+    max_iterations = 40
+    tolerance = 1e-4  # last change, as a share; the next would be 1e-9
+    max_change = 0.5  # of the logarithms in one step
+    max_turn = 0.999  # sine of the angle by which the force turns the wire
+    state, rows = np.array(start.T), np.arange(len(deflections))
+    at = TipCondition(rig, deflections)
+    for _ in range(max_iterations):
+        moment, x, load = state.T
+        tip = np.column_stack([x, deflections])
+        force = at.pull(tip, load, rows).force
+        turning = table.energy(moment)[:, 0] + force[:, 0]
+        lacking = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
+        load += 2.0 * lacking
+        held = at.pull(tip, load, rows)
+        values, changes = _integrate(table, moment, held.force)
+        by_state = np.zeros((len(rows), 3, 3))  # of moment and force, by moment, x and load
+        by_state[:, 0, 0] = 1.0
+        by_state[:, 1:, 1], by_state[:, 1:, 2] = held.by_x, held.by_load
+        matrix = changes[:, :, :3] @ by_state
+        matrix[:, 1, 1] -= 1.0
+        causes = changes[:, :, 1:]
+        causes[:, :, 0] = values - np.column_stack([np.full_like(x, length), tip])
+        causes[:, :, 1] = 0.0, 0.0, -1.0
+        if not np.isfinite(causes).all():
+            return None
+        steps = -np.linalg.solve(matrix, causes)
+        change = steps[:, :, 0] / state
+        state *= np.exp(np.clip(change, -max_change, max_change))
+        if np.max(np.abs(change)) <= tolerance and not lacking.any():
+            return state.T, np.asarray(steps[:, 2, 1:].T, dtype=np.float64)
+    return None
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -348,3 +481,235 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
     result = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
     result *= np.sign(deflection)
     return result[0], result[1:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndLoadPath:
+    """End load at successive tip deflections; arrays of shape (n,).
+
+    Parameters
+    ----------
+    load : N, normal to the clamped axis, less that which holds the tip level at rest
+    clamp_moment : N m
+    rest : of a wire with weight; None without
+    """
+
+    load: Floats
+    clamp_moment: Floats
+    rest: CantileverShape | None = None
+
+
+def compute_end_load_path(
+    law: PlayLaw,
+    length: float,
+    deflections: Floats,
+    *,
+    n_stations: int = PATH_STATIONS,
+    self_weight: float = 0.0,
+) -> EndLoadPath:
+    """Compute end load and clamp moment at successive tip deflections, from straight or rest.
+
+    Parameters
+    ----------
+    law : law of the wire
+    length : m
+    deflections : shape (n,), m, in the order in which they are reached
+    n_stations : along the wire
+    self_weight : N/m, of the wire; with weight it lies level at rest, its tip held by the load
+
+    Returns
+    -------
+    Load and clamp moment at each deflection, up to the end of the law.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+
+    Notes
+    -----
+    The points are solved at once as long as the deflections grow; from there on one by one.
+    """
+    require_positive("length", length)
+    require_finite("deflections", deflections)
+    require_not_negative("self_weight", self_weight)
+    cantilever = LoadingTable.of_plays(law), length, None, self_weight
+    rises = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
+    growing = deflections[: int(np.argmin(rises))]
+    load, clamp, exact, shape = np.zeros(0), np.zeros(0), 0, None
+    if self_weight == 0.0:
+        first = load_to(*cantilever, growing[growing <= END_OF_FIRST_LOADING * length])
+        exact = first.count_loading()
+        load, clamp = first.tension[:exact], first.clamp_moment[:exact]
+    if exact <= len(deflections):
+        curve, rows = _load_and_unload(cantilever, growing, n_stations)
+        load = np.append(load, curve.tension[rows[exact:]])
+        clamp = np.append(clamp, curve.clamp_moment[rows[exact:]])
+        state = make_straight(law, n_stations, self_weight=self_weight)
+        state = _reach(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
+        shape = _shape_at_rest(state, length) if self_weight > 0.0 else None
+        state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
+        end = float(curve.tension[-1]), float(curve.deflection[-1])
+        state = _reach(law, state, curve.moment[-1], *end)
+    for deflection in deflections[len(growing) :].tolist():
+        state = deflect(law, state, length, deflection)
+        load, clamp = np.append(load, state.load), np.append(clamp, state.moment[0])
+    outside = [not is_within(law, float(moment)) for moment in clamp]
+    count = outside.index(True) if any(outside) else len(clamp)
+    at_rest = 0.0 if shape is None else shape.force[1]
+    return EndLoadPath(load[1:count] - at_rest, clamp[1:count], shape)
+
+
+def _load_and_unload(
+    cantilever: tuple[LoadingTable, float, None, float], growing: Floats, n_stations: int
+) -> tuple[LoadingCurve, Ints]:
+    """Load to deflections and to others between them, where parts near the tip turn back.
+
+    Returns
+    -------
+    The curve, and its rows at rest and at the deflections.
+    """
+    spacing, start = 0.0125, 0.5  # of the length
+    between = cantilever[1] * np.arange(start, 1.0, spacing)
+    grid = np.union1d(growing, between[between < np.max(growing, initial=0.0)])
+    rows = np.append(0, 1 + np.searchsorted(grid, growing))
+    return load_to(*cantilever, grid, n_stations=n_stations), rows
+
+
+def _reach(
+    law: PlayLaw, state: WireState, moment: Floats, load: float, deflection: float
+) -> WireState:
+    """Return the state at moments of a loading curve."""
+    response, force = law.respond(moment, state.plays), np.array([0.0, load])
+    return WireState(
+        *(moment, response.curvature, response.plays, force, load, deflection),
+        self_weight=state.self_weight,
+    )
+
+
+def _shape_at_rest(rest: WireState, length: float) -> CantileverShape:
+    """Return the shape that the wire's own weight gives it."""
+    max_lean = 1.0  # rad: a steeper wire has other equilibria, too
+    shape = compute_shape(rest, length)
+    lean = float(np.max(np.abs(shape.angle)))
+    if lean > max_lean:
+        degrees = np.degrees(lean)
+        raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
+    return shape
+
+
+END_DEFLECTION = 0.8
+"""Tip deflection at the end of a wire's curve, as a share of the length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CantileverCurve:
+    """The cantilever of a wire.
+
+    Parameters
+    ----------
+    deflection, force : shape (n,), m and N, of the tip, from rest
+    clamp_moment : shape (n,), N m
+    rest : None where the wire's weight is left out
+    notes : reasons of an early end, neglected effects
+    """
+
+    deflection: Floats
+    force: Floats
+    clamp_moment: Floats
+    rest: WireAtRest | None
+    notes: tuple[QualityNote, ...]
+
+    def deflection_at(self, law: MomentCurve, curvature: float) -> float:
+        """Return the deflection at a curvature of the clamp, m; infinite if it is not reached."""
+        if curvature >= law.curvature[-1]:
+            return float("inf")
+        moment = float(np.interp(curvature, law.curvature, law.moment))
+        if moment >= self.clamp_moment[-1]:
+            return float("inf")
+        return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
+
+
+def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
+    """Bend the cantilever of a wire up to the end of its law.
+
+    Parameters
+    ----------
+    spec : of the wire: its free length
+    curve : its law
+    self_weight : N/m
+    """
+    try:
+        law = make_concave_law(curve.curvature[1:], curve.moment[1:])
+    except ValueError as error:
+        note = QualityNote.of("mechanics.wire.no_cantilever", spec.place, error=error)
+        return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
+    notes, length = [], 1e3 * spec.length
+    try:
+        path = _bend_to_end(law, spec.length, self_weight)
+    except ValueError as error:
+        note = QualityNote.of(
+            "mechanics.wire.weight_left_out",
+            spec.place,
+            length=length,
+            weight=self_weight * length,
+            error=error,
+        )
+        notes.append(note)
+        path = _bend_to_end(law, spec.length, 0.0)
+    wanted_deflection = END_DEFLECTION * spec.length
+    if path.deflection[-1] < wanted_deflection:
+        last = curve.curvature[-1]
+        notes.append(
+            QualityNote.of(
+                "mechanics.wire.cantilever_cut",
+                spec.place,
+                length=length,
+                reached=1e3 * path.deflection[-1],
+                wanted=1e3 * wanted_deflection,
+                last=last,
+            )
+        )
+    return replace(path, notes=tuple(notes))
+
+
+def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
+    """Compute the curve up to its farthest deflection, or to the end of the law."""
+    n_points = 49  # including zero
+    spacing_power = 3  # the first point lies at 1e-5 of the last, before strands slip
+    end_share = 0.9999  # of the law's last moment, so that rounding stays within
+    endless, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
+    for _ in range(2):
+        deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power
+        path = compute_end_load_path(endless, length, deflection[1:], self_weight=self_weight)
+        at_rest = None
+        if path.rest is not None:
+            moment, curvature = float(path.rest.moment[0]), float(path.rest.curvature[0])
+            sag = -float(np.min(path.rest.y))
+            at_rest = WireAtRest(float(path.rest.force[1]), moment, curvature, sag)
+        clamp = np.append(at_rest.moment if at_rest else 0.0, path.clamp_moment)
+        if clamp[-1] <= law.largest_moment:
+            break
+        end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, at_rest, ())
+
+
+def interpolate_end_load(table: WireTable, deflection: float) -> float:
+    """Interpolate the end load at a tip deflection, N, in a table.
+
+    Parameters
+    ----------
+    table : of the wire
+    deflection : m
+
+    Returns
+    -------
+    NaN beyond the end of the curve, and without a curve.
+
+    Notes
+    -----
+    Monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+    """
+    if len(table.tip_deflection) < 2 or deflection > table.tip_deflection[-1]:
+        return float("nan")
+    return float(PchipInterpolator(table.tip_deflection, table.tip_force)(deflection))

@@ -24,7 +24,7 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_sectors,
 )
-from labpipe.mechanics.wire.end_load_path import compute_cantilever
+from labpipe.mechanics.wire.first_loading import compute_cantilever
 from labpipe.mechanics.wire.friction import (
     Contacts,
     compute_axial_strain,

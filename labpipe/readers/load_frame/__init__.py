@@ -31,16 +31,14 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import ChannelChoice, find_in_parts, make_channel_notes, unique_names
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
-from labpipe.readers.load_frame.column_titles import (
-    find_header,
-    time_column,
-)
 from labpipe.readers.load_frame.tables import (
     MIN_TEST_ROWS,
     Export,
     Table,
+    find_header,
     read_sheets,
     read_text,
+    time_column,
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (

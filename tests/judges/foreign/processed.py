@@ -25,18 +25,22 @@ from tests.judges.foreign.rig import (
     Made,
 )
 from tests.judges.foreign.rig import KINDS as NOISES
+from tests.judges.foreign.tension import TENSION
 
-MAKERS: dict[str, Callable[[Chance, Path], Made]] = {**FRAMES, **CAMERAS}
+MAKERS: dict[str, Callable[[Chance, Path], Made]] = {**FRAMES, **TENSION, **CAMERAS}
 KINDS = tuple(MAKERS)
 SEEDS = tuple(range(26000, 26200))
 """Of the study; never changed."""
 FAULTS = {
     **dict.fromkeys(FRAMES, PULL_FAULTS),
+    **dict.fromkeys(TENSION, PULL_FAULTS),
     **dict.fromkeys(CAMERAS, CAMERA_FAULTS),
     "force-displacement": RECORDER_FAULTS,
     "conduit-bundle": RECORDER_FAULTS,
     "three-point-bend": FRAME_FAULTS,
     "stiff-bar": FRAME_FAULTS[:2],
+    "iso-6892": FRAME_FAULTS,
+    "iso-527-tape": FRAME_FAULTS,
 }
 """What can go wrong with each kind. A bar that is pulled less far is no fault."""
 Row = dict[str, Any]

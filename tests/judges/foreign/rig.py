@@ -343,13 +343,13 @@ def pulled(
     force = force + tare * float(chance.rng.uniform(-0.02, 0.02) * np.abs(force).max())
     travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-4 * speed, 1.0 / rate, chance.rng)
     travel = travel * (1.0 + chance.off("travel", scale(chance.kind, "frame", "displacement")))
-    first, last = _kept(chance.fault, int(lasts * rate), len(time))
+    first, last = kept(chance.fault, int(lasts * rate), len(time))
     if chance.fault == "counts-down":
         travel = -travel
     return (time + 0.1)[first:last], travel[first:last], force[first:last]
 
 
-def _kept(fault: str, loading: int, count: int) -> tuple[int, int]:
+def kept(fault: str, loading: int, count: int) -> tuple[int, int]:
     """Samples that are left of a record."""
     if fault == "begins-under-load":
         return loading // 8, count

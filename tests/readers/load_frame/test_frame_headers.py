@@ -11,8 +11,7 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import shipped_cards
-from labpipe.readers.load_frame.column_titles import find_header, time_column
-from labpipe.readers.load_frame.tables import Export, Table
+from labpipe.readers.load_frame.tables import Export, Table, find_header, time_column
 from tests.approved import Approve
 
 

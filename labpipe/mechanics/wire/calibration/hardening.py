@@ -159,7 +159,7 @@ def _return(
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     steps = 12
-    tip = compute_shape(law, state, length)
+    tip = compute_shape(state, length)
     travel = rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1]))
     path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
     for share in np.linspace(1.0, 0.0, steps + 1)[1:]:

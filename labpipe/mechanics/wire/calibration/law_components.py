@@ -27,7 +27,6 @@ from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import (
     LoadingCurve,
-    LoadingStates,
     load_cantilever,
 )
 from labpipe.mechanics.wire.friction import Contacts, find_slip_onsets
@@ -342,7 +341,7 @@ def compute_loading_curve(
     deflection: float,
     *,
     self_weight: float = 0.0,
-    near: LoadingStates | None = None,
+    near: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Compute a loading curve that reaches a deflection.
 

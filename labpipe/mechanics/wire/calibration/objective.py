@@ -22,7 +22,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     compute_shared_errors,
     whiten,
 )
-from labpipe.mechanics.wire.first_loading import LoadingStates, interpolate_force
+from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 
@@ -41,7 +41,7 @@ class ModelForce:
     force: Floats
     change: Floats
     slope: Floats
-    states: LoadingStates | None = None
+    states: LoadingCurve | None = None
 
 
 def compute_model_forces(
@@ -80,7 +80,7 @@ def compute_model_forces(
         rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
         parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
         for number, *part in zip(numbers, *parts_of, strict=True):
-            forces[number] = ModelForce(part[0], part[1], part[2], curve.states)
+            forces[number] = ModelForce(part[0], part[1], part[2], curve)
     return [force for force in forces if force is not None]
 
 

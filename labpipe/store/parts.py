@@ -1,31 +1,60 @@
-"""Parts of a result file that are more than one record: specimen with bundle, recording."""
+"""Parts of a result file that are more than one record, each with its writer and its reader."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isnan, nan
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from labpipe.records.curve import (
+    Aligned,
+    Bending,
+    BendingCloud,
+    Branch,
+    ClockFit,
+    Curve,
+    FittedLine,
+    Interval,
+    MeasuredLaw,
+    Series,
+    Slip,
+)
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
-from labpipe.records.result import Specimen
+from labpipe.records.result import Contribution, InputFile, Result, Specimen, Status, TestResult
 from labpipe.store import layout
-from labpipe.store.datasets import Target, read_array, read_text, read_texts
-from labpipe.store.hdf5_objects import set_text
-from labpipe.store.layout import DatasetSpec, list_datasets, make_link_name
+from labpipe.store.datasets import (
+    Target,
+    get_number,
+    read_array,
+    read_text,
+    read_texts,
+    set_number,
+    set_text,
+)
+from labpipe.store.layout import (
+    BudgetRow,
+    DatasetSpec,
+    ResultRow,
+    list_datasets,
+    make_link_name,
+)
 from labpipe.store.stored_records import (
+    read_arrays,
     read_attributes,
     read_record,
     read_table,
+    write_arrays,
     write_attributes,
     write_record,
     write_table,
 )
 
+_R = TypeVar("_R")
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
 """Attributes of the root."""
 _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
@@ -126,7 +155,7 @@ def _bundle(group: Any) -> Bundle:
 
 
 def _number(value: float | None) -> float:
-    return nan if value is None else value
+    return nan if value is None else float(value)
 
 
 def _optional(value: float) -> float | None:
@@ -257,3 +286,224 @@ def _markers(group: Any) -> MarkerTracks:
         read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
     )
     return read_record(group[_MARKERS], MarkerTracks, bodies=all_bodies)
+
+
+def write_raw(target: Target, result: TestResult) -> None:
+    """Write recordings by role, with fingerprints and order of their exports.
+
+    Parameters
+    ----------
+    target : group of the raw data
+    result : the test
+    """
+    roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
+    target.write_texts("roles", tuple(result.recordings))
+    for role in roles:
+        inside = target.open_group(role)
+        places = [place for place, export in enumerate(result.inputs) if export.role == role]
+        inputs = [result.inputs[place] for place in places]
+        inside.write_texts("file", tuple(export.file for export in inputs))
+        inside.write_texts("sha256", tuple(export.sha256 for export in inputs))
+        sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
+        inside.group.attrs["bytes"] = sizes
+        inside.group.attrs["input_order"] = np.array(places, dtype=np.int64)
+        if role in result.recordings:
+            write_recording(inside, result.recordings[role])
+
+
+def read_inputs(raw: Any) -> tuple[InputFile, ...]:
+    """Read the fingerprints of the exports, in their order.
+
+    Parameters
+    ----------
+    raw : group of the raw data
+    """
+    inputs: dict[int, InputFile] = {}
+    for role, group in raw.items():
+        rows = zip(
+            group.attrs["input_order"],
+            read_texts(group, "file"),
+            read_texts(group, "sha256"),
+            group.attrs["bytes"],
+            strict=True,
+        )
+        inputs |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
+    return tuple(inputs[number] for number in sorted(inputs))
+
+
+def write_aligned(target: Target, aligned: Aligned) -> None:
+    """Write aligned signals, with the events of their clocks.
+
+    Parameters
+    ----------
+    target : its group
+    aligned : the signals
+    """
+    write_arrays(target, aligned)
+    names: list[str] = []
+    for name, series in aligned.series.items():
+        names.append(make_link_name(name, [*target.group, layout.EVENTS]))
+        dataset = target.write_array(
+            names[-1], series.values, list_datasets(Series)["values"], series.unit
+        )
+        set_text(dataset, "name", name)
+    target.write_texts("series", tuple(names))
+    target.attach_scales()
+    if aligned.clock_fit is not None:
+        write_attributes(target, aligned.clock_fit)
+        write_arrays(target.open_group(layout.EVENTS), aligned.clock_fit)
+
+
+def read_aligned(root: Any) -> Aligned | None:
+    """Read the aligned signals; None without any.
+
+    Parameters
+    ----------
+    root : open result file
+    """
+    if layout.ALIGNED not in root:
+        return None
+    group, values = root[layout.ALIGNED], list_datasets(Series)["values"]
+    series = {
+        read_text(group[name], "name"): Series(
+            read_array(group, name, values), read_text(group[name], "unit")
+        )
+        for name in read_texts(group, "series")
+    }
+    fit = None
+    if layout.EVENTS in group:
+        events = read_arrays(group[layout.EVENTS], ClockFit)
+        fit = ClockFit(**events, **read_attributes(group, ClockFit))
+    return read_record(group, Aligned, series=series, clock_fit=fit)
+
+
+def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
+    """Write the curve of a test, with its branches, slips and fitted lines.
+
+    Parameters
+    ----------
+    target : its group
+    result, curve : the test
+    """
+    write_arrays(target, curve)
+    write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
+    write_rows(target, layout.SLIPS, Slip, result.slips)
+    write_rows(target, layout.LINES, FittedLine, result.lines)
+
+
+def read_curve(root: Any) -> dict[str, Any]:
+    """Read the fields `curve`, `slips` and `lines` of a test.
+
+    Parameters
+    ----------
+    root : open result file
+    """
+    if layout.CURVE not in root:
+        return {"curve": None}
+    group = root[layout.CURVE]
+    time_unit = read_text(group[layout.TIME], "unit")
+    branches = read_table(group, layout.BRANCHES, Branch, time_unit)
+    return {
+        "curve": read_record(group, Curve, branches=branches),
+        "slips": read_rows(group, layout.SLIPS, Slip),
+        "lines": read_rows(group, layout.LINES, FittedLine),
+    }
+
+
+def write_rows(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
+    """Write a table as `write_table`, unless it is empty."""
+    if rows:
+        write_table(target, name, kind, rows)
+
+
+def read_rows(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
+    """Read a table that `write_rows` wrote."""
+    return read_table(parent, name, kind) if name in parent else ()
+
+
+def write_bending(target: Target, bending: Bending) -> None:
+    """Write the measured moments and curvatures, with their law.
+
+    Parameters
+    ----------
+    target : its group
+    bending : of the test
+    """
+    write_record(target, bending.cloud)
+    write_attributes(target, bending)
+    if bending.law is not None:
+        write_record(target.open_group(layout.LAW), bending.law)
+
+
+def read_bending(root: Any) -> Bending | None:
+    """Read measured moments and curvatures; None without any.
+
+    Parameters
+    ----------
+    root : open result file
+    """
+    if layout.BENDING not in root:
+        return None
+    group = root[layout.BENDING]
+    law = read_record(group[layout.LAW], MeasuredLaw) if layout.LAW in group else None
+    return read_record(group, Bending, cloud=read_record(group, BendingCloud), law=law)
+
+
+def write_results(target: Target, results: Sequence[Result]) -> None:
+    """Write the results, with a table of them and one of their budgets.
+
+    Parameters
+    ----------
+    target : the root
+    results : of the test
+    """
+    group = target.open_group(layout.RESULTS)
+    group.write_texts("order", tuple(result.name for result in results))
+    rows, budget = [], []
+    for result in results:
+        inside = group.open_group(result.name)
+        set_number(inside.group, "value", _number(result.value))
+        set_text(inside.group, "seal", result.seal)
+        write_attributes(inside, result, skip=("name", "value"))
+        ends = result.interval or Interval(nan, nan, nan)
+        rows.append(
+            ResultRow(
+                *(result.name, result.value, result.best_estimate, ends.lower, ends.upper),
+                *(result.unit, ends.level, result.status),
+                *(", ".join(result.codes), result.reason_text),
+            )
+        )
+        budget += [
+            BudgetRow(result.name, row.cause, row.change, result.unit, share, row.is_common)
+            for row, share in zip(result.budget, result.shares, strict=True)
+        ]
+    write_table(group, "table", ResultRow, rows)
+    write_rows(target, layout.BUDGETS, BudgetRow, budget)
+
+
+def read_results(root: Any) -> tuple[Result, ...]:
+    """Read the results.
+
+    Parameters
+    ----------
+    root : open result file
+
+    Raises
+    ------
+    ValueError
+        If a result has other numbers than its seal.
+    """
+    group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
+    for row in read_rows(root, layout.BUDGETS, BudgetRow):
+        contribution = Contribution(row.cause, row.change, row.is_common)
+        budgets.setdefault(row.result, []).append(contribution)
+    results = []
+    for name in read_texts(group, "order"):
+        fields = read_attributes(group[name], Result, skip=("name", "value"))
+        value = None if fields["status"] is Status.FAILED else get_number(group[name], "value")
+        result = Result(name=name, value=value, budget=tuple(budgets.get(name, ())), **fields)
+        if read_text(group[name], "seal") != result.seal:
+            message = f"results/{name}: its numbers were changed after they were written"
+            raise ValueError(message)
+        results.append(result)
+    return tuple(results)

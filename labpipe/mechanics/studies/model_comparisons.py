@@ -1,0 +1,454 @@
+"""Comparison of a calibrated model with tests by wire and length, and with external curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, UsageError, sort_by_likeness
+from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
+from labpipe.mechanics.wire.bending_law import fit_play_law
+from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
+from labpipe.mechanics.wire.calibration.measured_curves import (
+    DEEPEST,
+    MeasuredCurve,
+    compare_curves,
+    compute_curve_errors,
+)
+from labpipe.mechanics.wire.calibration.prediction import (
+    compute_calibrated_curve,
+    find_tested_curvature,
+    predict,
+)
+from labpipe.mechanics.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    hold_level,
+    make_straight,
+)
+from labpipe.messages import format_sentence
+from labpipe.protocol.plans import CalibrationPlan, Comparison
+from labpipe.readers.curve_files import CurveColumn, read_curve
+from labpipe.records.arrays import Floats, average_blocks
+from labpipe.records.curve import PointFlag
+from labpipe.records.group import Band, SampleCurve
+from labpipe.records.quality import QualityNote, Reason
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import (
+    Calibration,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurve,
+    ExternalCurveComparison,
+    Prediction,
+)
+from labpipe.report.calibration_summary import BentShape, ValidationGroup
+from labpipe.statistics.mean_curves import compute_band, interpolate_curves
+from labpipe.store.read import read_result
+
+N_SHAPES = 6
+"""Number of shapes at evenly spaced deflections."""
+
+
+def compare_shapes(
+    file: Path, wire: Wire, length: float, rig: StringRig | None, deepest: float
+) -> tuple[BentShape, ...]:
+    """Return shapes of a sample and of the model at even steps of deflection.
+
+    Parameters
+    ----------
+    file : result.h5 of a test with a shape
+    wire : with the calibrated numbers
+    length : free length, m
+    rig : the string; None for an end load normal to the axis
+    deepest : m, largest deflection of the first loading
+
+    Returns
+    -------
+    `N_SHAPES` shapes in the frame of the clamp; none for a test without a fitted shape. Markers are
+    on the surface, as measured; fit and model are the axis.
+
+    Raises
+    ------
+    ValueError
+        If the model has no equilibrium at one of the deflections.
+    """
+    shape = read_result(file).shape
+    if shape is None or not shape.coefficients.size:
+        return ()
+    lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
+    rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
+    parts = wire.parts
+    largest_curvature, _ = parts.reach(parts.given)
+    powers = np.vander(np.linspace(0.0, 1.0, 60), shape.coefficients.shape[2], increasing=True)
+    shapes = []
+    for target_rise in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+        reached = np.flatnonzero(rise >= target_rise)
+        if len(reached):
+            frame = int(reached[0])
+            model = _bend_model(wire, length, rig, float(rise[frame]), largest_curvature)
+            measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
+            markers = shape.positions[frame, measured, :2]
+            axis = powers @ shape.coefficients[frame, :2].T
+            shapes.append(BentShape(float(rise[frame]), markers, axis, model))
+    return tuple(shapes)
+
+
+def _bend_model(
+    wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
+) -> Floats:
+    """Bend the model from rest to a deflection of its tip; return its axis."""
+    tip_tolerance, max_iterations = 1e-6, 8
+    share = min(deflection / length, 0.9)
+    law = fit_play_law(
+        wire.section,
+        wire.contacts,
+        largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
+        orientation=wire.orientation,
+    )
+    weight = wire.self_weight
+    if rig is None:
+        solution = bend_to_deflection(
+            law, hold_level(law, length, weight).state, length, deflection
+        )
+        return np.column_stack([solution.x, solution.y])
+    travel, level = deflection, make_straight(law, self_weight=weight)
+    state_at_rest = bend_to_travel(law, level, length, rig, 0.0).state
+    for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
+        solution = bend_to_travel(law, state_at_rest, length, rig, travel)
+        missing = deflection - float(solution.y[-1])
+        if abs(missing) < tip_tolerance:
+            break
+        travel += missing
+    return np.column_stack([solution.x, solution.y])
+
+
+_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
+"""Deflections of a prediction as shares of the largest, denser at the start of the curve."""
+
+
+def compare_tests(
+    calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
+) -> tuple[ValidationGroup, ...]:
+    """Compare a calibration with its own tests and with others.
+
+    Parameters
+    ----------
+    calibration : of one wire
+    wires : by name
+    loadings : all tests
+
+    Returns
+    -------
+    A group per wire and length, those of the calibrated wire first.
+    """
+    groups: dict[tuple[bool, str, float], list[MeasuredCurve]] = {}
+    for curve in (loading.curve for loading in loadings):
+        key = (curve.wire != calibration.wire, curve.wire, round(curve.length, 6))
+        groups.setdefault(key, []).append(curve)
+    return tuple(_compare_group(calibration, wires[key[1]], groups[key]) for key in sorted(groups))
+
+
+def _compare_group(
+    calibration: Calibration, wire: Wire, curves: Sequence[MeasuredCurve]
+) -> ValidationGroup:
+    deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
+    noise = float(np.mean([curve.read_error for curve in curves]))
+    first = curves[0]
+    prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
+    try:
+        deflection = deepest * _GRID
+        wire = replace(wire, self_weight=first.self_weight)
+        prediction = predict(
+            calibration, wire, first.length, deflection, rig=first.rig, noise=noise
+        )
+    except ValueError as error:
+        reason = Reason("no_prediction", str(error))
+    else:
+        errors = _compute_errors(curves, prediction)
+        values = calibration.solutions[0].values
+        solution = compute_calibrated_curve(wire, values, first.length, first.rig, deepest)
+        limit = np.interp(
+            wire.linear_range, solution.clamp_curvature, solution.deflection, right=np.inf
+        )
+        doubtful_deflection = float(limit)
+    return ValidationGroup(
+        wire=first.wire,
+        length=first.length,
+        is_calibrated=first.wire == calibration.wire,
+        samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
+        band=_compute_band(curves, prediction),
+        prediction=prediction,
+        errors=errors,
+        reason=reason,
+        doubtful_deflection=doubtful_deflection,
+    )
+
+
+def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
+    """Return the mean of curves and its band, from block means.
+
+    The mean over a block of a curved line is biased, near the start by 8 % of the force. Therefore
+    the prediction, if there is one, is subtracted before averaging and added afterwards.
+    """
+    blocks = 50  # a band of single points would show noise, not the scatter of samples
+
+    def shape(deflection: Floats) -> Floats:
+        if prediction is None:
+            return np.zeros_like(deflection)
+        return np.interp(deflection, prediction.deflection, prediction.force)
+
+    means = [
+        (
+            average_blocks(c.deflection, blocks),
+            average_blocks(c.force - shape(c.deflection), blocks),
+        )
+        for c in curves
+    ]
+    common = interpolate_curves(means, [curve.test for curve in curves])
+    return compute_band(replace(common, force=common.force + shape(common.displacement)))
+
+
+def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
+    """Return the errors of all points of curves, and their share inside the band."""
+    deflection = np.concatenate([curve.deflection for curve in curves])
+    model, lower, upper = (
+        np.interp(deflection, prediction.deflection, values)
+        for values in (prediction.force, prediction.lower, prediction.upper)
+    )
+    return compute_curve_errors(
+        np.concatenate([curve.force for curve in curves]), model, lower, upper
+    )
+
+
+def note_insulations(
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    specs: Mapping[str, WireSpec],
+    loadings: Sequence[FirstLoading],
+) -> tuple[QualityNote, ...]:
+    """Return notes on wires that tests bend beyond the linear range of their insulation.
+
+    Parameters
+    ----------
+    calibration : of one wire
+    wires, specs : by name
+    loadings : all tests
+
+    Returns
+    -------
+    A note for each of them. A predicted wire for which the model has no solution in the range of
+    the tests has no note: the reason is in its group.
+    """
+    notes, values = [], calibration.solutions[0].values
+    for name in sorted({loading.curve.wire for loading in loadings}):
+        curves = [loading.curve for loading in loadings if loading.curve.wire == name]
+        try:
+            tested_curvature = find_tested_curvature(wires[name], values, curves)
+        except ValueError:
+            continue
+        of = "" if name == calibration.wire else calibration.wire
+        notes.append(note_insulation(specs[name], tested_curvature, of=of))
+    return tuple(note for note in notes if note is not None)
+
+
+def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
+    """Return notes on calibrating tests that lie outside the 95 % band of their calibration.
+
+    Parameters
+    ----------
+    groups : of `compare_tests`
+
+    Returns
+    -------
+    A note for each group with less than 80 % of its points inside the band. With the right wire,
+    hardly any campaign of the virtual lab had less than 95 %.
+    """
+    return tuple(
+        QualityNote.of(
+            "mechanics.studies.model_misses_tests",
+            f"{group.wire}, {1e3 * group.length:.4g} mm",
+            share=100.0 * group.errors.inside,
+        )
+        for group in groups
+        if group.is_calibrated and group.errors is not None and group.errors.inside < 0.8
+    )
+
+
+def read_external_curves(
+    settings: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
+) -> tuple[ExternalCurve, ...]:
+    """Read all external curves of a plan.
+
+    Parameters
+    ----------
+    settings : the plan
+    plan : its file, whose folder the curves are in
+    specs : wires of the sheet, by name
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    UsageError
+        If curves cannot be read, or are of a wire that is not in the sheet: all faults in one
+        message.
+    """
+    folder = Path() if plan is None else plan.parent
+    external_curves, faults = [], []
+    for comparison in settings.comparisons:
+        if comparison.wire not in specs:
+            nearest = ", ".join(sort_by_likeness(comparison.wire, list(specs)))
+            error = UsageError.about(
+                "mechanics.studies.curve_of_unknown_wire",
+                plan or "plan",
+                f"comparison '{comparison.name}', wire",
+                sheet=wires,
+                near=nearest,
+                wire=comparison.wire,
+            )
+            faults.append(str(error))
+        try:
+            external_curves.append(_read_external(comparison, folder))
+        except ReadError as damaged:
+            faults.append(str(damaged))
+    if faults:
+        raise UsageError("\n".join(faults))
+    return tuple(external_curves)
+
+
+def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
+    path = folder / comparison.file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ReadError.about("mechanics.studies.curve_outside_plan", path)
+    across, up = comparison.deflection, comparison.force
+    deflection, force = read_curve(
+        path,
+        CurveColumn("deflection", "m", across.column, across.unit, across.sign),
+        CurveColumn("force", "N", up.column, up.unit, up.sign),
+    )
+    is_normal = comparison.load == "normal"
+    return ExternalCurve(
+        comparison.name,
+        comparison.file,
+        comparison.wire,
+        comparison.length,
+        deflection,
+        force,
+        is_normal,
+        comparison.because,
+    )
+
+
+def compare_external_curves(
+    curves: Sequence[ExternalCurve],
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    groups: Sequence[ValidationGroup],
+    loadings: Sequence[FirstLoading],
+) -> tuple[ExternalCurveComparison, ...]:
+    """Compare external curves with the mean of the tests and with the model.
+
+    Parameters
+    ----------
+    curves : external
+    calibration : of the model
+    wires : by name, those of the curves among them
+    groups : tests by wire and length
+    loadings : all tests; the rig of the first is used where no test has the wire and length
+    """
+    compared = []
+    for curve in curves:
+        own = (group for group in groups if _is_same_specimen(curve, group.wire, group.length))
+        group, wire = next(own, None), wires[curve.wire]
+        compared.append(_compare(curve, calibration, wire, group, _choose_string(curve, loadings)))
+    return tuple(compared)
+
+
+def _is_same_specimen(curve: ExternalCurve, wire: str, length: float) -> bool:
+    max_length_difference = 1e-6  # m
+    return curve.wire == wire and abs(curve.length - length) < max_length_difference
+
+
+def _choose_string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+    """Return the string of the tests of that wire and length, else of the first test."""
+    for test in (loading.curve for loading in loadings):
+        if _is_same_specimen(curve, test.wire, test.length):
+            return test.rig
+    rig = loadings[0].curve.rig
+    return None if rig is None else replace(rig, anchor_x=curve.length)
+
+
+def _compare(
+    curve: ExternalCurve,
+    calibration: Calibration,
+    wire: Wire,
+    group: ValidationGroup | None,
+    string: StringRig | None,
+) -> ExternalCurveComparison:
+    tests, prediction, reason = None, None, ""
+    rig = None if curve.is_normal else string
+    if group is not None:
+        band = group.band
+        tests = compare_curves(
+            curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
+        )
+    try:
+        tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
+        deepest = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
+        grid = np.linspace(0.0, deepest, 200)
+        prediction = predict(calibration, wire, curve.length, grid, rig=rig)
+    except ValueError as error:
+        reason = format_sentence("mechanics.studies.no_such_curve", error=error)
+    if prediction is None:
+        no_force = np.full(len(curve.deflection), np.nan)
+        model = CurveMatch(no_force, None, len(no_force), reason)
+    else:
+        ends = (prediction.lower_mean, prediction.upper_mean)
+        model = compare_curves(curve, prediction.deflection, prediction.force, ends, "the model")
+    notes = list(_note_comparison(curve, tests, model))
+    if rig is not string:
+        notes += _note_load_direction(curve, group, prediction)
+    return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
+
+
+def _note_load_direction(
+    curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
+) -> Iterator[QualityNote]:
+    """Note by how much the force depends on the direction of the load, by the model."""
+    pulled = None if group is None else group.prediction
+    if pulled is None or prediction is None:
+        return
+    ends = (curve.deflection, pulled.deflection, prediction.deflection)
+    end_deflection = min(float(end[-1]) for end in ends)
+    as_tested = float(np.interp(end_deflection, pulled.deflection, pulled.force))
+    normal = float(np.interp(end_deflection, prediction.deflection, prediction.force))
+    yield QualityNote.of(
+        "mechanics.studies.external_curve_load",
+        curve.name,
+        deflection=1e3 * end_deflection,
+        tested=1e3 * as_tested,
+        normal=1e3 * normal,
+    )
+
+
+def _note_comparison(
+    curve: ExternalCurve, tests: CurveMatch | None, model: CurveMatch
+) -> Iterator[QualityNote]:
+    if tests is None:
+        length = 1e3 * curve.length
+        yield QualityNote.of(
+            "mechanics.studies.external_curve_untested", curve.name, wire=curve.wire, length=length
+        )
+    for match in (tests, model):
+        if match is not None and match.explanation:
+            yield QualityNote.of(
+                "mechanics.studies.external_curve_not_compared"
+                if match.errors is None
+                else "mechanics.studies.external_curve_cut",
+                curve.name,
+                reason=match.explanation,
+            )

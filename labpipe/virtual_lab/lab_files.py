@@ -1,0 +1,515 @@
+"""Files of a virtual test: exports in the vendors' formats, test sheet, and true values.
+
+**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. It holds one struct
+with Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
+rows, and whole numbers are stored as small integers. The text header states the time of saving.
+
+**Motive** (cameras): a table CSV, Format Version 1.23, with CRLF line ends. A line of keys and
+values and a blank line are followed by rows of types, names, ids, quantities and axes, and by the
+data with six decimals; cells of untracked markers are blank. The fitted markers of the body (Rigid
+Body Marker, quoted names) stand beside the measured markers of the same names (Marker, bare names).
+
+**MTS TestSuite** (load frame): ``(Timed)`` text, UTF-8 with byte order mark, CRLF line ends. Four
+lines of preamble and two blank lines are followed by names with a trailing blank. Numbers are
+32-bit SI numbers, converted to the unit of the column. Several acquisition steps give several
+files, not numbered in the order of time; the file of a step without samples has only a byte order
+mark.
+
+**TestResources R-Controller** (load frame): a workbook with time s, force lbf, travel in. No real
+export was available: the three quantities and their units are from the dissertation; the name of
+the sheet, the names of the columns and the rows above them are assumed.
+
+Every file states that it is synthetic. The test sheet states the nominal gain of the load cell, not
+the true one. It overrides the shipped protocol only where the virtual rig differs from it.
+
+``truth.json`` holds the true values in SI, with frames, signs and clocks as in the modules of the
+rigs. The processing never reads it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date, datetime, timedelta
+from functools import cache
+from math import degrees
+from pathlib import Path
+from typing import Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from scipy.io import savemat
+from xlsxwriter import Workbook
+
+from labpipe.protocol.load import find_shipped_folder
+from labpipe.records.arrays import Floats
+from labpipe.records.recording import Recording
+from labpipe.store.replace import storing
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, Truth
+from labpipe.virtual_lab.instruments import (
+    BODY_MARKERS,
+    PORT,
+    ForceRecord,
+    FrameRecord,
+    Take,
+    TensionRecord,
+    round_to_single,
+)
+from labpipe.virtual_lab.specimens import WIRES
+from labpipe.virtual_lab.tensile import MetalTension, TensileScenario
+from labpipe.virtual_lab.three_point import ConduitScenario
+
+Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario | MetalTension
+"""A virtual test of any kind."""
+S = TypeVar("S", bound=Scenario)
+
+SHEET_FILE, TRUTH_FILE, WIRE_SHEET = "test.yaml", "truth.json", "wires.csv"
+_HEAD = "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
+_NEWTONS = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
+_METRES_PER_INCH = 0.0254
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation(Generic[S]):
+    """A virtual test: records of the instruments, and true values.
+
+    Parameters
+    ----------
+    scenario, seed : inputs
+    records : by role in the test sheet: ``force`` (`ForceRecord`), ``markers`` (`Take`) and
+        ``frame`` (`FrameRecord`)
+    truth : true values, as in ``truth.json``
+    """
+
+    scenario: S
+    seed: int
+    records: Mapping[str, Any]
+    truth: Truth
+
+    def recording(self, role: str) -> Recording:
+        """Return a record as read from its export: force in volts, all else in SI."""
+        recording: Recording = self.records[role].recording()
+        return recording
+
+
+def observe(scenario: S, seed: int) -> Observation[S]:
+    """Run a virtual test without writing files.
+
+    Parameters
+    ----------
+    scenario : the test
+    seed : of noise, gain and mishaps; the mechanics do not depend on it
+
+    Returns
+    -------
+    The observation. Tests with equal mechanics share one solution, so that only the first one takes
+    seconds.
+
+    Raises
+    ------
+    ValueError
+        If the mechanics have no solution, or a tensile test has fewer than three samples.
+    IndexError
+        If a mishap names a marker that does not exist.
+    """
+    return Observation(scenario, seed, *scenario.record(seed))
+
+
+def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
+    """Run a virtual test and write its exports, test sheet and truth.
+
+    Parameters
+    ----------
+    scenario : the test
+    folder : of this test; created if it does not exist; files of the same names are replaced
+    seed : the same seed gives identical files
+
+    Returns
+    -------
+    The folder.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no solution or is invalid.
+    StoreError
+        If the files cannot be written.
+    """
+    test = observe(scenario, seed)
+    run = Run(scenario.name, datetime.fromisoformat(f"{scenario.date}T10:05:00"), seed)
+    facts = {"synthetic": True, "seed": seed, "scenario": asdict(scenario), **test.truth}
+    with storing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {role: _WRITERS[type(r)](folder, r, run) for role, r in test.records.items()}
+        (folder / SHEET_FILE).write_text(write_sheet(scenario, files), encoding="utf-8")
+        truth = json.dumps(facts, default=lambda array: np.round(array, 12).tolist())
+        (folder / TRUTH_FILE).write_text(f"{truth}\n", encoding="utf-8")
+    return folder
+
+
+def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
+    """Write the test sheet.
+
+    Parameters
+    ----------
+    scenario : the test
+    files : names of the exports, by role
+
+    Returns
+    -------
+    The text of ``test.yaml``.
+    """
+    specimen = {
+        "type": scenario.specimen_type,
+        "spool": scenario.spool,
+        "sample": scenario.sample,
+        **scenario.describe_specimen(),
+    }
+    overrides = {
+        key: {"value": text, "because": because}
+        for key, value, because in scenario.list_settings()
+        if (text := _format_lengths(value)) != _find_protocol_value(scenario.protocol, key)
+    }
+    sheet = {
+        "test": scenario.name,
+        "protocol": scenario.protocol,
+        "specimen": _format_lengths(specimen),
+        "date": date.fromisoformat(scenario.date),
+        "operator": "virtual lab",
+        "files": {role: names[0] if len(names) == 1 else [*names] for role, names in files.items()},
+        **({"overrides": overrides} if overrides else {}),
+    }
+    return _HEAD + yaml.safe_dump(
+        sheet, sort_keys=False, allow_unicode=True, default_flow_style=None, width=200
+    )
+
+
+def _format_lengths(value: object) -> object:
+    """Convert lengths, m, to text in mm, also in blocks."""
+    if isinstance(value, dict):
+        return {key: _format_lengths(entry) for key, entry in value.items()}
+    return f"{1e3 * value:.10g} mm" if isinstance(value, float) else value
+
+
+@cache
+def _read_protocol(name: str) -> dict[str, Any]:
+    path = find_shipped_folder("protocols") / f"{name}.yaml"
+    protocol: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return protocol
+
+
+def _find_protocol_value(name: str, key: str) -> object:
+    """Return the value of a shipped protocol; None if it has none."""
+    entry: Any = _read_protocol(name)
+    for part in key.split("."):
+        entry = entry.get(part) if isinstance(entry, dict) else None
+    return entry
+
+
+def write_wire_sheet(folder: Path) -> Path:
+    """Write the sheet of the virtual wires for `labpipe model` and `labpipe calibrate`.
+
+    The sheet states dimensions and materials, but no friction, which a calibration identifies.
+
+    Parameters
+    ----------
+    folder : created if it does not exist
+
+    Returns
+    -------
+    The sheet, with a row for each of `virtual_lab.specimens.WIRES`.
+    """
+    rows = [
+        {
+            "wire": wire.name,
+            "wire_diameter_mm": f"{1e3 * wire.diameter:.6g}",
+            "strands": wire.n_strands,
+            "strand_diameter_mm": f"{1e3 * wire.strand:.9g}",
+            "lay_angles_deg": ";".join(f"{degrees(angle):.6g}" for angle in wire.lay_angles),
+            "insulation_thickness_mm": f"{1e3 * wire.wall:.6g}",
+            "layout": "compressed" if wire.is_compressed else "hexagonal",
+        }
+        for wire in WIRES.values()
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / WIRE_SHEET
+    with path.open("w", encoding="utf-8", newline="") as file:
+        sheet = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        sheet.writeheader()
+        sheet.writerows(rows)
+    return path
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Name, time and seed of a virtual test, for the headers of its exports.
+
+    Parameters
+    ----------
+    name : of the test
+    started : time of the test
+    seed : for the notes that the test is synthetic
+    """
+
+    name: str
+    started: datetime
+    seed: int
+
+    @property
+    def note(self) -> str:
+        """Return the note that the test is synthetic."""
+        return f"SYNTHETIC: made by labpipe's virtual lab, seed {self.seed}, not a measurement"
+
+
+def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str, ...]:
+    """Write a force record as ControlDesk does; the time of saving is that of its last sample.
+
+    Parameters
+    ----------
+    folder : of the file
+    record : of the recorder
+    run : for the header and the description
+
+    Returns
+    -------
+    Name of the file; its stem is the name of the struct.
+    """
+    clock = record.clock
+    saved = run.started + timedelta(seconds=round(float(clock[-1])))
+    no_limit = np.finfo(np.float64).max
+    channels = [
+        {
+            "Name": PORT,
+            "Type": np.int32(4),
+            "Data": _compact_integers(values)[None, :],
+            "Unit": "",
+            "Raster": "HostService",
+            "Device": "Platform",
+            "XIndex": np.int32(1),
+            "DownSampling": np.int32(1),
+            "Description": "",
+            "DisplayIdentifier": "",
+            "Path": path,
+            "Flags": np.int32(2),
+            "Min": -no_limit,
+            "Max": no_limit,
+            "MinWeak": -no_limit,
+            "MaxWeak": no_limit,
+        }
+        for path, values in sorted(record.signals.items())
+    ]
+    fields = [(name, object) for name in channels[0]]
+    origin = (
+        "Software revision: virtual_lab.sdf\r\nVariable description: virtual_lab.sdf\r\n"
+        f"    Platform / Device: Platform [{run.note}]\r\nControlDesk version: 7.4"
+    )
+    content = {
+        "Info": {
+            "RevisionMajor": np.int32(2),
+            "RevisionMinor": np.int32(1),
+            "MeasurementID": np.int32(1),
+        },
+        "X": {
+            "Name": "",
+            "Type": np.int32(4),
+            "Data": clock[None, :],
+            "Unit": "",
+            "Raster": "HostService",
+        },
+        "Y": np.array([[tuple(channel.values()) for channel in channels]], dtype=fields),
+        "Description": {
+            "General": {
+                "User": "labpipe virtual lab",
+                "DateTime": f"{saved:%Y/%m/%d %H:%M:%S}",
+                "Origin": origin,
+                "Description": "synthetic",
+            },
+            "Recording": {"StartCondition": "None (Immediate Recording)", "StopCondition": "None"},
+            "Measurement": {
+                "XAxisOffset": np.uint8(0),
+                "Length": float(clock[-1]),
+                "StartTimestamp": float(clock[0]),
+                "StopTimestamp": float(clock[-1]),
+            },
+        },
+    }
+    path = folder / "force.mat"
+    savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
+    # the text header states the time of saving, so that equal tests give equal files
+    text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
+    with path.open("r+b") as file:
+        file.write(text.encode("ascii").ljust(116))
+    return (path.name,)
+
+
+def _compact_integers(values: Floats) -> NDArray[np.generic]:
+    """Convert whole numbers to the smallest unsigned integers, as ControlDesk does."""
+    is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
+    if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
+        return values
+    return values.astype(np.min_scalar_type(int(np.max(values))))
+
+
+def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
+    """Write a take as Motive does.
+
+    Parameters
+    ----------
+    folder : of the file
+    take : of the cameras
+    run : for the header; its seed is also that of the ids
+
+    Returns
+    -------
+    Name of the file.
+    """
+    rows_at_a_time = 2000
+    units = {"m": ("Meters", 1.0), "cm": ("Centimeters", 100.0), "mm": ("Millimeters", 1000.0)}
+    unit, factor = units[take.unit]
+    frames = str(len(take.time))
+    pairs = {
+        "Format Version": "1.23",
+        "Take Name": run.name,
+        "Take Notes": f"synthetic: made by labpipe's virtual lab with seed {run.seed}",
+        "Capture Frame Rate": f"{take.rate:.6f}",
+        "Export Frame Rate": f"{take.rate:.6f}",
+        "Capture Start Time": f"{run.started:%Y-%m-%d %I.%M.%S}.000 {run.started:%p}",
+        "Total Frames in Take": frames,
+        "Total Exported Frames": frames,
+        "Rotation Type": "Quaternion",
+        "Length Units": unit,
+        "Coordinate Space": "Global",
+    }
+    labels, table = _build_motive_columns(take, factor, np.random.default_rng([run.seed, 77]))
+    head = [",".join(f"{key},{value}" for key, value in pairs.items()), ""]
+    head += [",".join(row) for row in zip(*labels, strict=True)]
+    row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
+    with (folder / "take.csv").open("w", encoding="ascii", newline="") as file:
+        file.write("".join(line + "\r\n" for line in head))
+        for first in range(0, len(table), rows_at_a_time):
+            block = table[first : first + rows_at_a_time].tolist()
+            lines = (row % (first + number, *values) for number, values in enumerate(block))
+            file.write("".join(lines).replace("nan", ""))
+    return ("take.csv",)
+
+
+def _build_motive_columns(
+    take: Take, factor: float, random: np.random.Generator
+) -> tuple[list[tuple[str, ...]], Floats]:
+    """Return type, name, id, quantity and axis of every column, and the data after the frame."""
+    place = [("Position", axis) for axis in "XYZ"]
+    turn = [("Rotation", axis) for axis in "XYZW"]
+    blocks: list[tuple[str, str, str, list[tuple[str, str]]]] = []
+    data = [take.time[:, None]]
+    for body in take.bodies:
+        identity = f'"{random.bytes(16).hex().upper()}"'
+        columns = [*turn, *place, ("Mean Marker Error", "")]
+        blocks.append(("Rigid Body", body.name, identity, columns))
+        data += [body.rotation, body.position * factor, body.error[:, None] * factor]
+        columns = [*place, ("Marker Quality", "")]
+        for number in range(1, len(BODY_MARKERS) + 1):
+            marker = f'"{body.name}:Marker{number}"'
+            blocks.append(("Rigid Body Marker", marker, identity, columns))
+    for name in take.names:
+        blocks.append(("Marker", name, f'"{random.bytes(3).hex().upper()}"', place))
+    fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
+    data += [part.reshape(len(take.time), -1) for part in (fitted, take.positions * factor)]
+    first = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
+    labels = [(*names, *column) for *names, columns in blocks for column in columns]
+    return [*first, *labels], np.hstack(data)
+
+
+def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
+    """Write a record of a load frame in the format of its controller.
+
+    Parameters
+    ----------
+    folder : of the files
+    record : of the controller
+    run : for the headers
+
+    Returns
+    -------
+    Names of the files; those of TestSuite in the order of their numbers.
+    """
+    if record.layout.force_unit == "lbf":
+        return _write_r_controller(folder, record, run)
+    parts: list[slice | None] = [slice(None)]
+    if record.layout.part_at is not None:  # the later step, the earlier one, one without samples
+        lost_rows = 2
+        first = int(np.searchsorted(record.time, record.layout.part_at))
+        parts = [slice(first + lost_rows, None), slice(first), None]
+    names = []
+    for number, part in enumerate(parts):
+        names.append(f"DAQ- Crosshead, … - (Timed){number or ''}.txt")
+        text = "" if part is None else _format_test_suite(names[-1], record, part, run)
+        (folder / names[-1]).write_bytes(text.encode("utf-8-sig"))
+    return tuple(names)
+
+
+def _format_test_suite(file: str, record: FrameRecord, part: slice, run: Run) -> str:
+    """Return the preamble and the rows of an acquisition step."""
+    started, force_unit = run.started, record.layout.force_unit
+    clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
+    columns = (
+        1e3 * round_to_single(record.displacement[part]),
+        round_to_single(record.force[part]) / _NEWTONS[force_unit],
+        round_to_single(record.time[part]),
+    )
+    lines = [
+        f"File Path: C:\\MTS Data\\SYNTHETIC labpipe virtual lab\\{run.name}\\{file}   ",
+        f"Test: SYNTHETIC {record.test_type}, labpipe virtual lab, seed {run.seed}",
+        f"Test Run: {run.name}",
+        f"Date: {started.month}/{started.day}/{started.year} {clock}",
+        "",
+        "",
+        "Crosshead \tLoad \tTime ",
+        f"mm\t{force_unit}\tsec",
+        *("\t".join(f"{value:.15G}" for value in row) for row in np.transpose(columns).tolist()),
+    ]
+    return "".join(line + "\r\n" for line in lines)
+
+
+def _write_r_controller(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
+    """Write a record as a workbook of TestResources; equal records give equal bytes."""
+    force = record.force / _NEWTONS["lbf"]
+    rows = np.column_stack([record.time, force, record.displacement / _METRES_PER_INCH])
+    head = [
+        (run.note,),
+        ("Test", run.name),
+        ("Date", f"{run.started:%m/%d/%Y %H:%M:%S}"),
+        (),
+        ("Time (s)", "Force (lbf)", "Displacement (in)"),
+    ]
+    properties = {"title": run.name, "comments": run.note, "author": "labpipe virtual lab"}
+    with Workbook(folder / f"{run.name}.xlsx", {"in_memory": True}) as book:
+        book.set_properties({**properties, "created": run.started})
+        sheet = book.add_worksheet("Test Data")
+        for number, cells in enumerate([*head, *(rows.round(6) + 0.0).tolist()]):
+            sheet.write_row(number, 0, cells)
+    return (f"{run.name}.xlsx",)
+
+
+def write_tension(folder: Path, record: TensionRecord, run: Run) -> tuple[str, ...]:
+    """Write the record of a tension test as CSV with a row of units; NaN is an empty cell."""
+    columns = (record.time, 1e-3 * record.force, 1e3 * record.travel, 1e3 * record.extension)
+    rows = np.column_stack(columns).tolist()
+    lines = [
+        run.note,
+        "Time,Force,Crosshead,Extensometer",
+        "s,kN,mm,mm",
+        *(",".join("" if np.isnan(value) else f"{value:.7g}" for value in row) for row in rows),
+    ]
+    (folder / "tension.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return ("tension.csv",)
+
+
+_WRITERS: Mapping[type, Callable[[Path, Any, Run], tuple[str, ...]]] = {
+    ForceRecord: write_control_desk,
+    Take: write_motive,
+    FrameRecord: write_frame,
+    TensionRecord: write_tension,
+}
