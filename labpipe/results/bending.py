@@ -41,8 +41,8 @@ from labpipe.uncertainty.noise_model import estimate_noise
 from labpipe.uncertainty.replicates import N_REPLICATES, fit_smooth_curve, make_generator
 from labpipe.units import GRAVITY
 
-DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
-"""Divisors of L^3: end load on a cantilever, central load on a span."""
+SUPPORTS: Final = MappingProxyType({"cantilever": ("length", 3.0), "three-point": ("span", 48.0)})
+"""Key of the length L, and divisor of L^3: end load on a cantilever, central load on a span."""
 
 
 def compute_beam_factor(length: float, support: str) -> float:
@@ -51,7 +51,7 @@ def compute_beam_factor(length: float, support: str) -> float:
     Parameters
     ----------
     length : m, free length of a cantilever, or span between two supports
-    support : one of `DIVISORS`
+    support : one of `SUPPORTS`
 
     Returns
     -------
@@ -73,13 +73,13 @@ def compute_beam_factor(length: float, support: str) -> float:
     >>> round(480.0 * compute_beam_factor(0.1, "three-point"), 9)
     0.01
     """
-    if support not in DIVISORS:
+    if support not in SUPPORTS:
         raise ValueError(
-            format_sentence("results.bad_support", known=", ".join(DIVISORS), found=support)
+            format_sentence("results.bad_support", known=", ".join(SUPPORTS), found=support)
         )
     if not length > 0.0:
         raise ValueError(format_sentence("results.bad_length", length=length))
-    return length**3 / DIVISORS[support]
+    return length**3 / SUPPORTS[support][1]
 
 
 def compute_prop_force(self_weight: float, length: float) -> float:
@@ -222,9 +222,6 @@ class Roller:
 _ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
-_FORMULAS = {"cantilever": ("length", "L^3 / 3"), "three-point": ("span", "L^3 / 48")}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BendingStiffness(FromStiffness):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
@@ -250,7 +247,7 @@ class BendingStiffness(FromStiffness):
     @property
     def length(self) -> str:
         """Return the key of the length in the formula."""
-        return _FORMULAS[self.support][0]
+        return SUPPORTS[self.support][0]
 
     @staticmethod
     def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
@@ -276,21 +273,18 @@ class BendingStiffness(FromStiffness):
     def list_methods(self, test: ReducedTest) -> tuple[str]:
         """Return the formula with its length."""
         del test
-        key, formula = _FORMULAS[self.support]
-        return (f"{self.of} x {formula}, L = specimen.{key}",)
+        key, divisor = SUPPORTS[self.support]
+        return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and its length."""
-        key, sizes = _FORMULAS[self.support][0], test.setup.sizes
-        if key not in sizes:
-            is_span = key == "span"
+        sizes = test.setup.sizes
+        if self.length not in sizes:
+            is_span = self.length == "span"
             raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
         self._compute_ratio(sizes, stiffness.window)
-        return test.measure_one(
-            combine_numbers(
-                partial(self._compute_rigidity, window=stiffness.window), stiffness.decide
-            )
-        )
+        compute = partial(self._compute_rigidity, window=stiffness.window)
+        return test.measure_one(combine_numbers(compute, stiffness.decide))
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Name the corrections with their sizes."""
@@ -302,8 +296,7 @@ class BendingStiffness(FromStiffness):
     ) -> Floats:
         """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
         ratio = return_failure(self._compute_ratio)(trace.sizes, window)
-        length = trace.sizes[_FORMULAS[self.support][0]]
-        beam_stiffness = stiffness * compute_beam_factor(length, self.support)
+        beam_stiffness = stiffness * compute_beam_factor(trace.sizes[self.length], self.support)
         return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
 
     def _compute_ratio(

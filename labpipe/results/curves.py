@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from labpipe.records import causes
-from labpipe.records.arrays import Flags, Floats, Ints, average_between, divide
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, average_between, divide
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
@@ -138,12 +138,12 @@ class CommonPath:
 
     Parameters
     ----------
-    samples : shape (k,), samples of a curve; None for all in order
+    samples : shape (k,), samples of a curve, or the slice of all in order
     displacement : shape (k,), m
     slope : shape (k,), N/m
     """
 
-    samples: Ints | None
+    samples: Samples
     displacement: Floats
     slope: Floats
 
@@ -171,7 +171,7 @@ class CommonPath:
         slope = np.empty(last + 1)
         slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
         is_all = np.array_equal(samples, np.arange(len(force)))
-        return cls(None if is_all else samples, displacement[samples], slope)
+        return cls(slice(None) if is_all else samples, displacement[samples], slope)
 
     def move_force(self, force: Floats, displacement: Floats | None = None) -> Floats:
         """Move forces of curves to the displacements of the reference curve.
@@ -189,17 +189,11 @@ class CommonPath:
         all of them. Second order is neglected: noise of the displacement makes a least-squares
         slope smaller, by its variance over that of the displacements.
         """
-        on_path = self._take_samples(force)
+        on_path: Floats = force[..., self.samples]
         if displacement is None:
             return on_path
-        moved = self._take_samples(displacement) - self.displacement
+        moved = displacement[..., self.samples] - self.displacement
         return on_path - self.slope * moved if moved.any() else on_path
-
-    def _take_samples(self, values: Floats) -> Floats:
-        if self.samples is None:
-            return values
-        selected: Floats = np.take(values, self.samples, axis=-1)
-        return selected
 
 
 def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
@@ -258,10 +252,8 @@ class SampleNoise:
         None if the replicates have all samples, or too few of them are known.
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
-        signal, chance = (
-            _select_signal(test, quantity),
-            make_generator(test.seed, f"single {quantity}"),
-        )
+        signal = _select_signal(test, quantity)
+        chance = make_generator(test.seed, f"single {quantity}")
         block_samples = _mean_step(trace.time) / _mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
@@ -433,39 +425,32 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     if curve is None or unfiltered is None or not curve.branches:
         return None
     measured = make_trace(test)
-    both = test.signals.displacement, test.signals.force
-    starts = _find_block_starts(_list_corners(test), curve)
-    grid_time = _average_blocks(curve.time, starts)
-    filter_functions = [_make_grid_filters(test, name, grid_time) for name in both]
-    signals = _read_displacements(test, curve), _read_forces(test, unfiltered, curve)
-    cuts = [int(np.searchsorted(starts, corner)) for corner in _list_corners(test)]
-    records = [
-        _average_blocks(filtered if have_no_filter_effect(act) else raw, starts)
-        for (filtered, raw), act in zip(signals, filter_functions, strict=True)
-    ]
-    blocks = replace(
-        _move_to_grid(measured, starts),
-        time=grid_time,
-        displacement=_average_blocks(curve.displacement, starts),
-        force=_average_blocks(curve.force, starts),
-    )
+    corners = _list_corners(test)
+    starts = _find_block_starts(corners, curve)
+    blocks = _move_to_grid(measured, starts)
+    cuts = [int(np.searchsorted(starts, corner)) for corner in corners]
+    records, filters = [], []
+    for name, (filtered, raw) in (
+        (test.signals.displacement, _read_displacements(test, curve)),
+        (test.signals.force, _read_forces(test, unfiltered, curve)),
+    ):
+        functions = _make_grid_filters(test, name, blocks.time)
+        record = filtered if have_no_filter_effect(functions) else raw
+        records.append(_average_blocks(record, starts))
+        filters.append(partial(_apply_filters, filter_functions=functions, cuts=cuts))
     grid = replace(blocks, displacement=records[0], force=records[1])
-    first, second = (
-        partial(_apply_filters, filter_functions=act, cuts=cuts) for act in filter_functions
-    )
 
     def smooth(change: Floats) -> Floats:
         """Smooth the effect of an input: its noise would raise the largest of many samples."""
         parts = count_spline_intervals(grid)
         return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
-    inputs = tuple(_list_inputs(test, starts, smooth))
     return draw_replicates(
         measured,
         grid,
         cuts,
-        (first, second),
-        inputs,
+        (filters[0], filters[1]),
+        tuple(_list_inputs(test, starts, smooth)),
         seed=test.seed,
         compliance=test.compliance,
         blocks=blocks,
@@ -497,14 +482,13 @@ def select_first_loading(trace: Trace) -> slice:
     ----------
     trace : one or many curves
     """
-    branch = next(
-        (branch for branch in trace.branches if branch.direction is Direction.LOADING), None
-    )
-    if branch is None:
+    loading = [part for part in trace.branches if part.direction is Direction.LOADING]
+    if not loading:
         return slice(0, 0)
-    if trace.failed_at is not None and trace.failed_at < branch.stop:
-        return slice(branch.start, max(trace.failed_at + 1, branch.start))
-    return slice(branch.start, branch.stop)
+    start, stop = loading[0].start, loading[0].stop
+    if trace.failed_at is not None:
+        stop = min(stop, trace.failed_at + 1)
+    return slice(start, max(start, stop))
 
 
 def _list_corners(test: ReducedTest) -> list[int]:
@@ -553,19 +537,20 @@ def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> 
 
 
 def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
-    """Convert the sample numbers of a trace to a grid."""
+    """Average a trace over the blocks of a grid."""
     failed = trace.failed_at
-    branches = tuple(
-        replace(
-            branch,
-            start=int(np.searchsorted(starts, branch.start)),
-            stop=int(np.searchsorted(starts, branch.stop)),
-        )
-        for branch in trace.branches
+    branches = []
+    for branch in trace.branches:
+        start, stop = np.searchsorted(starts, [branch.start, branch.stop]).tolist()
+        branches.append(replace(branch, start=start, stop=stop))
+    return replace(
+        trace,
+        time=_average_blocks(trace.time, starts),
+        displacement=_average_blocks(trace.displacement, starts),
+        force=_average_blocks(trace.force, starts),
+        branches=tuple(branches),
+        failed_at=failed and int(np.searchsorted(starts, failed, side="right")) - 1,
     )
-    if failed is not None:
-        failed = int(np.searchsorted(starts, failed, side="right")) - 1
-    return replace(trace, branches=branches, failed_at=failed)
 
 
 def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
