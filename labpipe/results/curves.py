@@ -400,9 +400,9 @@ def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
     interpolated = np.interp(at, time, values)
     if len(time) < 2:
         return interpolated
-    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+    for pair, is_outside in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
         (before, after), (low, high) = time[pair], values[pair]
-        interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
+        interpolated[is_outside] = low + (high - low) / (after - before) * (at[is_outside] - before)
     return interpolated
 
 

@@ -320,9 +320,9 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
     """Return the change of the displacement in the step after a sample, m."""
-    ahead = trace.displacement[sample + 1 :]
-    ahead = ahead[~np.isnan(ahead)]
-    return max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
+    later = trace.displacement[sample + 1 :]
+    later = later[~np.isnan(later)]
+    return max(float(later[0] - trace.displacement[sample]), 0.0) if len(later) else 0.0
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
@@ -409,8 +409,8 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     step = _measure_next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        more = trace.steps_beyond * step * trace.force[..., sample]
-        return (np.asarray(work.numbers(trace)[0] + more, dtype=np.float64),)
+        last_step = trace.steps_beyond * step * trace.force[..., sample]
+        return (np.asarray(work.numbers(trace)[0] + last_step, dtype=np.float64),)
 
     return Reading(numbers, work.n)
 

@@ -487,18 +487,18 @@ class Kind(ABC):
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            found_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
-            why = [doubt for doubt in found_doubts if doubt.code in _CURVE_ERRORS]
-            reasons_in_order = (
-                [*why, outcome] if outcome.code in _EXPLAINED_FAILURES else [outcome, *why]
-            )
-            reasons, failed = tuple(dict.fromkeys(reasons_in_order)), Status.FAILED
+            test_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
+            curve_doubts = [doubt for doubt in test_doubts if doubt.code in _CURVE_ERRORS]
+            is_explained = outcome.code in _EXPLAINED_FAILURES
+            ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
+            reasons, failed = tuple(dict.fromkeys(ordered)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
         signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
-        own_doubts = outcome.doubts if isinstance(outcome, Measured) else ()
-        own = [reason for quantity, reason in own_doubts if quantity in ("", *declared.rests_on)]
-        found_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
-        reasons = tuple(dict.fromkeys([*found_doubts, *doubts, *own]))
+        by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
+        quantities = "", *declared.rests_on
+        noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
+        test_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
+        reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
         remarks = remark, added if drops and declared.is_raised_by_slips else ""

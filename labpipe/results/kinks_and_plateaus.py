@@ -182,9 +182,9 @@ class Hinges:
 
         residuals : shape (k,), N, about one straight line, so that their sums do not cancel
         """
-        x, least = self.x, _MIN_SEGMENT_SAMPLES
+        x, margin = self.x, _MIN_SEGMENT_SAMPLES
         columns = [np.ones_like(x), x, x * x, residuals, x * residuals]
-        below = np.cumsum(columns, axis=1)[:, least - 1 : len(x) - least]
+        below = np.cumsum(columns, axis=1)[:, margin - 1 : len(x) - margin]
         above = np.sum(columns, axis=1)[:, None] - below
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes, levels = [], []
@@ -192,8 +192,9 @@ class Hinges:
                 slopes.append((n * sxr - sx * sr) / (n * sxx - sx * sx))
                 levels.append((sr - slopes[-1] * sx) / n)
             meet = (levels[1] - levels[0]) / (slopes[0] - slopes[1])
-        in_gap = (meet >= x[least - 1 : len(x) - least]) & (meet <= x[least : len(x) - least + 1])
-        breaks = np.sort(np.concatenate([x[least - 1 : len(x) - least + 1], meet[in_gap]]))
+        inner = x[margin - 1 : len(x) - margin + 1]
+        in_gap = (meet >= inner[:-1]) & (meet <= inner[1:])
+        breaks = np.sort(np.concatenate([inner, meet[in_gap]]))
         return float(breaks[int(np.argmax(self._compute_gain(residuals[None], breaks)))])
 
 
@@ -842,7 +843,7 @@ class Plateau(Kind):
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
             by = corner.in_noise(self._measure_corners(trace, choice))
-            return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
+            return tuple(value + shift for value, shift in zip(plain(trace), by, strict=True))
 
         return Reading(numbers, len(tangents.last), in_noise)
 
@@ -893,12 +894,12 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
         replicates = test.require(test.replicates)
-        more = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
+        inputs = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
         decide = partial(self._decide_onset, initial=initial.decide)
         try:
             decide(replicates.measured)
             decide = partial(decide, corner=self._estimate_corner(replicates, initial.decide))
-            return measure_numbers(replace(replicates, inputs=more), decide)
+            return measure_numbers(replace(replicates, inputs=inputs), decide)
         except UnavailableError:
             return None
 

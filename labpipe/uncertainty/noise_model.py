@@ -295,19 +295,19 @@ def estimate_noise(
         ]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
-        odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
-        if not odd.any():
+        has_kink = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
+        if not has_kink.any():
             break
-        is_alike[is_alike] = ~odd
+        is_alike[is_alike] = ~has_kink
     still = [*_rest_middles(before, width), *_rest_middles(behind, width, is_behind=True)]
     is_seen = np.ones(len(spectra), np.bool_) if still else _seen_in_pieces(processes, width)
     parts = [window_likelihood, *(_part_likelihood(processes, *rest) for rest in still)]
-    more = 1.0
+    variance_ratio = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
-        more = power[power >= np.median(power)].mean() / power[is_alike].mean()
+        variance_ratio = power[power >= np.median(power)].mean() / power[is_alike].mean()
     fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
     prior = np.where(is_seen, processes.prior, 0.0)
-    return _probable_noise(parts, prior, (longest, count), fast, more)
+    return _probable_noise(parts, prior, (longest, count), fast, variance_ratio)
 
 
 def _probable_noise(
@@ -534,8 +534,8 @@ def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
             if count - spent - 2 <= 0:
                 continue
             penalty = spent * np.log(count) / (count - spent - 2)
-            least = max(left, rounding, np.finfo(float).tiny)
-            criterion = np.log(least / len(innovations)) + penalty
+            squares = max(left, rounding, np.finfo(float).tiny)
+            criterion = np.log(squares / len(innovations)) + penalty
             if criterion < lowest:
                 lowest = criterion
                 cuts = [skipped + end for end in ends]
