@@ -540,7 +540,7 @@ def find_linear_region(
     >>> d = np.linspace(0.0, 0.02, 401)
     >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
     >>> region = find_linear_region(d, force, start_share=0.1, stop_share=0.3)
-    >>> round(1e3 * float(compute_zero_crossing(d[region], force[region])), 9)
+    >>> round(1e3 * float(curves.compute_zero_crossing(d[region], force[region])), 9)
     2.0
     """
     min_region_samples = 8
