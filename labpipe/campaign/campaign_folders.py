@@ -200,35 +200,23 @@ def _walk(
 
     Yields label and path of each folder, and the names of its files and of its hidden entries.
     """
-    pending = [("", str(top))]
-    while pending:
-        label, place = pending.pop()
-        try:
-            with os.scandir(place) as entries:
-                every = list(entries)
-            visible = [entry for entry in every if not entry.name.startswith(".")]
-            problems += [_name_error(entry.path) for entry in visible if not _is_text(entry.name)]
-            visible = [entry for entry in visible if _is_text(entry.name)]
-            folders = {entry.name for entry in visible if entry.is_dir(follow_symlinks=False)}
-        except FileNotFoundError:
-            continue
-        except OSError as error:
+
+    def note_error(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):
             problems.append(describe_system_error(error))
-            continue
-        files = [entry.name for entry in visible if entry.name not in folders]
-        yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}
-        pending += [
-            (f"{label}/{name}" if label else name, f"{place}/{name}")
-            for name in sorted(folders, reverse=True)
-            if name != skipped
-        ]
+
+    for place, folders, files in os.walk(top, onerror=note_error):
+        links = {name for name in folders if os.path.islink(f"{place}/{name}")}  # noqa: PTH114
+        hidden = {name for name in (*folders, *files) if name.startswith(".")}
+        odd = {name for name in {*folders, *files} - hidden if not _is_text(name)}
+        for name in sorted(odd):
+            printable = f"{place}/{name}".encode("utf-8", "backslashreplace").decode()
+            problems.append(str(StoreError.about("campaign.odd_name", printable)))
+        folders[:] = sorted({*folders} - links - hidden - odd - {skipped})
+        label = place[len(str(top)) + 1 :].replace(os.sep, "/")
+        yield label, place, [*({*files} | links) - hidden - odd], hidden
 
 
 def _is_text(name: str) -> bool:
     """Return whether a file name is valid text; on Linux it may be any bytes."""
     return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)
-
-
-def _name_error(path: str) -> str:
-    printable_path = path.encode("utf-8", "backslashreplace").decode()
-    return str(StoreError.about("campaign.odd_name", printable_path))

@@ -206,20 +206,25 @@ def _read_summary(folder: str, path: Path) -> Entry:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
 
+_COPIED_TEXTS = (
+    *("test", "protocol", "labpipe", "run", "date", "operator"),
+    *("type", "spool", "sample"),
+)
+"""Columns of a test that summary.json states."""
+
+
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
     results = tuple(map(_parse_result, content["results"]))
     doubtful = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
-    texts = {key: content[key] for key in ("test", "protocol", "labpipe", "run")}
-    texts |= {key: content.get(key) or "" for key in ("date", "operator")}
-    texts |= {key: specimen[key] for key in ("type", "spool", "sample")}
+    texts = {**specimen, **content}
     row = TestRow(
         folder,
         state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
         code="" if doubtful is None else doubtful.code,
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
         specimen=encodable(as_json(specimen)),
-        **{key: str(text) for key, text in texts.items()},
+        **{key: str(texts.get(key) or "") for key in _COPIED_TEXTS},
         **_parse_hashes(content),
     )
     return Entry(row, inputs=_parse_inputs(content["inputs"]), results=results)

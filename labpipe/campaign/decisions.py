@@ -336,7 +336,9 @@ def exclude_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
             rejected[file] = decision.describe()
     included = [file for file in files if file not in rejected]
     if not included:
-        raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
+        raise UsageError(
+            "\n".join(f"{file}: rejected: {reason}" for file, reason in rejected.items())
+        )
     return included, rejected
 
 
@@ -415,9 +417,9 @@ def import_decisions(
     imported = ImportedDecisions()
     added = defaultdict[Path, list[Decision]](list)
     for decision in dict.fromkeys(decisions):
-        decided, why = _find_result(decision, files_by_label.get(decision.test, ()), read_key)
+        decided, reason = _find_result(decision, files_by_label.get(decision.test, ()), read_key)
         if decided is None:
-            imported.not_imported.append((decision, why))
+            imported.not_imported.append((decision, reason))
             continue
         home, label = homes[decided]
         labelled = replace(decision, test=label)
@@ -439,13 +441,13 @@ def _find_result(
         datetime.fromisoformat(decision.when or now())
     except ValueError:
         return None, format_sentence("campaign.bad_time", time=decision.when[:40], valid=now())
-    why = format_sentence("campaign.no_such_test")
+    reason = format_sentence("campaign.no_such_test")
     for file in files:
         key, fault = read_key(file)
         if key == decision.run:
             return file, ""
-        why = fault or format_sentence("campaign.other_key")
-    return None, why
+        reason = fault or format_sentence("campaign.other_key")
+    return None, reason
 
 
 def _read_key(file: Path) -> tuple[str, str]:

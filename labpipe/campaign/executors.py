@@ -101,15 +101,15 @@ def process_task(task: Task) -> Outcome:
     -------
     Its outcome, also if it fails.
     """
-    done = attempt(task)
-    if isinstance(done, Refused):
-        return _describe_refusal(done)
-    results, run = done.result.results, done.result.run
+    attempted = attempt(task)
+    if isinstance(attempted, Refused):
+        return _describe_refusal(attempted)
+    results, run = attempted.result.results, attempted.result.run
     bad = next((result for result in results if result.status is not Status.OK), None)
     if bad is None:
-        return Outcome(task.sheet, done.folder, "ok", run=run)
+        return Outcome(task.sheet, attempted.folder, "ok", run=run)
     code, reason = bad.reasons[0].code, f"{bad.name}: {bad.reasons[0].message}"
-    return Outcome(task.sheet, done.folder, "doubtful", code, reason, run)
+    return Outcome(task.sheet, attempted.folder, "doubtful", code, reason, run)
 
 
 def record_failure(task: Task, error: LabpipeError) -> Refused:
@@ -416,10 +416,10 @@ def _process_all(
         if not n_threads:
             time.sleep(look_interval)
             continue
-        done: Iterable[Any] = ()
+        completed: Iterable[Any] = ()
         with suppress(TimeoutError), client.as_current():
-            done = wait([*submitted], look_interval, "FIRST_COMPLETED").done
-        for future in done:
+            completed = wait([*submitted], look_interval, "FIRST_COMPLETED").done
+        for future in completed:
             yield _collect(submitted.pop(future), future)
     raise TimeoutError
 

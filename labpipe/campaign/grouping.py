@@ -273,10 +273,14 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
     The samples, with the type before the name of such spools; and the original names of these.
     """
     specimens = [sample.specimen for sample in samples]
-    n_types = Counter(spool for spool, _ in {(one.spool, one.type) for one in specimens})
+    n_types = Counter(
+        spool for spool, _ in {(specimen.spool, specimen.type) for specimen in specimens}
+    )
     renamed = [
-        replace(one, spool=f"{one.type} {one.spool}") if n_types[one.spool] > 1 else one
-        for one in specimens
+        replace(specimen, spool=f"{specimen.type} {specimen.spool}")
+        if n_types[specimen.spool] > 1
+        else specimen
+        for specimen in specimens
     ]
     pairs = zip(samples, renamed, strict=True)
     shared = sorted(spool for spool, count in n_types.items() if count > 1)

@@ -157,8 +157,8 @@ def _list_by_folder(
             unmatched[files.pop(name)] = _BAD_NAME
         values = {} if pair.pattern is None else pair.pattern.match(place.name)
         if values is None:
-            why = f"the name of its folder does not fit {pair.name!r}"
-            unmatched |= dict.fromkeys(files.values(), why)
+            reason = f"the name of its folder does not fit {pair.name!r}"
+            unmatched |= dict.fromkeys(files.values(), reason)
         elif files or SHEET_NAME in names:
             candidates.append(Candidate(place, files, values))
     return CandidateListing(tuple(candidates), unmatched)
@@ -199,8 +199,8 @@ def _list_by_name(
             test = safe_name(values.get("test") or patterns[role].stem(name))
             files = candidates.setdefault(key, Candidate(folder / test, {}, values, True)).files
             if files.setdefault(role, top / name) != top / name:
-                why = f"{files[role].name} is already the {role} of the same test"
-                unmatched[top / name] = why
+                reason = f"{files[role].name} is already the {role} of the same test"
+                unmatched[top / name] = reason
     ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
     return CandidateListing(
         tuple(candidate for candidate in ordered if not is_skipped(candidate.folder)), unmatched

@@ -138,9 +138,9 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
-    words = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
+    texts = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
-    for sql, place in ((numbers, ""), *((words.format(x), x) for x in ("labels", "observed"))):
+    for sql, place in ((numbers, ""), *((texts.format(x), x) for x in ("labels", "observed"))):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
@@ -173,18 +173,16 @@ def write_answer(answer: QueryResult, form: str, out: IO[str]) -> None:
 
 def _format_table(answer: QueryResult) -> Iterator[str]:
     """Yield aligned lines without the column ``run`` and empty or repeated columns."""
-    rows = [[_format_cell(cell) for cell in row] for row in answer.rows]
-    columns = dict(zip(map(escape_controls, answer.columns), zip(*rows, strict=True), strict=False))
-    tests = columns.get("test")
-    visible = {
-        name: cells
-        for name, cells in columns.items()
-        if name != "run" and any(cells) and (cells is tests or cells != tests)
-    }
-    widths = [max(map(len, (name, *cells))) for name, cells in visible.items()]
-    for row in (visible.keys(), *zip(*visible.values(), strict=True)) if visible else ():
-        cells = (f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
-        yield "  ".join(cells).rstrip() + "\n"
+    cells = [map(_format_cell, column) for column in zip(answer.columns, *answer.rows, strict=True)]
+    tests, *others = map(list, cells)
+    visible = [tests, *(column for column in others if column[1:] != tests[1:])]
+    aligned = [
+        [f"{cell:<{max(map(len, column))}}" for cell in column]
+        for column in visible
+        if column[0] != "run" and any(column[1:])
+    ]
+    for row in zip(*aligned, strict=True):
+        yield "  ".join(row).rstrip() + "\n"
 
 
 def _format_cell(value: object) -> str:

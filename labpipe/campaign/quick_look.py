@@ -7,12 +7,12 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from math import sqrt
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,8 +44,7 @@ def make_group_key(row: TestRow) -> str:
     return json.dumps([row.protocol, fields], sort_keys=True)
 
 
-@dataclass(frozen=True, slots=True)
-class DisplaySettings:
+class DisplaySettings(NamedTuple):
     """Settings of a protocol for the verdict on a test.
 
     Parameters
@@ -54,7 +53,7 @@ class DisplaySettings:
     main : results by which the protocol compares groups, in order
     """
 
-    display: Mapping[str, str] = field(default_factory=dict)
+    display: Mapping[str, str] = MappingProxyType({})
     main: tuple[str, ...] = ()
 
 
@@ -67,7 +66,7 @@ def read_display_settings(sheet: Path) -> DisplaySettings:
     """
     with suppress(LabpipeError, OSError):
         protocol = resolve(load_test_sheet(sheet), sheet, follow_links=True)
-        return DisplaySettings(dict(protocol.report.display), protocol.groups.main)
+        return DisplaySettings(protocol.report.display, protocol.groups.main)
     return DisplaySettings()
 
 
@@ -88,8 +87,10 @@ def describe_test(
     Three lines: status; main results compared with the group; what to check.
     """
     results = summary["results"]
-    main = _select_main_results(results, settings.main)
-    numbers = [_compare_with_group(result, others, settings.display) for result in main]
+    numbers = [
+        _compare_with_group(result, others, settings.display)
+        for result in _select_main_results(results, settings.main)
+    ]
     outside = [number.name for number in numbers if number.is_outside]
     names = {
         status: [result["name"] for result in results if result["status"] == status]
@@ -101,13 +102,13 @@ def describe_test(
     head = f"{name}: {'LOOK' if parts else 'WELL'}, {', '.join([f'{n_ok} ok', *parts])}"
     group_sizes = list(dict.fromkeys(number.group_size for number in numbers))
     if len(group_sizes) == 1:  # written once for all
-        line = f"{'; '.join(number.text for number in numbers)}; {group_sizes[0]}"
+        texts = [*(number.text for number in numbers), *group_sizes]
     else:
-        line = "; ".join(f"{number.text}, {number.group_size}" for number in numbers)
-        line = line or "no numbers"
+        texts = [f"{number.text}, {number.group_size}" for number in numbers] or ["no numbers"]
     codes = [reason["code"] for result in results for reason in result["reasons"]]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
-    return [head, f"  {line}", f"  {describe_actions(codes, outside=bool(outside))}"]
+    actions = describe_actions(codes, outside=bool(outside))
+    return [head, f"  {'; '.join(texts)}", f"  {actions}"]
 
 
 def describe_failure(name: str, code: str, reason: str) -> list[str]:
@@ -157,8 +158,7 @@ def read_actions() -> dict[str, str]:
     return {code: entry["do"] for entry in entries for code in entry["codes"]}
 
 
-@dataclass(frozen=True, slots=True)
-class _Comparison:
+class _Comparison(NamedTuple):
     """A result as text, the size of its group, and whether it is outside the spread."""
 
     name: str
@@ -183,22 +183,20 @@ def _compare_with_group(result: _Entry, others: Values, display: Mapping[str, st
     """Compare a result with the other tests of its group, by the prediction interval of Student."""
     min_group_tests = 6  # of fewer tests, only the range is shown
     name, value = result["name"], float(result["value"])
-    scale = find_display_unit(name, result["unit"], display)
-    values = np.array(others.get(name, ()))
-    text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
-    n = len(values)
+    factor, unit = find_display_unit(name, result["unit"], display)
+    values = factor * np.array(others.get(name, ()))
+    n, text = len(values), f"{name} {factor * value:.4g} {unit}".rstrip()
     if n == 0:
         return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
-        low, high = sorted(scale.factor * np.array([values.min(), values.max()]))
+        low, high = sorted([values.min(), values.max()])
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         return _Comparison(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # of all numbers of a verdict together
     quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
-    mean = float(values.mean())
-    low, high = (scale.factor * (mean + side * half_width) for side in (-1.0, 1.0))
-    is_outside = abs(value - mean) > half_width
+    low, high = values.mean() - half_width, values.mean() + half_width
+    is_outside = not low <= factor * value <= high
     place = "OUTSIDE" if is_outside else "within"
     text += f" ({place} {low:.4g} to {high:.4g})"
     return _Comparison(name, text, f"n = {n} so far", is_outside)

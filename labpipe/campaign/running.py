@@ -146,7 +146,7 @@ class CatalogSync:
     def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._input_reader = InputReader()
-        self._read_inputs: dict[str, HashedInputs] = {}
+        self._inputs_in_work: dict[str, HashedInputs] = {}
         self._decisions: DecisionFile | None = None
 
     def refresh(self) -> Overview:
@@ -216,7 +216,7 @@ class CatalogSync:
             return ""
         content = self.catalog.read_file_states(folder).get(folder, FileState()).content
         inputs = self._input_reader.read_inputs(self.sheet(folder), parse_inputs(content))
-        self._read_inputs[folder] = inputs
+        self._inputs_in_work[folder] = inputs
         return inputs.key
 
     def sheet(self, folder: str) -> Path:
@@ -237,7 +237,7 @@ class CatalogSync:
         """Make the entry of a test; return None if the catalog is up to date."""
         signature = files.signature if files is not None else ""
         stored = parse_inputs(state.content) if state is not None else None
-        inputs, key = self._read_inputs.pop(folder, stored), ""
+        inputs, key = self._inputs_in_work.pop(folder, stored), ""
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
@@ -301,7 +301,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
-        for name in _list_files(sheet, parse_inputs(states[folder].content))
+        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).content))
     }
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)

@@ -53,11 +53,16 @@ _COMMON_HEADERS: Final = {
     "Referrer-Policy": "no-referrer",  # the address holds the token
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
+    # files must not run scripts
+    "Content-Security-Policy": (
+        "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+    ),
 }
-_FILE_POLICY: Final = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
-"""Content security policy of files, which must not run scripts."""
-_PAGE_POLICY: Final = "frame-ancestors 'none'"
-"""Content security policy of labpipe's own pages, which may run scripts."""
+_PAGE_HEADERS: Final = {
+    "Content-Type": _INLINE_CONTENT_TYPES[".html"],
+    "Content-Security-Policy": "frame-ancestors 'none'",
+}
+"""Headers of labpipe's own pages, which may run scripts."""
 _MAX_LISTED: Final = 10
 """Largest number of decisions that a reply names as not saved."""
 
@@ -136,25 +141,6 @@ class ReportServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK_ADDRESS}:{self.server_port}/{self.site.token}/"
 
 
-@dataclass(frozen=True, slots=True)
-class _Reply:
-    """Content of a reply, and what its headers depend on."""
-
-    content: bytes = b""
-    content_type: str = _INLINE_CONTENT_TYPES[".json"]
-    policy: str = _FILE_POLICY
-    status: HTTPStatus = HTTPStatus.OK
-    extra_headers: tuple[tuple[str, str], ...] = ()
-
-
-def _page_reply(html: str) -> _Reply:
-    return _Reply(html.encode(), _INLINE_CONTENT_TYPES[".html"], policy=_PAGE_POLICY)
-
-
-def _json_reply(content: object, status: HTTPStatus = HTTPStatus.OK) -> _Reply:
-    return _Reply(json.dumps(content).encode(), status=status)
-
-
 class _RequestHandler(BaseHTTPRequestHandler):
     server: ReportServer
     server_version, sys_version = "labpipe", ""
@@ -162,39 +148,44 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send a page or a file."""
-        self._send_reply(self._reply_to_get)
+        self._answer(self._get)
 
     def do_POST(self) -> None:
         """Save decisions, or make the report again."""
-        self._send_reply(self._reply_to_post)
+        self._answer(self._post)
 
     def log_message(self, format: str, *args: object) -> None:
         """Do not print requests."""
 
-    def _send_reply(self, make_reply: Callable[[list[str]], _Reply]) -> None:
-        """Send the reply to an authorised request, or the message of an error."""
+    def _answer(self, reply: Callable[[list[str]], None]) -> None:
+        """Reply to an authorised request, or send the message of an error."""
         try:
-            reply = make_reply(self._read_authorised_path())
+            reply(self._read_authorised_path())
         except _RefusedRequest as error:
-            reply = _json_reply({"error": str(error)}, error.status)
+            self._send_json({"error": str(error)}, error.status)
         except LabpipeError as error:
-            reply = _json_reply({"error": str(error)}, HTTPStatus.CONFLICT)
+            self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
         except (ConnectionError, TimeoutError):
             raise  # the browser closed the connection
         except OSError as error:
-            reply = _json_reply(
-                {"error": describe_system_error(error)}, HTTPStatus.INTERNAL_SERVER_ERROR
-            )
-        self.send_response(reply.status)
-        headers = _COMMON_HEADERS | {
-            "Content-Type": reply.content_type,
-            "Content-Length": str(len(reply.content)),
-            "Content-Security-Policy": reply.policy,
-        }
-        for name, value in (*headers.items(), *reply.extra_headers):
-            self.send_header(name, value)
+            message = {"error": describe_system_error(error)}
+            self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)
+
+    def _send(
+        self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
+    ) -> None:
+        """Send content; headers replace the common ones."""
+        self.send_response(status)
+        for header in (_COMMON_HEADERS | {"Content-Length": str(len(content))} | headers).items():
+            self.send_header(*header)
         self.end_headers()
-        self.wfile.write(reply.content)
+        self.wfile.write(content)
+
+    def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
+
+    def _send_page(self, html: str) -> None:
+        self._send(html.encode(), _PAGE_HEADERS)
 
     def _read_authorised_path(self) -> list[str]:
         """Check sender and token of a request; return the path after the token in parts."""
@@ -208,35 +199,39 @@ class _RequestHandler(BaseHTTPRequestHandler):
             raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
         return path
 
-    def _reply_to_get(self, path: list[str]) -> _Reply:
+    def _get(self, path: list[str]) -> None:
         site = self.server.site
         if path in ([], [""], [REPORT_FOLDER], [REPORT_FOLDER, ""]):
             location = f"/{site.token}/{REPORT_FOLDER}/{PAGE_FILE}"
-            return _Reply(status=HTTPStatus.FOUND, extra_headers=(("Location", location),))
-        if path == [REPORT_FOLDER, PAGE_FILE]:
+            self._send(b"", {"Location": location}, HTTPStatus.FOUND)
+        elif path == [REPORT_FOLDER, PAGE_FILE]:
             html = (site.report_folder / PAGE_FILE).read_text(encoding="utf-8")
-            return _page_reply(allow_own_server(html))
-        if len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
+            self._send_page(allow_own_server(html))
+        elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
-                return _page_reply(site.make_test_page(_find_result("/".join(path[1:]), site)))
-        file = _find_file(path, site)
-        if (content_type := _INLINE_CONTENT_TYPES.get(file.suffix.lower())) is not None:
-            return _Reply(file.read_bytes(), content_type)
-        download = (("Content-Disposition", "attachment"),)
-        return _Reply(file.read_bytes(), "application/octet-stream", extra_headers=download)
+                html = site.make_test_page(_find_result("/".join(path[1:]), site))
+            self._send_page(html)
+        else:
+            file = _find_file(path, site)
+            content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower())
+            headers = {"Content-Type": content_type or "application/octet-stream"}
+            headers |= {} if content_type else {"Content-Disposition": "attachment"}
+            self._send(file.read_bytes(), headers)
 
-    def _reply_to_post(self, path: list[str]) -> _Reply:
+    def _post(self, path: list[str]) -> None:
         if self.headers.get("Origin") is None:
             raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
         body = self._read_body()
         site = self.server.site
         with site.lock:
             if path == [REPORT_FOLDER, "decisions"]:
-                return _json_reply(_save_decisions(body, site))
-            if path == [REPORT_FOLDER, "report"]:
+                reply = _save_decisions(body, site)
+            elif path == [REPORT_FOLDER, "report"]:
                 site.make_report()
-                return _json_reply({"message": format_sentence("campaign.report_rebuilt")})
-        raise _not_found()
+                reply = {"message": format_sentence("campaign.report_rebuilt")}
+            else:
+                raise _not_found()
+        self._send_json(reply)
 
     def _read_body(self) -> bytes:
         max_bytes = 5_000_000
@@ -253,15 +248,17 @@ class _RequestHandler(BaseHTTPRequestHandler):
 def _require_own_page(headers: Any, port: int) -> None:
     """Refuse requests of the pages of other sites, also under a host name of theirs."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    why = ""
+    reason = ""
     if host not in {f"{name}:{port}" for name in (LOOPBACK_ADDRESS, "localhost")}:
-        why = f"Host: expected {LOOPBACK_ADDRESS}:{port}, found {host!r}."
+        reason = f"Host: expected {LOOPBACK_ADDRESS}:{port}, found {host!r}."
     elif origin is not None and origin != f"http://{host}":
-        why = f"Origin: expected http://{host}, found {origin!r}."
+        reason = f"Origin: expected http://{host}, found {origin!r}."
     elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
-        why = "The request came from another site."
-    if why:
-        raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=why))
+        reason = "The request came from another site."
+    if reason:
+        raise _RefusedRequest(
+            HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=reason)
+        )
 
 
 def _not_found() -> _RefusedRequest:
@@ -297,7 +294,9 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     stored = read_decisions_on(files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
     sentences = [f"{write_count(len(imported.added) + imported.n_known, 'decision')} saved."]
-    refused = [f"{decision.test}: not saved: {why}." for decision, why in imported.not_imported]
+    refused = [
+        f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
+    ]
     sentences += refused[:_MAX_LISTED]
     if len(refused) > _MAX_LISTED:
         sentences.append(f"{len(refused) - _MAX_LISTED} more not saved.")

@@ -7,11 +7,11 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
@@ -144,58 +144,8 @@ class WatchedCampaign:
         return sheet.parent.relative_to(self._folders.raw).as_posix()
 
 
-FileStatus: TypeAlias = Literal["stable", "growing", "locked", "missing"]
 Signature: TypeAlias = tuple[int, int] | None
 """Size and time of change of a file; None if it is missing."""
-Signatures: TypeAlias = tuple[tuple[Path, Signature], ...]
-
-
-class FileStability:
-    """Tells whether files are still being written, from repeated looks at them.
-
-    Parameters
-    ----------
-    clock : monotonic, s
-    still_for : time without a change, s, after which a file is stable
-    """
-
-    def __init__(self, clock: Callable[[], float], still_for: float) -> None:
-        self._clock, self.still_for = clock, still_for
-        # The time is that of the watch, since the clock of a drive may differ.
-        self._files: dict[Path, tuple[Signature, float]] = {}
-
-    def look(self, path: Path) -> FileStatus:
-        """Look at a file.
-
-        Parameters
-        ----------
-        path : of the file
-
-        Returns
-        -------
-        ``stable``: unchanged for long enough and readable; ``growing``: changed recently;
-        ``locked``: unchanged, but cannot be opened; ``missing``.
-        """
-        signature = _read_signature(path)
-        if signature is None:
-            self._files.pop(path, None)
-            return "missing"
-        if self.signature(path) != signature:
-            self._files[path] = signature, self._clock()
-        elif self.age([path]) >= self.still_for:
-            return "stable" if _can_open(path) else "locked"
-        return "growing"
-
-    def signature(self, path: Path) -> Signature:
-        """Return the signature of a file at the last look."""
-        return self._files[path][0] if path in self._files else None
-
-    def age(self, paths: Iterable[Path]) -> float:
-        """Return how long ago the last of some files changed, s; 0 without any."""
-        now = self._clock()
-        return now - max(
-            (self._files[path][1] for path in paths if path in self._files), default=now
-        )
 
 
 def _can_open(path: Path) -> bool:
@@ -221,18 +171,22 @@ def _read_signature(path: Path) -> Signature:
 
 @dataclass(slots=True)
 class _WatchedTest:
-    """A test in the watch.
+    """A test in the watch, or a file of no test.
 
     Parameters
     ----------
-    done, tried : signatures of its files when it was handled, and at the last attempt
-    handled_at : time when it was handled, or its files changed
+    files : signatures of its files at the last look
+    changed_at : time of the watch when they changed, since the clock of a drive may differ
+    done, tried : signatures when it was handled, and at the last attempt
+    handled_at : time when it was handled
     next_try : time of the next attempt if nothing changes
     is_forced : whether its files were missing during processing, so that it is processed again
     """
 
-    done: Signatures = ()
-    tried: Signatures = ()
+    files: dict[Path, Signature] = field(default_factory=dict)
+    changed_at: float = 0.0
+    done: dict[Path, Signature] = field(default_factory=dict)
+    tried: dict[Path, Signature] = field(default_factory=dict)
     handled_at: float = 0.0
     next_try: float = 0.0
     is_forced: bool = False
@@ -263,7 +217,6 @@ class Watcher:
         self._clock, self._plan_file = clock, campaign.raw / PLAN_NAME
         self._plan_signature = _read_signature(self._plan_file)
         self.plan = read_plan(campaign.raw)
-        self._files = FileStability(clock, self.plan.still_for)
         self._tests = defaultdict[Path, _WatchedTest](_WatchedTest)
         self._printed = set[str]()
         self._n_looks = 0
@@ -287,9 +240,9 @@ class Watcher:
         except OSError as error:
             if not self._is_folder_missing:
                 self._is_folder_missing = True
-                why = (error.strerror or str(error)).lower()
+                reason = (error.strerror or str(error)).lower()
                 path = error.filename or raw
-                self._say(format_sentence("campaign.lost_folder", path=path, why=why))
+                self._say(format_sentence("campaign.lost_folder", path=path, why=reason))
             return False
         if self._is_folder_missing:
             self._is_folder_missing = False
@@ -306,7 +259,8 @@ class Watcher:
         """Return whether a test that was handled a while ago is skipped in this look."""
         looks_between = 40  # ten thousand tests are too many to check in every look
         test = self._tests[folder]
-        if not test.done or self._clock() - test.handled_at < self.plan.patience:
+        is_recent = self._clock() - test.handled_at < self.plan.patience
+        if not test.done or test.files != test.done or is_recent:
             return False
         return (hash(folder) - self._n_looks) % looks_between != 0
 
@@ -321,10 +275,9 @@ class Watcher:
         except LabpipeError as error:
             self._say(format_sentence("campaign.faulty_plan", error=error, file=PLAN_NAME))
             return
-        self._files.still_for = self.plan.still_for
         self._printed.clear()
         for test in self._tests.values():
-            test.tried = ()
+            test.tried = {}
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
@@ -333,58 +286,66 @@ class Watcher:
         The first look leaves out tests whose results are up to date.
         """
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
-        for path, why in listing.unmatched.items():
-            if self._files.look(path) == "stable" and self._is_overdue(path):
+        for path, reason in listing.unmatched.items():
+            if self._look_at(path, [path]) > self.plan.patience:
                 file = self._below(path)
-                self._say_once(format_sentence("campaign.unused_file", file=file, why=why))
+                self._say_once(format_sentence("campaign.unused_file", file=file, why=reason))
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
             sheets = {candidate.sheet: candidate for candidate in ready if candidate.sheet.exists()}
             for sheet in sheets.keys() - self._campaign.unprocessed(sheets):
-                done = sheets[sheet]
-                ready.remove(done)
-                self._tests[done.folder] = _WatchedTest(
-                    self._list_signatures(done), handled_at=-self.plan.patience
-                )
-        return sorted(ready, key=lambda candidate: self._files.age(candidate.paths))
+                ready.remove(sheets[sheet])
+                test = self._tests[sheets[sheet].folder]
+                test.done, test.handled_at = test.files, -self.plan.patience
+        newest_first = {candidate.folder: self._age(candidate) for candidate in ready}
+        return sorted(ready, key=lambda candidate: newest_first[candidate.folder])
+
+    def _look_at(self, key: Path, paths: Iterable[Path]) -> float:
+        """Return for how long files have not changed, s."""
+        test, files = self._tests[key], {path: _read_signature(path) for path in paths}
+        if test.files != files:
+            test.files, test.changed_at = files, self._clock()
+        return self._clock() - test.changed_at
+
+    def _age(self, candidate: Candidate) -> float:
+        """Return for how long the files of a test have not changed as of the last look, s."""
+        return self._clock() - self._tests[candidate.folder].changed_at
 
     def _is_ready(self, candidate: Candidate) -> bool:
         """Return whether all files of a test are stable, and were not handled in this state."""
-        test, now = self._tests[candidate.folder], self._clock()
-        states = {path: self._files.look(path) for path in candidate.paths}
-        for path, state in states.items():
-            if state == "locked" and self._is_overdue(path):
-                label, file = _printable(candidate.name), _printable(path.name)
-                self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
-        if states[candidate.sheet] == "missing":
-            del states[candidate.sheet]  # it is written from the exports
-        signatures = self._list_signatures(candidate)
-        if set(states.values()) == {"stable"} and signatures == test.done:
+        age = self._look_at(candidate.folder, candidate.paths)
+        test = self._tests[candidate.folder]
+        is_tried = test.files == test.tried and self._clock() < test.next_try
+        is_complete = all(test.files[path] for path in candidate.files.values())
+        if test.files == test.done or is_tried or not is_complete or age < self.plan.still_for:
             return False
-        test.handled_at = now
-        is_tried = signatures == test.tried and now < test.next_try
-        return set(states.values()) == {"stable"} and not is_tried
+        paths = [path for path, signature in test.files.items() if signature is not None]
+        locked = [path for path in paths if not _can_open(path)]
+        for path in locked if age > self.plan.patience else ():
+            label, file = _printable(candidate.name), _printable(path.name)
+            self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
+        return not locked
 
     def _handle(self, candidate: Candidate) -> None:
         """Pair a test, process it and report the verdict, as far as its files permit."""
         retry_delay = 5.0  # s
-        test, now = self._tests[candidate.folder], self._clock()
-        test.tried, test.next_try = self._list_signatures(candidate), now + retry_delay
-        waited = self._files.age(candidate.files.values())
+        test = self._tests[candidate.folder]
+        test.tried, test.next_try = test.files, self._clock() + retry_delay
         try:
-            pairing = self._pair(candidate, self.plan, waited)
+            pairing = self._pair(candidate, self.plan, self._age(candidate))
         except LabpipeError as error:
-            test.done = test.tried
+            test.done = test.files
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
             self._say_missing(candidate, pairing)
             return
         self._say_sheet(candidate, pairing)
-        self._files.look(candidate.sheet)
+        # exports may change while they are processed
+        files = test.files | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
-            test.done, test.handled_at = self._list_signatures(candidate), self._clock()
+            test.done, test.handled_at = files, self._clock()
 
     def _process(self, candidate: Candidate) -> bool:
         """Process a test and report the verdict; return False if it must be tried again."""
@@ -405,11 +366,11 @@ class Watcher:
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report once which files a test waits for."""
         label = _printable(candidate.name)
-        for name, why in pairing.unreadable.items():
-            if self._is_overdue(candidate.files.get(name, candidate.folder / name)):
+        for name, reason in pairing.unreadable.items():
+            if self._age(candidate) > self.plan.patience:
                 file = _printable(name)
                 self._say_once(
-                    format_sentence("campaign.unread_file", test=label, file=file, why=why)
+                    format_sentence("campaign.unread_file", test=label, file=file, why=reason)
                 )
         if pairing.missing and not pairing.unreadable:
             names = ", ".join(pairing.missing)
@@ -436,13 +397,6 @@ class Watcher:
             lines = describe_test(label, summary, values, read_display_settings(candidate.sheet))
             self._draw(outcome.folder)
         self._say("\n".join(lines))
-
-    def _list_signatures(self, candidate: Candidate) -> Signatures:
-        return tuple((path, self._files.signature(path)) for path in candidate.paths)
-
-    def _is_overdue(self, path: Path) -> bool:
-        """Return whether a file has not changed for so long that its state is reported."""
-        return self._files.age([path]) > self.plan.patience
 
     def _below(self, path: Path) -> str:
         """Return a path below the campaign, or the whole path, as printable text."""

@@ -112,11 +112,13 @@ class Pool:
     """
 
     def __init__(self, jobs: int, *, limit: float | None = None) -> None:
-        self._limit, self._threads = limit, ThreadPoolExecutor(jobs)
-        self._workers = [WorkerProcess() for _ in range(jobs)]
-        self._idle = queue.SimpleQueue[WorkerProcess]()
-        for worker in self._workers:
-            self._idle.put(worker)
+        self._limit, self._of_thread = limit, threading.local()
+        self._workers: list[WorkerProcess] = []
+        self._threads = ThreadPoolExecutor(jobs, initializer=self._add_worker)
+
+    def _add_worker(self) -> None:
+        self._of_thread.worker = WorkerProcess()
+        self._workers.append(self._of_thread.worker)
 
     def __enter__(self) -> Self:
         return self
@@ -139,11 +141,8 @@ class Pool:
         return self._threads.submit(self._call, work, about)
 
     def _call(self, work: Callable[[], T], about: object) -> T:
-        worker = self._idle.get()
-        try:
-            return worker.call(work, about=about, limit=self._limit)
-        finally:
-            self._idle.put(worker)
+        worker: WorkerProcess = self._of_thread.worker
+        return worker.call(work, about=about, limit=self._limit)
 
 
 def run_as_completed(

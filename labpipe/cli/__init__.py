@@ -154,9 +154,9 @@ def _parse_path(text: str) -> Path:
     try:
         Path(text).resolve().exists()
     except (OSError, RuntimeError, ValueError) as error:  # name too long, loop of links
-        why = getattr(error, "strerror", None) or "a link that leads back to itself"
+        reason = getattr(error, "strerror", None) or "a link that leads back to itself"
         shown_text = text if len(text) <= max_shown_chars else f"{text[:max_shown_chars]}..."
-        message = f"expected the name of a file or a folder, found {shown_text!r} ({why})"
+        message = f"expected the name of a file or a folder, found {shown_text!r} ({reason})"
         raise argparse.ArgumentTypeError(message) from error
     return Path(text)
 

@@ -8,7 +8,7 @@ import sys
 
 from labpipe.campaign.decisions import exclude_rejected
 from labpipe.campaign.queries import escape_controls
-from labpipe.cli.terminal import shorten_path, show_reading
+from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
@@ -21,12 +21,13 @@ from labpipe.report.wording import write_count
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
     files, rejected = exclude_rejected(find_results(options.paths))
-    for file, why in rejected.items():
+    for file, reason in rejected.items():
         print(
-            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr
+            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {reason}"),
+            file=sys.stderr,
         )
-    with show_reading(len(options.paths)) as say:
-        done = calibrate_tests(
+    with show_completed("test", len(options.paths) + 1, in_pipe=False) as (_, say):
+        calibrated = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,
             plan=options.plan,
@@ -35,13 +36,13 @@ def run(options: argparse.Namespace) -> int:
             png=options.png,
             say=say,
         )
-    print(json.dumps(as_json(done)) if options.json else format_calibration(done))
-    for reason in done.left_out.values():
+    print(json.dumps(as_json(calibrated)) if options.json else format_calibration(calibrated))
+    for reason in calibrated.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
-    return 2 if done.left_out else 0
+    return 2 if calibrated.left_out else 0
 
 
-def format_calibration(done: Calibrated) -> str:
+def format_calibration(calibrated: Calibrated) -> str:
     """Format a calibration for a terminal.
 
     Parameters
@@ -53,21 +54,23 @@ def format_calibration(done: Calibrated) -> str:
     The parameters with intervals and verdicts, sentences on the fit, a line per wire and length
     and per external curve, notes and the folder of the files.
     """
-    lines = [done.calibration.wire]
-    for name, value, interval, unit, verdict in map(write_parameter, done.calibration.parameters):
+    lines = [calibrated.calibration.wire]
+    for name, value, interval, unit, verdict in map(
+        write_parameter, calibrated.calibration.parameters
+    ):
         number = f"{value} {unit.removesuffix('1')}".strip()
         lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
-    if done.calibration.share is not None:
-        lines.append(_format_share(done.calibration.share))
-    lines += [f"  {sentence}" for sentence in describe_calibration(done.calibration)]
-    for group in done.groups:
+    if calibrated.calibration.share is not None:
+        lines.append(_format_share(calibrated.calibration.share))
+    lines += [f"  {sentence}" for sentence in describe_calibration(calibrated.calibration)]
+    for group in calibrated.groups:
         use = "calibrated" if group.is_calibrated else "predicted"
         texts = (f"{group.wire}, {write_length(group.length)}: {use}", *describe_agreement(group))
         lines.append(f"  {'; '.join(texts)}")
-    for comparison in done.comparisons:
+    for comparison in calibrated.comparisons:
         lines.append(f"  {'; '.join(describe_match(comparison))}")
         lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
-    return "\n".join([*lines, f"results: {shorten_path(done.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(calibrated.folder)}"])
 
 
 def _format_share(share: IsotropicShare) -> str:

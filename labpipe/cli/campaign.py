@@ -140,8 +140,8 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
     _print_errors(imported.faults)
     for decision in imported.added:
         print(escape_controls(f"{decision.test}: {decision.decision}: {decision.describe()}"))
-    for decision, why in imported.not_imported:
-        refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {why}")
+    for decision, reason in imported.not_imported:
+        refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {reason}")
         print(refusal, file=sys.stderr)
     count = write_count(len(imported.added), "decision")
     print(f"{count} imported, {imported.n_known} already known")
@@ -198,8 +198,8 @@ def _exit_status(overview: Overview) -> int:
 def _list_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
     lines = [
-        f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
-        for decision, why in overview.unapplied
+        f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {reason}"
+        for decision, reason in overview.unapplied
     ]
     return _list_section("decisions not applied", lines)
 
@@ -227,8 +227,8 @@ def _format_json(
             for folder, claim in overview.claims.items()
         },
         "decisions_not_applied": [
-            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
-            for decision, why in overview.unapplied
+            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": reason}
+            for decision, reason in overview.unapplied
         ],
         "unknown_files": unknown_files,
         "notes": overview.notes,

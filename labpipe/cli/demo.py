@@ -19,7 +19,7 @@ from labpipe.cli.process import format_headline, format_test, process_all
 from labpipe.cli.report import print_left_out
 from labpipe.cli.terminal import shorten_path
 from labpipe.mechanics.studies.calibration_study import MODEL_FILE
-from labpipe.mechanics.studies.harness_material import DEFAULT_SHEET
+from labpipe.mechanics.studies.harness_line import DEFAULT_SHEET
 from labpipe.process.output_paths import find_tests
 from labpipe.protocol.load import find_shipped_folder, load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -132,9 +132,11 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     ]
     statuses = []
     for command in commands:
-        words = [str(shorten_path(word) if isinstance(word, Path) else word) for word in command]
-        print(f"\n$ labpipe {shlex.join(words)}", flush=True)
-        statuses.append(main(words))
+        arguments = [
+            str(shorten_path(word) if isinstance(word, Path) else word) for word in command
+        ]
+        print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
+        statuses.append(main(arguments))
     return max(statuses)
 
 

@@ -89,19 +89,19 @@ def format_test(processed: Processed) -> str:
     -------
     A heading, one line per result, then reasons for doubtful and failed results.
     """
-    result = processed.result
-    width = compute_name_width(one.name for one in result.results)
+    test = processed.result
+    width = compute_name_width(result.name for result in test.results)
     quantities = defaultdict[str, list[Result]](list)  # energy.1, energy.2, ... together
     reasons = defaultdict[str, list[str]](list)
-    for one in result.results:
-        quantities[one.name.partition(".")[0]].append(one)
-        if one.reasons:
-            reasons[f"{one.status}: {one.reason_text}"].append(one.name)
+    for result in test.results:
+        quantities[result.name.partition(".")[0]].append(result)
+        if result.reasons:
+            reasons[f"{result.status}: {result.reason_text}"].append(result.name)
     lines = [format_headline(processed)]
     for cycles in quantities.values():
-        lines += _format_quantity(cycles, dict(result.display), width)
+        lines += _format_quantity(cycles, dict(test.display), width)
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
-    for note in result.quality:
+    for note in test.quality:
         if note.severity != "info":
             has_place = note.message.startswith(note.where.partition(",")[0])
             place = "" if has_place else f"{note.where}: "

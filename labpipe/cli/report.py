@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.reporting import ReportOptions, WrittenReport, report_tests
-from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_reading
+from labpipe.cli.terminal import compute_name_width, format_result, shorten_path, show_completed
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
@@ -24,7 +24,7 @@ from labpipe.report.wording import describe_counts
 def run(options: argparse.Namespace) -> int:
     """Report processed tests in a page, figures and a workbook."""
     files, recipe = find_results(options.paths), parse_report_options(options)
-    with show_reading(len(files)) as say:
+    with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
         reported = report_tests(files, out=options.out, say=say, options=recipe)
     print(format_report(reported))
     return print_left_out(reported)
@@ -102,9 +102,9 @@ def format_report(reported: WrittenReport) -> str:
         width = compute_name_width(number.name for number in group.numbers)
         lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
-    for file, why in reported.campaign.rejected.items():
+    for file, reason in reported.campaign.rejected.items():
         lines.append(
-            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(why)}"
+            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(reason)}"
         )
     lines.append(
         f"report: {shorten_path(reported.files[0])}"

@@ -10,7 +10,7 @@ from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.reporting import ReportOptions, make_test_page, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import parse_report_options
-from labpipe.cli.terminal import show_reading
+from labpipe.cli.terminal import show_completed
 from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
@@ -43,5 +43,5 @@ def run(options: argparse.Namespace) -> int:
 def _make_report(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
     recipe = parse_report_options(options).or_earlier(ReportOptions.read(folder))
-    with show_reading(len(files)) as say:
+    with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
         report_tests(files, out=options.out, say=say, options=recipe)

@@ -7,7 +7,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -38,48 +37,32 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 
 
 @contextmanager
-def show_completed(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
+def show_completed(
+    unit: str, total: int | None = None, *, in_pipe: bool = True
+) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Show completed tests or other things: a bar on a terminal, a line each in a pipe.
 
     Parameters
     ----------
     unit : of the count, such as ``test``
+    total : final count; None if it is not known yet
+    in_pipe : whether a pipe gets lines
 
     Yields
     ------
     begin : call it with the final count
     show : call it with a text whenever one is completed
     """
-    done = itertools.count(1)
-    with progress_bar(unit) as bar:
+    numbers = itertools.count(1)
+    with progress_bar(unit, total) as bar:
 
         def show(text: str) -> None:
-            if bar.disable:
-                print(f"{next(done)}/{bar.total} {text}", file=sys.stderr)
-            _advance(bar, text)
+            if bar.disable and in_pipe:
+                print(f"{next(numbers)}/{bar.total} {text}", file=sys.stderr)
+            bar.set_description(text)
+            bar.update()
 
         yield bar.reset, show
-
-
-@contextmanager
-def show_reading(count: int) -> Iterator[Callable[[str], None]]:
-    """Show on a terminal which test is being read; in a pipe, nothing.
-
-    Parameters
-    ----------
-    count : of tests
-
-    Yields
-    ------
-    say : call it with the name of each test
-    """
-    with progress_bar("test", count + 1) as bar:
-        yield partial(_advance, bar)
-
-
-def _advance(bar: tqdm[NoReturn], text: str) -> None:
-    bar.set_description(text)
-    bar.update()
 
 
 def shorten_path(path: Path) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -302,10 +301,7 @@ def fit_frames(
     """
     free = conditions.direction is None
     basis = build_curve_basis(
-        terms=terms,
-        length=conditions.length,
-        clamped=not free,
-        free_tip=conditions.free_tip,
+        terms=terms, length=conditions.length, clamped=not free, free_tip=conditions.free_tip
     )
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
@@ -334,61 +330,6 @@ def fit_frames(
             fits.gain[chosen] = gain
             fits.freedom[chosen] = len(places) - basis.unknowns
     return fits
-
-
-def compute_tip_heights(
-    markers: Floats, fits: Sequence[tuple[RestCurve, EndConditions, float]], *, terms: int
-) -> Floats:
-    """Return the height of the last point of the curves of `fit_frames` only.
-
-    Parameters
-    ----------
-    markers : shape (frames, markers, 3), m, relative to the pivot of the clamp; NaN where missing
-    fits : curve at rest, conditions at the ends and centre offset (m), of n clamped curves
-    terms : coefficients per coordinate
-
-    Returns
-    -------
-    Shape (n, frames), m, y above the clamped end; NaN in frames with too few markers.
-
-    Notes
-    -----
-    The height is linear in the markers, so one row of weights per curve is enough for all frames
-    with the same markers in sight.
-    """
-    flat = np.concatenate([markers[..., 0], markers[..., 1]], axis=1)
-    heights = np.full((len(fits), len(markers)), np.nan)
-    for pattern, chosen in _patterns(is_in_sight(markers)):
-        coordinates = flat[np.ix_(chosen, np.flatnonzero(np.tile(pattern, 2)))]
-        for number, fit in enumerate(fits):
-            weights, height = _height_of_end(*fit, pattern, terms)
-            if len(weights):
-                heights[number, chosen] = coordinates @ weights + height
-    return heights
-
-
-def _height_of_end(
-    at_rest: RestCurve,
-    conditions: EndConditions,
-    centre_offset: float,
-    pattern: Flags,
-    terms: int,
-) -> tuple[Floats, float]:
-    """Return weights of x then y of the markers in sight, and the height without them, m.
-
-    There are no weights if there are too few markers.
-    """
-    length, direction = conditions.length, at_rest.tangent
-    basis = build_curve_basis(
-        terms=terms, length=length, clamped=True, free_tip=conditions.free_tip
-    )
-    if pattern.sum() < basis.unknowns:
-        return np.zeros(0), np.nan
-    places = at_rest.arc_length[pattern]
-    solve = np.linalg.pinv(build_marker_design(basis, places, centre_offset))
-    weights = basis.value(np.array([length]))[0] @ solve[basis.unknowns :]
-    known_height = at_rest.clamped_end + _known_part(direction, places, centre_offset)
-    return weights, float(direction[1] * length - weights @ known_height[:, :2].T.ravel())
 
 
 def _solve(

@@ -52,11 +52,7 @@ def _direction(vector: Floats, name: str) -> Floats:
 
 
 def find_specimen_frame(
-    clamp_lab: Floats | None,
-    markers_lab: Floats,
-    *,
-    rest: Selection,
-    out_of_plane_limit: float,
+    clamp_lab: Floats | None, markers_lab: Floats, *, rest: Selection, out_of_plane_limit: float
 ) -> SpecimenFrame:
     """Determine the frame of the specimen and the order of its markers.
 

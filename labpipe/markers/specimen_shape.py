@@ -15,7 +15,6 @@ from labpipe.markers.curve_fits import (
     EndConditions,
     FrameFits,
     RestCurve,
-    compute_tip_heights,
     fit_frames,
     fit_rest_curve,
 )
@@ -156,13 +155,19 @@ def fit_shape(
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     perturbed = offsets.perturb(uncertainties) if clamped else {}
-    models = [(*begin(other, settled=tolerance), other.centre) for other in perturbed.values()]
-    heights = compute_tip_heights(relative[:, settled], models, terms=terms)
-    relative = relative - (at_rest.clamped_end if clamped else 0.0)
-    model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
+    markers = relative[:, settled]
+    heights = {}
+    for cause, other in perturbed.items():
+        start, ends = begin(other, settled=tolerance)
+        moved = markers - start.clamped_end
+        curves = fit_frames(moved, start.arc_length, other.centre, ends, terms=terms)
+        heights[cause] = curves.last_point[:, 1]
+    markers = markers - (at_rest.clamped_end if clamped else 0.0)
+    model = (markers, at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
     finer = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
-    points = _Points(relative[:, settled], flags[:, settled], _kept(names, settled), at_rest)
+    kept = tuple(np.array(names)[settled].tolist())
+    points = _Points(markers, flags[:, settled], kept, at_rest)
     return ShapeFit(
         shape=_shape(points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped),
         clamp_angle=float(np.arctan2(at_rest.tangent[1], at_rest.tangent[0])),
@@ -172,18 +177,13 @@ def fit_shape(
         tip_systematic=(
             np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
         ),
-        perturbed_tip=dict(zip(perturbed, heights, strict=True)),
+        perturbed_tip=heights,
         notes=_notes(names, settled, fit, time),
     )
 
 
 def _beginning(
-    straight: Floats,
-    offsets: Offsets,
-    *,
-    clamped: bool,
-    free_tip: bool,
-    settled: float = SETTLED,
+    straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
 ) -> tuple[RestCurve, EndConditions]:
     """Return the curve at rest through the means of the markers, and the end conditions."""
     at_rest = fit_rest_curve(
@@ -258,10 +258,6 @@ def _mean_at_rest(relative: Floats, rest: Selection) -> Floats:
     return np.asarray(np.nanmean(relative[rest], axis=0), dtype=np.float64)
 
 
-def _kept(names: Sequence[str], kept: Flags) -> tuple[str, ...]:
-    return tuple(name for name, keep in zip(names, kept, strict=True) if keep)
-
-
 def _shape(
     points: _Points,
     fit: FrameFits,
@@ -305,7 +301,7 @@ def _notes(
 ) -> tuple[QualityNote, ...]:
     notes = [
         QualityNote.of("markers.marker_not_at_rest", name, name=name)
-        for name in _kept(names, ~settled)
+        for name in np.array(names)[~settled].tolist()
     ]
     gone = ~is_in_sight(fit.last_point)
     lost = np.flatnonzero(gone)

@@ -338,6 +338,7 @@ class Branches(Block):
 FigureName: TypeAlias = Literal[
     "force-displacement",
     "stiffness-lines",
+    "stress-strain",
     "wire-shapes",
     "moment-curvature",
     "timeline",
@@ -507,7 +508,9 @@ _REMEDIES = {
     _SHAPE_STEP: "Add the step 'fit-shape'.",
 }
 _FIGURE_NEEDS = {
-    **dict.fromkeys(("force-displacement", "stiffness-lines", "timeline"), (_CURVE,)),
+    **dict.fromkeys(
+        ("force-displacement", "stiffness-lines", "stress-strain", "timeline"), (_CURVE,)
+    ),
     "wire-shapes": (_SHAPE_STEP,),
     "moment-curvature": ("a result 'moment-curvature'",),
     "marker-quality": (_MARKER_SOURCE,),

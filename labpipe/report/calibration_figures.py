@@ -20,21 +20,8 @@ from labpipe.records.wire_calibration import (
     Prediction,
     Profile,
 )
+from labpipe.report import calibration_summary as summary
 from labpipe.report import plot_records as plots
-from labpipe.report.calibration_summary import (
-    DEFLECTION,
-    DISPLAYS,
-    FORCE,
-    SMALL_FORCE,
-    BentShape,
-    CalibrationReport,
-    ValidationGroup,
-    describe_calibration,
-    typeset,
-    write_length,
-    write_parameter,
-    write_percent,
-)
 from labpipe.report.figure_page import choose_dash, split_pages
 from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line, thinned_line
@@ -46,7 +33,7 @@ _HEADROOM = 1.08
 """Top of an axis, of the largest value."""
 
 
-def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
+def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page]:
     """List the figures of a calibration.
 
     Parameters
@@ -69,7 +56,7 @@ def list_calibration_figures(report: CalibrationReport) -> Iterator[Page]:
         yield make_bent_shapes_page(f"shapes-{number}", name, shapes)
 
 
-def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[BentShape]) -> Page:
+def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[summary.BentShape]) -> Page:
     """Make the page of the shapes of a sample at several deflections, with one scale on both axes.
 
     Parameters
@@ -93,13 +80,13 @@ def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[BentShape]) -
         ends = [points[-1] for points in finite if len(points)]
         if ends:  # the deflection stands beside the end furthest from the clamp
             x, y = np.max(ends, axis=0).tolist()
-            labels.append(Label(write_length(shape.deflection), x, y, (5.0, 0.0)))
+            labels.append(Label(summary.write_length(shape.deflection), x, y, (5.0, 0.0)))
     points = np.concatenate(places)
     low, high = points.min(axis=0), points.max(axis=0)
-    room = margin * max(float(np.max(high - low)), 1.0 / DEFLECTION.factor)
+    room = margin * max(float(np.max(high - low)), 1.0 / summary.DEFLECTION.factor)
     (left, bottom), (right, top) = low - room, high + np.array([2.5 * room, room])
-    x_axis = Axis("Along the undeformed wire, x", DEFLECTION, left, right)
-    y_axis = Axis("Towards the pull, y", DEFLECTION, bottom, top)
+    x_axis = Axis("Along the undeformed wire, x", summary.DEFLECTION, left, right)
+    y_axis = Axis("Towards the pull, y", summary.DEFLECTION, bottom, top)
     share = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
     height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * share
     note = "Markers are on the surface of the wire; the curves are its axis."
@@ -109,7 +96,7 @@ def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[BentShape]) -
 
 MIN_RESIDUAL_BLOCKS = 25
 """Least number of blocks over which residuals are averaged."""
-_DEFLECTIONS = Axis("Tip deflection", DEFLECTION, low=0.0)
+_DEFLECTIONS = Axis("Tip deflection", summary.DEFLECTION, low=0.0)
 
 
 def make_calibration_page(
@@ -139,7 +126,9 @@ def make_calibration_page(
     ]
     numbers = [
         f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
-        for name, value, interval, unit, verdict in map(write_parameter, calibration.parameters)
+        for name, value, interval, unit, verdict in map(
+            summary.write_parameter, calibration.parameters
+        )
     ]
     about = "Residuals: points faint, means of neighbouring points as lines."
     about += "" if predictions else " The band of the model is not drawn."
@@ -148,7 +137,7 @@ def make_calibration_page(
         "calibration",
         f"{calibration.wire}  ·  calibration of the wire model  ·  {count}",
         panels,
-        "\n".join([*numbers, *describe_calibration(calibration), about]),
+        "\n".join([*numbers, *summary.describe_calibration(calibration), about]),
         sum(heights) + frame_mm * len(heights),
         layout="aaaaaa;bbbccc;ddeeff",
         heights=heights,
@@ -170,7 +159,7 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
     lines, labels = [], []
     for length, look in _choose_length_looks(calibration).items():
         curves = [curve for curve in calibration.curves if curve.length == length]
-        label = f"measured, {write_length(length)} ({len(curves)})"
+        label = f"measured, {summary.write_length(length)} ({len(curves)})"
         for curve in curves:
             x, y = curve.deflection, curve.force
             lines.append(thinned_line("measured_loading", x, y, n_bins=120, label=label, **look))
@@ -178,13 +167,13 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         order = np.argsort(deepest.deflection)
         deflection, force = deepest.deflection[order], deepest.model[order]
         lines.append(line("model_of_sample", deflection, force))
-        labels.append(Label(write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
+        labels.append(Label(summary.write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
         if length in predictions:
             model = predictions[length]
             use = model.deflection <= deflection[-1]
             x, low, high = model.deflection[use], model.lower_mean[use], model.upper_mean[use]
             lines.append(plots.area("band_of_mean_sample", x, low, high))
-    y_axis = Axis("Force", FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
+    y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
     return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
 
 
@@ -212,7 +201,7 @@ def make_residual_plot(
         means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
         lines.append(thinned_line("residual", x, y, n_bins=120, **look))
         lines.append(line("mean_residual", *means, **look))
-    return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", SMALL_FORCE), lines, heading)
+    return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", summary.SMALL_FORCE), lines, heading)
 
 
 def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot:
@@ -231,7 +220,7 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     """
     normal_quantile = 1.959963984540054
     if not parameter.profiles:
-        return Plot(Axis(), Axis(), heading=heading, reason=typeset(parameter.explanation))
+        return Plot(Axis(), Axis(), heading=heading, reason=summary.typeset(parameter.explanation))
     low, high = find_panel_range(parameter)
     lines, last = [], len(parameter.intervals) - 1
     for number, part in enumerate(parameter.intervals):
@@ -255,7 +244,7 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
         error = np.log(parameter.conflict.factor) / normal_quantile
         away = np.log(values / parameter.conflict.centre) / error
         lines.append(line("prior", values, away**2))
-    shown = DISPLAYS[parameter.name]
+    shown = summary.DISPLAYS[parameter.name]
     value = Axis(shown.symbol, shown.scale, low, high, is_log=True)
     return Plot(value, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
 
@@ -320,7 +309,7 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
     return np.exp(fine), root**2 + height
 
 
-def make_validation_page(name: str, groups: Sequence[ValidationGroup]) -> Page:
+def make_validation_page(name: str, groups: Sequence[summary.ValidationGroup]) -> Page:
     """Make the page of measured and modelled force against deflection, a panel per group.
 
     Parameters
@@ -333,7 +322,7 @@ def make_validation_page(name: str, groups: Sequence[ValidationGroup]) -> Page:
     return Page(name, "Measured and predicted first loadings", panels, _note(groups), height)
 
 
-def _make_group_plot(group: ValidationGroup) -> Plot:
+def _make_group_plot(group: summary.ValidationGroup) -> Plot:
     """Make the panel of samples, mean and model with their bands; describe the agreement.
 
     The model is lighter where it is doubtful.
@@ -354,7 +343,7 @@ def _make_group_plot(group: ValidationGroup) -> Plot:
         lines += [line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
     text = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
     use = "calibrated" if group.is_calibrated else "predicted"
-    heading = f"{group.wire}, {write_length(group.length)}: {use}"
+    heading = f"{group.wire}, {summary.write_length(group.length)}: {use}"
     measured = [group.band.mean, *(sample.force for sample in samples)]
     return Plot(_DEFLECTIONS, _make_force_axis(lines, measured), lines, heading, [text])
 
@@ -368,10 +357,10 @@ def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: flo
             (np.max, np.concatenate([part.y for part in lines])),
         )
     )
-    return Axis("Force", FORCE, float(bottom), headroom * float(top))
+    return Axis("Force", summary.FORCE, float(bottom), headroom * float(top))
 
 
-def describe_agreement(group: ValidationGroup) -> list[str]:
+def describe_agreement(group: summary.ValidationGroup) -> list[str]:
     """Describe in a few texts how well the model agrees with a group.
 
     Parameters
@@ -384,11 +373,11 @@ def describe_agreement(group: ValidationGroup) -> list[str]:
     errors = group.errors
     if errors is None:
         return [*lines, f"No prediction. {join_sentences([group.reason])}".strip()]
-    rmse = SMALL_FORCE.factor * errors.rmse
-    share = write_percent(errors.rmse_share)
-    lines.append(f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of the largest force")
+    rmse = summary.SMALL_FORCE.factor * errors.rmse
+    share = summary.write_percent(errors.rmse_share)
+    lines.append(f"RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of the largest force")
     if math.isfinite(errors.inside):
-        lines.append(f"{write_percent(errors.inside)} of the points inside the band")
+        lines.append(f"{summary.write_percent(errors.inside)} of the points inside the band")
     return lines
 
 
@@ -403,7 +392,7 @@ def _plot_measured(band: Band) -> list[Line]:
 _BAND_OPACITY = 0.5
 
 
-def _note(groups: Sequence[ValidationGroup]) -> str:
+def _note(groups: Sequence[summary.ValidationGroup]) -> str:
     """Describe the bands."""
     lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
@@ -412,7 +401,7 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
     for number in counts:
         what = "one more sample" if number == 1 else f"the mean of {number} samples"
         names = [
-            f"{group.wire} {write_length(group.length)}"
+            f"{group.wire} {summary.write_length(group.length)}"
             for group in groups
             if group.mean_of == number and group.prediction is not None
         ]
@@ -448,7 +437,7 @@ class ExternalPanel(NamedTuple):
     wire: str
     length: float
     is_normal: bool
-    group: ValidationGroup | None
+    group: summary.ValidationGroup | None
     comparisons: tuple[ExternalCurveComparison, ...]
 
     @property
@@ -462,7 +451,7 @@ class ExternalPanel(NamedTuple):
         return max(predictions, key=lambda model: float(model.deflection[-1]), default=None)
 
 
-def group_external_curves(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
+def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[ExternalPanel]]:
     """Group external curves by wire, length and kind of load, in pages of `MAX_PANELS` panels.
 
     Parameters
@@ -521,7 +510,7 @@ def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
         }
         lines.append(line("external_curve", curve.deflection, curve.force, **look))
     load = ", load normal to the axis" if panel.is_normal else ""
-    heading = f"{panel.wire}, {write_length(panel.length)}{load}"
+    heading = f"{panel.wire}, {summary.write_length(panel.length)}{load}"
     force = _make_force_axis(lines, [part.y for part in lines], headroom)
     return Plot(_DEFLECTIONS, force, lines, heading, inner_key=_label_curves(panel))
 
@@ -550,9 +539,9 @@ def describe_match(comparison: ExternalCurveComparison) -> list[str]:
 def _describe_rmse(other: str, match: CurveMatch) -> str:
     if match.errors is None:
         return f"{other}: not compared"
-    rmse = SMALL_FORCE.factor * match.errors.rmse
-    share = write_percent(match.errors.rmse_share)
-    return f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {share} of peak"
+    rmse = summary.SMALL_FORCE.factor * match.errors.rmse
+    share = summary.write_percent(match.errors.rmse_share)
+    return f"{other}: RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of peak"
 
 
 def _external_note(panels: Sequence[ExternalPanel]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, freeze
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -29,16 +29,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.table_records import (
-    Chart,
-    Record,
-    Table,
-    Value,
-    make_records,
-    save_tables,
-    stack_blocks,
-    tabulate,
-)
+from labpipe.report import table_records as tables
 from labpipe.report.wording import SUPERSCRIPTS, Scale, write_count, write_number
 
 DEFLECTION = Scale(1e3, "mm")
@@ -329,7 +320,7 @@ def _describe_noise(calibration: Calibration) -> str:
 _LENGTH = DEFLECTION.label("length")
 
 
-def make_tables(report: CalibrationReport) -> list[Table]:
+def make_tables(report: CalibrationReport) -> list[tables.Table]:
     """Make all sheets of a calibration.
 
     Parameters
@@ -344,18 +335,18 @@ def make_tables(report: CalibrationReport) -> list[Table]:
     calibration = report.calibration
     curves = (row for comparison in report.comparisons for row in _external_records(comparison))
     return [
-        tabulate("summary", map(_parameter_record, calibration.parameters)),
-        tabulate("solutions", _solution_records(calibration)),
-        tabulate("fit", _fit_records(calibration)),
-        tabulate("agreement", map(_agreement_record, report.groups)),
-        *([tabulate("external curves", curves)] if report.comparisons else []),
-        tabulate("curves", map(_curve_record, calibration.curves)),
-        _forces_sheet(report.groups),
-        tabulate("notes", _note_records(report)),
+        tables.tabulate("summary", map(_parameter_record, calibration.parameters)),
+        tables.tabulate("solutions", _solution_records(calibration)),
+        tables.tabulate("fit", _fit_records(calibration)),
+        tables.tabulate("agreement", map(_agreement_record, report.groups)),
+        *([tables.tabulate("external curves", curves)] if report.comparisons else []),
+        tables.tabulate("curves", map(_curve_record, calibration.curves)),
+        _tabulate_forces(report.groups),
+        tables.tabulate("notes", _note_records(report)),
     ]
 
 
-def _external_records(comparison: ExternalCurveComparison) -> Iterator[Record]:
+def _external_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
     curve = comparison.curve
     for other, match in (("tests", comparison.tests), ("model", comparison.model)):
         yield {
@@ -370,7 +361,7 @@ def _external_records(comparison: ExternalCurveComparison) -> Iterator[Record]:
         }
 
 
-def _match_record(match: CurveMatch | None) -> Record:
+def _match_record(match: CurveMatch | None) -> tables.Record:
     errors = None if match is None else match.errors
     return {
         "points compared": 0 if errors is None else errors.n,
@@ -386,7 +377,7 @@ def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
-def _parameter_record(parameter: CalibratedParameter) -> Record:
+def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
     display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
     factor, has_ends = display.scale.factor, interval is not None
     return {
@@ -414,7 +405,7 @@ def _parameter_record(parameter: CalibratedParameter) -> Record:
     }
 
 
-def _solution_records(calibration: Calibration) -> Iterator[Record]:
+def _solution_records(calibration: Calibration) -> Iterator[tables.Record]:
     """Yield the solutions, which are local minima of the objective; the best first."""
     for number, solution in enumerate(calibration.solutions, start=1):
         values = {
@@ -433,9 +424,9 @@ def _solution_records(calibration: Calibration) -> Iterator[Record]:
         }
 
 
-def _fit_records(calibration: Calibration) -> list[Record]:
+def _fit_records(calibration: Calibration) -> list[tables.Record]:
     levels = calibration.levels
-    rows: tuple[tuple[str, Value, str], ...] = (
+    rows: tuple[tuple[str, tables.Value, str], ...] = (
         ("wire", calibration.wire, ""),
         ("curves", len(calibration.curves), "1"),
         ("samples", calibration.n_samples, "1"),
@@ -455,7 +446,7 @@ def _fit_records(calibration: Calibration) -> list[Record]:
     return [{"number": number, "value": value, "unit": unit} for number, value, unit in rows]
 
 
-def _agreement_record(group: ValidationGroup) -> Record:
+def _agreement_record(group: ValidationGroup) -> tables.Record:
     errors, why = group.errors, group.reason
     if errors is not None:
         why = None if np.isfinite(group.band.lower).any() else group.band.reason
@@ -474,7 +465,7 @@ def _agreement_record(group: ValidationGroup) -> Record:
     }
 
 
-def _curve_record(curve: CurveAgreement) -> Record:
+def _curve_record(curve: CurveAgreement) -> tables.Record:
     return {
         "test": curve.test,
         "sample": curve.sample,
@@ -489,20 +480,15 @@ def _curve_record(curve: CurveAgreement) -> Record:
     }
 
 
-def _note_records(report: CalibrationReport) -> list[Record]:
+def _note_records(report: CalibrationReport) -> list[tables.Record]:
     """Make the records of all notes, the most severe first, and of what is identified separately.
 
     A message that several predictions repeat is listed once.
     """
-    notes: dict[tuple[str, str], QualityNote] = {}
-    for note in report.calibration.notes:
-        notes["calibration", note.message] = note
-    for group in report.groups:
-        for note in group.prediction.notes if group.prediction is not None else ():
-            notes["prediction", note.message] = note
-    for comparison in report.comparisons:
-        for note in comparison.notes:
-            notes[f"external curve '{comparison.curve.name}'", note.message] = note
+    sources = [("calibration", report.calibration.notes)]
+    sources += [("prediction", x.prediction.notes) for x in report.groups if x.prediction]
+    sources += [(f"external curve '{x.curve.name}'", x.notes) for x in report.comparisons]
+    notes = {(of, note.message): note for of, several in sources for note in several}
     order = list(reversed(Severity))
     rows = [
         (of, note.severity, note.where, note.message, note.code)
@@ -518,24 +504,14 @@ def _note_records(report: CalibrationReport) -> list[Record]:
     ]
 
 
-def _forces_sheet(groups: Sequence[ValidationGroup]) -> Table:
+def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
     """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
-    curves = list(map(_force_blocks, groups))
-    rows, ends = stack_blocks(
-        {f"{number} {name}": block
-         for number, blocks in enumerate(curves) for name, block in blocks.items()}
-    )  # fmt: skip
-    charts = []
-    for number, (group, blocks) in enumerate(zip(groups, curves, strict=True)):
-        lines = {name: ends[f"{number} {name}"] for name in blocks if blocks[name]}
-        title = f"{group.wire}, {write_length(group.length)}"
-        if lines:
-            heads = DEFLECTION.label("deflection"), FORCE.label("force")
-            charts.append(Chart(title, *heads, lines))
-    return tabulate("forces", rows, charts=charts)
+    charts = [(f"{x.wire}, {write_length(x.length)}", _force_blocks(x)) for x in groups]
+    heads = DEFLECTION.label("deflection"), FORCE.label("force")
+    return tables.tabulate_curves("forces", charts, *heads)
 
 
-def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
+def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
     """Make the records of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
@@ -552,12 +528,12 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[Record]]:
         curves[test] = (sample.displacement, sample.force)
     blocks = {}
     for name, (x, *forces) in curves.items():
-        head: Record = {
+        head: tables.Record = {
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
         columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
-        blocks[name] = make_records(head, columns)
+        blocks[name] = tables.make_records(head, columns)
     return blocks
 
 
@@ -575,4 +551,4 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
         If the file cannot be written.
     """
     title = f"Calibration of {report.calibration.wire}"
-    save_tables(make_tables(report), path, book="calibration", title=title)
+    tables.save_tables(make_tables(report), path, book="calibration", title=title)

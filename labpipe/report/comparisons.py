@@ -1,4 +1,4 @@
-"""Comparisons of groups that differ in one field alone: pairs, families, tables and sentences."""
+"""Comparisons of groups that differ in one field alone: pairs, families, tables and figures."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import nan
 
+import numpy as np
+
 from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
-from labpipe.report.figure_page import split_pages
+from labpipe.report import group_plots, wording
+from labpipe.report import plot_records as plots
+from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.issues import join_sentences
+from labpipe.report.page_facts import make_stems
+from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
-from labpipe.report.wording import (
-    find_display,
-    find_display_unit,
-    typeset_unit,
-    write_count,
-    write_heading,
-    write_number,
-)
 from labpipe.statistics.group_fields import (
     BORE,
     SECTION_SIZES,
@@ -227,14 +225,14 @@ def make_pair_table(pair: Pair) -> Table:
     -------
     A row per number; its notes are the caveats of the comparison.
     """
-    display, rows = find_display(pair.first), list[Record]()
+    display, rows = wording.find_display(pair.first), list[Record]()
     for difference in pair.differences:
-        unit = find_display_unit(difference.name, difference.unit, display)
+        unit = wording.find_display_unit(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
-            "Number": write_heading(difference.name, unit.unit),
+            "Number": wording.write_heading(difference.name, unit.unit),
             "Difference (95 %, corrected)": _write_difference(difference, display),
-            "Irrelevant below": write_number(margin, None, unit.factor, digits=3).value,
+            "Irrelevant below": wording.write_number(margin, None, unit.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
     caveats = dict.fromkeys(
@@ -251,12 +249,12 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     pair : that differs in one field alone
     """
     difference = pair.differences[0]
-    shift = _write_difference(difference, find_display(pair.first))
+    shift = _write_difference(difference, wording.find_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        f"{write_heading(difference.name, '1')} {shift}",
+        f"{wording.write_heading(difference.name, '1')} {shift}",
         f"{second} v {first}",
     )
 
@@ -283,15 +281,15 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     ends, shift, more = difference.interval, difference.difference, ""
     if difference.share is None:
-        scale = find_display_unit(difference.name, difference.unit, display)
+        scale = wording.find_display_unit(difference.name, difference.unit, display)
         estimate = shift.distinct_estimate
-        number = write_number(shift.mean, ends, scale.factor, estimate=estimate)
-        unit = f" {typeset_unit(scale.unit)}".rstrip()
+        number = wording.write_number(shift.mean, ends, scale.factor, estimate=estimate)
+        unit = f" {wording.typeset_unit(scale.unit)}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             more = "more than "
-        number, unit = write_number(difference.share, ends, 100.0), " %"
+        number, unit = wording.write_number(difference.share, ends, 100.0), " %"
     behind = join_sentences([shift.reason])
     if number.lower:
         behind = f"({_signed(number.lower)}{unit} to {more}{_signed(number.upper)}{unit})"
@@ -334,4 +332,134 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
 
 
 def _count_pairs(count: int) -> str:
-    return f"{write_count(count, 'pair')} {'is' if count == 1 else 'are'}"
+    return f"{wording.write_count(count, 'pair')} {'is' if count == 1 else 'are'}"
+
+
+def list_family_figures(campaign: Campaign) -> Iterator[Page]:
+    """List a figure for each family of groups that differ in one field alone.
+
+    Parameters
+    ----------
+    campaign : with its differences
+    """
+    drawn = find_families(campaign)
+    contexts = [describe_context(family.groups, family.field) for family in drawn]
+    names = make_stems(
+        f"difference {family.field}: {context}"
+        for family, context in zip(drawn, contexts, strict=True)
+    )
+    for family, context, name in zip(drawn, contexts, names, strict=True):
+        panels = make_family_plots(family, has_scaled=True)
+        if panels:
+            field, labels = name_field(family.field), ", ".join(family.labels)
+            alike = describe_equal_fields(family.groups, family.field)
+            caption = f"{field}: {labels}; {alike}. Protocol: {family.groups[0].protocol}."
+            yield group_plots.make_page(name, f"{field}  \u00b7  {context}", panels, 3, caption)
+
+
+def make_family_plots(
+    family: Family, stems: Mapping[str, str] | None = None, *, has_scaled: bool = False
+) -> list[Plot]:
+    """Make the plots of a family: mean curves, and the main number of each group.
+
+    Parameters
+    ----------
+    family : of groups
+    stems : names of groups in links, by name; None for files
+    has_scaled : include force over peak force
+    """
+    names = stems or {group.name: group.name for group in family.groups}
+    scaled = _make_curve_plots(family, names, is_scaled=True) if has_scaled else ()
+    return [*_make_curve_plots(family, names), *scaled, *_make_mean_plots(family, names)]
+
+
+def _make_curve_plots(
+    family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
+) -> Iterator[Plot]:
+    """Yield the plot of the mean first loading of each group with its band."""
+    display = wording.find_display(family.groups[0])
+    x_scale, y_scale = wording.find_units(display, "displacement", "force")
+    name, heading = "Force", "First loading"
+    if is_scaled:
+        y_scale, name, heading = plots.NUMBER, "Force / peak force", "Force / peak force"
+    lines, legend, bands = [], [], []
+    count = wording.write_count(len(family.groups), "group")
+    for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
+        band = group.band_scaled if is_scaled else group.band
+        if band is not None:
+            look, stem = f"c{at % N_COLOURS}", stems[group.name]
+            bands.append(band)
+            lines += [
+                *group_plots.make_band_lines(band, look, stem),
+                *group_plots.make_mean_lines(band, look, stem),
+            ]
+            text = f"{label} (n = {group.band.n})"
+            legend.append(LegendEntry(f"mean {look}", text, "group", stem))
+    if not lines:
+        return
+    # full means, and intervals only as far as the means stay apart
+    means = np.concatenate([band.mean for band in bands])
+    edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
+    ends = np.array(plots.clip_range(means, edges, 0.4))
+    yield Plot(
+        plots.make_axis("Displacement", x_scale, [line.x for line in lines]),
+        plots.make_axis(name, y_scale, [ends]),
+        lines,
+        heading,
+        legend=legend + group_plots.list_signs(lines, _KEY),
+        kind="means",
+        title=f"Mean force against displacement of {count}.",
+        size=(392, 200),
+    )
+
+
+_KEY = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
+
+
+def find_main_number(family: Family) -> str:
+    """Find the number by which groups are compared: bending stiffness, or the first common one.
+
+    Parameters
+    ----------
+    family : of groups
+
+    Returns
+    -------
+    Name of the number; empty if the groups have none in common.
+    """
+    has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
+    shared = [
+        number.name
+        for number in family.groups[0].numbers
+        if all(number.name in names for names in has)
+    ]
+    return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
+
+
+def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
+    """Yield the plot of the main number: a row per group with mean, interval and samples."""
+    name, groups = find_main_number(family), family.groups
+    if not name:
+        return
+    numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
+    scale = wording.find_display_unit(name, numbers[0].unit, wording.find_display(groups[0]))
+    lines: list[Line] = []
+    for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):
+        values = [value.value for value in number.values.values() if value.value is not None]
+        x = plots.join_with_gaps(np.array(values))
+        look, stem = f"c{row % N_COLOURS}", stems[group.name]
+        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
+        if number.mean is not None:
+            mean = number.mean.chosen
+            lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
+    label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
+    yield Plot(
+        group_plots.make_dot_axis(name, scale, lines),
+        Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels),
+        lines,
+        wording.shorten(label, 40),
+        legend=[LegendEntry("sample", "sample"), LegendEntry("dot", "mean")],
+        kind="numbers",
+        title=f"{label} of {count}, with 95 % intervals.",
+        size=(180, 200),
+    )

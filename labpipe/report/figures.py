@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,13 +21,20 @@ from labpipe.records.curve import (
     Interval,
     MeasuredLaw,
 )
+from labpipe.records.estimates import UnavailableError
 from labpipe.records.result import TestResult
 from labpipe.report import figure_page, wording
 from labpipe.report import plot_records as plots
-from labpipe.report.budget_figures import make_budget_page
 from labpipe.report.figure_page import DASHED, GREY
-from labpipe.report.marker_figures import make_marker_quality_page, make_wire_shapes_page
 from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line, thinned_line
+from labpipe.report.quality_figures import (
+    make_budget_page,
+    make_marker_quality_page,
+    make_wire_shapes_page,
+)
+from labpipe.results.kinds import compute_loading_sign
+from labpipe.results.stiffness import compute_area
+from labpipe.results.tension import ProofStress, find_gauge_length
 from labpipe.statistics.lots import FORCE_LIMIT, find_result
 
 if TYPE_CHECKING:
@@ -229,6 +236,123 @@ def _plot_events(result: TestResult) -> Iterator[Line]:
         yield line("failure_point", displacement, force)
 
 
+class _Tension(NamedTuple):
+    """The curve of a tension test in stress and strain, which is counted from the elastic line.
+
+    Parameters
+    ----------
+    strain, stress : shape (n,), 1 and Pa, of all branches
+    modulus : slope of the elastic line, Pa; NaN without one
+    window : strains between which the line was fitted
+    offsets : plastic strain by the name of each proof stress
+    """
+
+    strain: Floats
+    stress: Floats
+    modulus: float
+    window: Floats
+    offsets: Mapping[str, float]
+
+
+def _compute_tension(result: TestResult) -> _Tension | None:
+    """Compute stress and strain; None without a loading, an area or a gauge length."""
+    curve, branches = result.curve, _find_branches(result)
+    if curve is None or not branches:
+        return None
+    try:
+        protocol = parse_protocol(result.protocol_yaml, result.test)
+        specimen = protocol.specimen
+        stated = {} if specimen.section is None else dict(vars(specimen.section))
+        stated |= {"length": specimen.length, "gauge_length": specimen.gauge_length}
+        sizes = {name: size for name, size in stated.items() if size is not None}
+        area, length = compute_area(sizes), find_gauge_length(sizes)
+    except (ProtocolError, UnavailableError):
+        return None
+    part = slice(branches[0].start, branches[-1].stop)
+    x, force = (
+        compute_loading_sign(values) * values
+        for values in (curve.displacement[part], curve.force[part])
+    )
+    modulus, toe, window = np.nan, float(x[np.isfinite(x)][:1].sum()), np.zeros(0)
+    for fit in result.lines:
+        if fit.result == "elastic_modulus":
+            window = np.sort(np.abs([fit.start, fit.stop]))
+            modulus, toe = fit.slope * length / area, window[0] - fit.level / fit.slope
+    offsets = {
+        entry.name: entry.offset for entry in protocol.results if isinstance(entry, ProofStress)
+    }
+    strain, window = (x - toe) / length, (window - toe) / length
+    return _Tension(strain, force / area, modulus, window, offsets)
+
+
+def make_stress_strain_page(result: TestResult) -> Page:
+    """Make the page of (a) stress against strain with its numbers, (b) the elastic line."""
+    name, tension = "stress-strain", _compute_tension(result)
+    if tension is None:
+        reason = wording.explain_missing(result, "stress-strain curve")
+        return plots.make_test_page(result, name, [plots.make_empty_plot(reason)])
+    x, y = _make_axes(result, "Strain", "Pressure")
+    y = replace(y, name="Stress")
+    curve = thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
+    lines = [curve, *_plot_tension_numbers(result, tension)]
+    whole = Plot(x, y, lines, "Whole curve")
+    beginning = Plot(x, y, heading="Beginning", reason="There is no elastic line to draw.")
+    if len(tension.window):
+        high = 1.6 * (tension.window[1] + min(tension.offsets.values(), default=tension.window[1]))
+        top = 1.1 * float(np.nanmax(tension.stress[tension.strain <= high]))
+        x = replace(x, low=-0.05 * high, high=high)
+        y = replace(y, low=-0.02 * top, high=top)
+        fits = _plot_elastic_lines(result, tension, top)
+        beginning = Plot(x, y, [*lines, *fits], "Beginning")
+    return plots.make_test_page(result, name, [whole, beginning], height=92)
+
+
+def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:
+    """Yield the points of yield, proof and largest stress and of the break on the curve."""
+    values = {number.name: number.value for number in result.results if number.value is not None}
+    points, sample = [], 0
+    for name, offset in tension.offsets.items():
+        if name in values:
+            strain = offset + values[name] / tension.modulus
+            points.append((name, f"Rp{100.0 * offset:g}", strain, values[name]))
+    for name, symbol, array in (
+        ("upper_yield_stress", "ReH", tension.stress),
+        ("lower_yield_stress", "ReL", tension.stress),
+        ("tensile_strength", "Rm", tension.stress),
+        ("elongation_at_break", "At", tension.strain),
+    ):
+        if name in values:  # a value is that of one sample, after those of the values above
+            sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
+            points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
+    for number, (name, symbol, strain, stress) in enumerate(points, start=1):
+        label = _describe_tension_number(result, name, symbol)
+        yield line("tension_number", strain, stress, label=label, color=f"C{number % 8}")
+    name = "elongation_at_maximum_force"
+    if name in values:
+        label = _describe_tension_number(result, name, "Agt")
+        yield plots.position("elongation", values[name], label=label)
+
+
+def _describe_tension_number(result: TestResult, name: str, symbol: str) -> str:
+    """Write the symbol and the value of a number with its interval."""
+    number = find_result(result.results, name)
+    if number is None or number.value is None:
+        return symbol
+    scale = wording.find_display_unit(name, number.unit, result.display)
+    text = wording.write_number(number.value, number.interval, scale.factor).text
+    return f"{symbol} {text} {wording.typeset_unit(scale.unit)}"
+
+
+def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> Iterator[Line]:
+    """Yield the elastic line over its window, and up to a stress with its lines of offsets."""
+    label = _describe_tension_number(result, "elastic_modulus", "E")
+    window, run = tension.window, top / tension.modulus
+    yield line("fit_window", window, tension.modulus * window, label=label, color="C0")
+    yield line("elastic_line", [0.0, run], [0.0, top])
+    for offset in tension.offsets.values():
+        yield line("offset_line", [offset, offset + run], [0.0, top])
+
+
 def make_moment_curvature_page(result: TestResult) -> Page:
     """Make the page of (a) the moments of all branches with the law, (b) its stiffness."""
     bending = result.bending
@@ -409,6 +533,7 @@ def _with_half(value: float, interval: Interval, factor: float) -> str:
 FIGURES: dict[str, Callable[[TestResult], Page]] = {
     "force-displacement": make_force_displacement_page,
     "stiffness-lines": make_stiffness_lines_page,
+    "stress-strain": make_stress_strain_page,
     "wire-shapes": make_wire_shapes_page,
     "moment-curvature": make_moment_curvature_page,
     "timeline": make_timeline_page,

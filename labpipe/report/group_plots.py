@@ -1,12 +1,14 @@
-"""Plots of a group, for the page and for files: curves, shapes, measured laws, numbers."""
+"""Plots and figures of a group: curves, shapes, measured laws, numbers."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from math import inf, nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,9 +20,9 @@ from labpipe.records.result import Status
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS
-from labpipe.report.issues import write_sentence
+from labpipe.report.issues import join_sentences
 from labpipe.report.page_facts import PageTests, make_key
-from labpipe.report.plot_records import Axis, LegendEntry, Line, Plot, join_with_gaps
+from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
@@ -89,6 +91,14 @@ class _GroupView:
     def points(self) -> _Points:
         return _IN_FILES if self.tests is None else _FEW if self.is_detailed else _MANY
 
+    def make_plot(
+        self, kind: str, axes: tuple[Axis, Axis], lines: Sequence[Line], title: str, **more: Any
+    ) -> Plot:
+        """Make a plot of lines with their key; its mean is named by `mean`, if any."""
+        legend = _make_legend(self, lines, more.pop("mean", "mean"))
+        settings = {"legend": legend, "group": self.stem, "size": _SMALL_PLOT, **more}
+        return Plot(*axes, lines, kind=kind, title=f"{title} {self.group.name}.", **settings)
+
     @cached_property
     def shown(self) -> list[_Shown]:
         """Return the samples in the colours of their spools, or in their own for one spool."""
@@ -104,14 +114,14 @@ class _GroupView:
         ]
 
 
-def make_group_plots(group: Group, stem: str, tests: PageTests) -> list[Plot]:
+def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = None) -> list[Plot]:
     """Make the plots of a group for the page, as far as it has data for them.
 
     Parameters
     ----------
     group : with or without samples
     stem : of its links
-    tests : all of the page
+    tests : all of the page; None for plots in files, whose lines have more points
 
     Returns
     -------
@@ -134,15 +144,57 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
     ``moment`` and ``numbers``.
     """
-    view = _GroupView(group)
-    figures = {
-        "curves": list(_make_curve_plots(view)),
-        "scaled": list(_make_scaled_plots(view)),
-        "shapes": list(_make_shape_plots(view)),
-        "moment": list(_make_moment_plots(view)),
-        "numbers": list(_make_number_plots(group)),
-    }
-    return {name: drawn for name, drawn in figures.items() if drawn}
+    drawn = [*make_group_plots(group), *_make_number_plots(group)]
+    return {kind: list(same) for kind, same in groupby(drawn, key=lambda plot: plot.kind)}
+
+
+def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
+    """Make a page of plots of groups; their captions are the footnote.
+
+    Parameters
+    ----------
+    name : of its files
+    title, columns, caption : of the page
+    panels : at least one, with a size
+    """
+    frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
+    first = panels[0]
+    height = mm_per_point * first.size[1] if len(panels) > 1 else single_mm
+    width = plots.SINGLE_COLUMN if len(panels) <= 2 else plots.DOUBLE_COLUMN
+    if first.is_to_scale:
+        height = (width - frame_mm) * first.size[1] / first.size[0]
+    return Page(
+        name,
+        title,
+        panels,
+        " ".join(dict.fromkeys(panel.caption for panel in panels)),
+        math.ceil(len(panels) / columns) * (frame_mm + height),
+        width,
+        columns,
+        caption=caption,
+        alt=first.title,
+    )
+
+
+def list_group_figures(group: Group) -> Iterator[Page]:
+    """List the figures for which a group has data.
+
+    Parameters
+    ----------
+    group : with or without samples
+
+    Yields
+    ------
+    The figures of `make_file_plots` by names without the group. Without curves, the figure
+    ``curves`` says why it is empty.
+    """
+    title, figures = wording.write_group_title(group), make_file_plots(group)
+    if "curves" not in figures:
+        reason = "No sample has a curve." if group.samples else "No sample in this group."
+        panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN
+        yield Page("curves", title, panels, height=40.0, width=width, caption=reason, alt=reason)
+    for name, panels in figures.items():
+        yield make_page(name, title, panels, 2, panels[0].caption)
 
 
 def find_first_loading(sample: Sample) -> SampleCurve | None:
@@ -172,18 +224,11 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
         curve.force for sample in group.samples for curve in (*sample.loading, *sample.unloading)
     ]
     forces.append(np.array(sorted(filter(None, limits))))
-    yield Plot(
-        x,
-        _make_force_axis("Force", view.find_scale("force"), forces, band),
-        lines,
-        legend=_make_legend(view, lines, f"mean of {band.n} {band.members}"),
-        kind="curves",
-        group=view.stem,
-        title=f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}: "
-        f"{group.name}.",
-        caption=write_sentence(band.reason.message) if band.reason else "",
-        size=(660, 240),
-    )
+    y = _make_force_axis("Force", view.find_scale("force"), forces, band)
+    title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
+    mean, caption = f"mean of {band.n} {band.members}", join_sentences([band.reason])
+    size = 660, 240
+    yield view.make_plot("curves", (x, y), lines, title, mean=mean, caption=caption, size=size)
 
 
 def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], band: Band) -> Axis:
@@ -357,18 +402,11 @@ def _make_shape_plots(view: _GroupView) -> Iterator[Plot]:
     step = max(spans[0] / width, spans[1] / height)
     shown_steps = np.round(steps[-view.points.shapes :], 4) + 0.0
     deflections = ", ".join(f"{way * scale.factor:.2g}" for way in shown_steps)
-    yield Plot(
-        _widen(x_axis, step * width),
-        _widen(y_axis, step * height),
-        lines,
-        legend=_make_legend(view, lines),
-        is_to_scale=True,
-        kind="shapes",
-        group=view.stem,
-        title=f"Shapes of {wording.write_count(len(lines), 'sample')} of {view.group.name}.",
-        caption=f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale.",
-        size=(width, height),
-    )
+    axes = _widen(x_axis, step * width), _widen(y_axis, step * height)
+    caption = f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale."
+    title = f"Shapes of {wording.write_count(len(lines), 'sample')} of"
+    layout: dict[str, Any] = {"size": (width, height), "is_to_scale": True}
+    yield view.make_plot("shapes", axes, lines, title, caption=caption, **layout)
 
 
 def _widen(axis: Axis, width: float) -> Axis:
@@ -389,18 +427,13 @@ def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
     if not lines:
         return
     every, note = [*areas, *lines], " Area: 95 % interval of each sample." if areas else ""
-    x_axis, y_axis = view.find_scale("curvature"), view.find_scale("moment")
-    yield Plot(
-        plots.make_axis("Curvature", x_axis, [line.x for line in lines]),
-        plots.make_axis("Bending moment", y_axis, [line.y for line in every]),
-        every,
-        legend=_make_legend(view, lines),
-        kind="moment",
-        group=view.stem,
-        title=f"Bending moment against curvature of {view.group.name}.",
-        caption=f"Measured from the shapes, first loading.{note}",
-        size=_SMALL_PLOT,
+    axes = (
+        plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines]),
+        plots.make_axis("Bending moment", view.find_scale("moment"), [line.y for line in every]),
     )
+    title, legend = "Bending moment against curvature of", _make_legend(view, lines)
+    caption = f"Measured from the shapes, first loading.{note}"
+    yield view.make_plot("moment", axes, every, title, legend=legend, caption=caption)
 
 
 def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
@@ -416,18 +449,13 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
-    scale = view.find_scale("displacement")
-    yield Plot(
-        plots.make_axis("Displacement", scale, [line.x for line in lines]),
+    axes = (
+        plots.make_axis("Displacement", view.find_scale("displacement"), [x.x for x in lines]),
         _make_force_axis("Force / peak force", plots.NUMBER, [line.y for line in curves], band),
-        lines,
-        legend=_make_legend(view, lines, f"mean of {band.n} {band.members}"),
-        kind="scaled",
-        group=view.stem,
-        title=f"Force over peak force against displacement of {view.group.name}.",
-        caption=format_sentence("report.scaled_caption"),
-        size=_SMALL_PLOT,
     )
+    mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
+    title = "Force over peak force against displacement of"
+    yield view.make_plot("scaled", axes, lines, title, mean=mean, caption=caption)
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:

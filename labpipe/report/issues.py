@@ -6,33 +6,22 @@ the number that changes most: the shift of its mean without the affected tests.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, isnan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.curve import Slip, SlipDecision
+from labpipe.records.curve import SlipDecision
 from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import (
-    find_display,
-    find_number_unit,
-    find_units,
-    replace_names,
-    typeset_unit,
-    write_count,
-    write_label,
-    write_number,
-)
+from labpipe.report import wording
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
 from labpipe.statistics.means import compute_t_quantile
-
-_SLIP_LEDGER_CODES = frozenset(f"slip_{decision}" for decision in SlipDecision)
-"""Codes of notes that repeat the slips of a test."""
 
 
 class Kind(StrEnum):
@@ -58,22 +47,21 @@ class Issue:
     Parameters
     ----------
     kind : of issue
-    group, test : affected group and test; each is empty if the issue affects several
+    group : affected group; empty if the issue affects a test without one
+    tests : affected tests, or the file of a test; empty if the issue affects the whole group
     what : labels of the affected numbers, or the place of the issue
     reason : sentences with values
     code : codes of the reasons, separated by commas; may be empty
     numbers : names of the affected results; empty if all are affected, or it is unknown which
-    tests : affected tests of the group, if `test` is empty
     """
 
     kind: Kind
     group: str
-    test: str
+    tests: tuple[str, ...]
     what: str
     reason: str
     code: str = ""
     numbers: tuple[str, ...] = ()
-    tests: tuple[str, ...] = ()
 
 
 def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
@@ -88,11 +76,24 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test that share their
     reasons are one issue.
     """
-    issues = [Issue(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
-    issues += [Issue(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
+    left_out, order = (
+        {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected},
+        [*Kind],
+    )
+    issues = [
+        Issue(kind, "", (file,), "", why)
+        for kind, reasons in left_out.items()
+        for file, why in reasons.items()
+    ]
     for group in campaign.groups:
-        issues += _group_issues(group)
-    order = list(Kind)
+        for sample in group.samples:
+            issues += _list_sample_issues(group, sample)
+        issues += _list_number_issues(group)
+        if not group.samples and not group.notes:
+            reason = group.band.reason or Reason("empty_group", "no sample in this group")
+            text, what = write_sentence(reason.message), "empty group"
+            issues.append(Issue(Kind.WARNING, group.name, (), what, text, reason.code))
+        issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
 
 
@@ -104,7 +105,7 @@ def write_sentence(message: str) -> str:
     >>> write_sentence("the branch ends at 4.2 mm")
     'The branch ends at 4.2 mm.'
     """
-    text = replace_names(message)
+    text = wording.replace_names(message)
     stop = "" if not text or text.endswith((".", "?", "!")) else "."
     return text[:1].upper() + text[1:] + stop
 
@@ -114,131 +115,102 @@ def join_sentences(reasons: Iterable[Reason | None]) -> str:
     return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
-def join_codes(reasons: Iterable[Reason]) -> str:
-    """Join the codes of reasons, each once."""
+def _join_codes(reasons: Iterable[Reason]) -> str:
     return ", ".join(dict.fromkeys(reason.code for reason in reasons))
 
 
-def describe_decision(decision: SlipDecision) -> str:
-    """Describe the treatment of a slip in one sentence."""
-    return {
-        SlipDecision.MARKED: "Marked only: the curve is unchanged.",
-        SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
-        SlipDecision.CUT: "Cut: the curve ends before the slip.",
-    }[decision]
+DECISIONS = {
+    SlipDecision.MARKED: "Marked only: the curve is unchanged.",
+    SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
+    SlipDecision.CUT: "Cut: the curve ends before the slip.",
+}
+"""Sentence on the treatment of a slip."""
 
 
-def describe_slip(slip: Slip, group: Group) -> str:
-    """Describe the place and the lost force of a slip with intervals and display units."""
-    x_unit, y_unit = find_units(find_display(group), "displacement", "force")
-    position = write_number(slip.position, slip.position_interval, x_unit.factor)
-    lost = write_number(slip.drop, slip.drop_interval, y_unit.factor)
-    loss = f"{lost.value} {y_unit.unit} ({lost.interval})"
-    return f"{loss} lost at {position.value} {x_unit.unit} ({position.interval})"
-
-
-def _group_issues(group: Group) -> Iterator[Issue]:
-    for sample in group.samples:
-        yield from _result_issues(group.name, sample)
-        for slip in sample.slips:
-            text = describe_slip(slip, group)
-            yield Issue(Kind.SLIP, group.name, sample.test, text, describe_decision(slip.decision))
-        codes = {reason.code for result in sample.results for reason in result.reasons}
-        notes = tuple(note for note in sample.quality if note.code not in codes)
-        yield from _note_issues(group.name, sample.test, notes)
-    for number in group.numbers:
-        yield from _number_issues(group, number)
-    if not group.samples and not group.notes:
-        reason = group.band.reason or Reason("empty_group", "no sample in this group")
-        text = write_sentence(reason.message)
-        yield Issue(Kind.WARNING, group.name, "", "empty group", text, reason.code)
-    yield from _note_issues(group.name, "", group.notes)
-
-
-def _result_issues(group: str, sample: Sample) -> Iterator[Issue]:
+def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
+    """Yield the issues of the results of a sample, its slips, and its notes on nothing of these."""
+    tests = (sample.test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
-        issue_kind = _kind(result)
-        if issue_kind is not None:
-            results_by_reason.setdefault((issue_kind, result.reasons), []).append(result)
-    for (issue_kind, reasons), results in results_by_reason.items():
-        what = "; ".join(write_label(result.name) for result in results)
+        kind = {Status.FAILED: Kind.FAILED, Status.DOUBTFUL: Kind.DOUBTFUL}.get(result.status)
+        if kind is None and result.interval is None and result.reasons:
+            kind = Kind.NO_INTERVAL
+        if kind is not None:
+            results_by_reason.setdefault((kind, result.reasons), []).append(result)
+    for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        yield Issue(
-            issue_kind,
-            group,
-            sample.test,
-            what,
-            join_sentences(reasons),
-            join_codes(reasons),
-            names,
-        )
+        what, why = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        yield Issue(kind, group.name, tests, what, why, _join_codes(reasons), names)
+    x, y = wording.find_units(wording.find_display(group), "displacement", "force")
+    for slip in sample.slips:
+        place = wording.write_number(slip.position, slip.position_interval, x.factor)
+        lost = wording.write_number(slip.drop, slip.drop_interval, y.factor)
+        loss = f"{lost.value} {y.unit} ({lost.interval})"
+        text = f"{loss} lost at {place.value} {x.unit} ({place.interval})"
+        yield Issue(Kind.SLIP, group.name, tests, text, DECISIONS[slip.decision])
+    codes = {reason.code for result in sample.results for reason in result.reasons}
+    notes = [note for note in sample.quality if note.code not in codes]
+    yield from _list_note_issues(group.name, tests, notes)
 
 
-def _kind(result: Result) -> Kind | None:
-    if result.status is Status.FAILED:
-        return Kind.FAILED
-    if result.status is Status.DOUBTFUL:
-        return Kind.DOUBTFUL
-    return Kind.NO_INTERVAL if result.interval is None and result.reasons else None
-
-
-def _number_issues(group: Group, number: GroupNumber) -> Iterator[Issue]:
+def _list_number_issues(group: Group) -> Iterator[Issue]:
+    """Yield the samples that do not enter a mean, unless their number failed, and the outliers."""
     failed = {
-        sample.test
+        (sample.test, result.name)
         for sample in group.samples
         for result in sample.results
-        if result.name == number.name and result.status is Status.FAILED
+        if result.status is Status.FAILED
     }
-    name = write_label(number.name)
-    for test, why in number.left_out.items():
-        if test not in failed:  # a failed number has an issue of its own
-            reason, codes = join_sentences(why), join_codes(why)
-            yield Issue(Kind.LEFT_OUT, group.name, test, name, reason, codes, (number.name,))
-    unit = find_number_unit(group, number)
-    for outlier in number.outliers:
-        value = write_number(outlier.value, None, unit.factor).value
-        reason = f"{value} {typeset_unit(unit.unit)}".strip() + (
-            f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
-        )
-        numbers = (number.name,)
-        yield Issue(Kind.OUTLIER, group.name, outlier.sample, name, reason, numbers=numbers)
+    for number in group.numbers:
+        label, names = wording.write_label(number.name), (number.name,)
+        for test, why in number.left_out.items():
+            if (test, number.name) not in failed:
+                reason, codes = join_sentences(why), _join_codes(why)
+                yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
+        scale = wording.find_number_unit(group, number)
+        for outlier in number.outliers:
+            value = wording.write_number(outlier.value, None, scale.factor).value
+            reason = f"{value} {wording.typeset_unit(scale.unit)}".strip() + (
+                f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
+            )
+            tests = (outlier.sample,)
+            yield Issue(Kind.OUTLIER, group.name, tests, label, reason, numbers=names)
 
 
-_REPEATED_CODE = "doubtful_in_mean"
-"""Code of the note of a group that repeats the reasons of its doubtful numbers."""
+_REPEATED_CODES = {"doubtful_in_mean", *(f"slip_{decision}" for decision in SlipDecision)}
+"""Codes of notes that repeat the slips of a test, or the doubtful numbers of a group."""
 
 
-def _note_issues(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Issue]:
-    """Yield warnings of a group, and notes of a test that are not a reason of its numbers."""
+def _list_note_issues(
+    group: str, tests: tuple[str, ...], notes: Iterable[QualityNote]
+) -> Iterator[Issue]:
+    """Yield an issue for the notes with a common code and message.
+
+    Parameters
+    ----------
+    tests : the test of the notes; empty for notes of the group
+    notes : those without consequences are skipped; all differences between the protocols of a group
+        are one issue
+    """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
-        is_repeated = note.code in _SLIP_LEDGER_CODES or note.code == _REPEATED_CODE
-        if note.severity is not Severity.INFO and not is_repeated:
-            # all differences between the protocols of a group are one issue
+        if note.severity is not Severity.INFO and note.code not in _REPEATED_CODES:
             message = "" if note.code == PROTOCOLS_DIFFER else note.message
             notes_by_code.setdefault((note.code, message), []).append(note)
-    for (code, _), same_notes in notes_by_code.items():
-        is_note = test and same_notes[0].severity is not Severity.ERROR
-        what = "; ".join(replace_names(note.where) for note in same_notes)
-        issue_kind = Kind.NOTE if is_note else Kind.WARNING
+    for (code, _), members in notes_by_code.items():
+        is_note = tests and members[0].severity is not Severity.ERROR
+        kind = Kind.NOTE if is_note else Kind.WARNING
         yield Issue(
-            Kind.UNLIKE if code == PROTOCOLS_DIFFER else issue_kind,
+            Kind.UNLIKE if code == PROTOCOLS_DIFFER else kind,
             group,
-            test,
-            what,
-            " ".join(dict.fromkeys(write_sentence(note.message) for note in same_notes)),
+            tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
+            "; ".join(wording.replace_names(note.where) for note in members),
+            " ".join(dict.fromkeys(write_sentence(note.message) for note in members)),
             code,
-            tests=tuple(dict.fromkeys(test for note in same_notes for test in note.tests)),
         )
 
 
-_HEADINGS = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
-"""Headings of kinds whose names are not headings."""
-
-
-@dataclass(frozen=True, slots=True)
-class Effect:
+class Effect(NamedTuple):
     """Effect of a cause on the number that it changes most.
 
     Parameters
@@ -257,48 +229,50 @@ class Cause:
 
     Parameters
     ----------
-    kind : of the issues
-    code : of the first issue; may be empty
     issues : at least one
     effect : None if it is unknown
     """
 
-    kind: Kind
-    code: str
     issues: tuple[Issue, ...]
-    effect: Effect | None
+    effect: Effect | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """Return the kind of the issues."""
+        return self.issues[0].kind
+
+    @property
+    def code(self) -> str:
+        """Return the code of the first issue; may be empty."""
+        return self.issues[0].code
 
     @property
     def heading(self) -> str:
         """Return the kind in one or two words."""
-        return _HEADINGS.get(self.kind, self.kind.name.capitalize().replace("_", " "))
+        names = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
+        return names.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property
     def subject(self) -> str:
         """Return the affected test or group, or the number of tests or groups."""
         groups = list(dict.fromkeys(issue.group for issue in self.issues))
-        tests = dict.fromkeys(
-            (issue.group, test)
-            for issue in self.issues
-            for test in (issue.test, *issue.tests)
-            if test
-        )
+        tests = {(issue.group, test) for issue in self.issues for test in issue.tests}
         if len(tests) == 1:
             ((group, test),) = tests
             return f"{test} ({group})" if group else test
-        where = groups[0] if len(groups) == 1 else write_count(len(groups), "group")
+        where = groups[0] if len(groups) == 1 else wording.write_count(len(groups), "group")
         if not tests:
             return where
-        return f"{write_count(len(tests), 'test')} {'of' if len(groups) == 1 else 'in'} {where}"
+        count = wording.write_count(len(tests), "test")
+        return f"{count} {'of' if len(groups) == 1 else 'in'} {where}"
 
     @property
     def sentence(self) -> str:
         """Return the first reason, and how many more there are."""
         if self.kind is Kind.UNLIKE:
-            places = dict.fromkeys(
-                place for issue in self.issues for place in issue.what.split("; ")
-            )
-            return f"Processed differently from other tests of their group: {', '.join(places)}."
+            places = [place for issue in self.issues for place in issue.what.split("; ")]
+            text = ", ".join(dict.fromkeys(places))
+            return f"Processed differently from other tests of their group: {text}."
         reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
         more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
         return f"{reasons[0]}{more}"
@@ -316,14 +290,11 @@ def find_causes(campaign: Campaign) -> list[Cause]:
     Causes by decreasing effect, those of unknown effect last; causes of equal effect in the order
     of `Kind`. Notes without consequences are not included (`find_notes`).
     """
-    issues = [issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE]
     groups = {group.name: group for group in campaign.groups}
-    causes = [
-        Cause(related[0].kind, related[0].code, tuple(related), _effect(related, groups))
-        for related in _cluster_issues(issues)
-    ]
+    issues = (issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE)
+    causes = [replace(cause, effect=_find_effect(cause, groups)) for cause in _find_common(issues)]
     return sorted(
-        causes, key=lambda cause: -inf if cause.effect is None else cause.effect.size, reverse=True
+        causes, key=lambda cause: cause.effect.size if cause.effect else -inf, reverse=True
     )
 
 
@@ -334,110 +305,88 @@ def find_notes(campaign: Campaign) -> list[Cause]:
     ----------
     campaign : all of it
     """
-    notes = [issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE]
-    causes = [
-        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_issues(notes)
-    ]
-    return sorted(causes, key=lambda cause: len(cause.issues), reverse=True)
+    notes = (issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE)
+    return sorted(_find_common(notes), key=lambda cause: len(cause.issues), reverse=True)
 
 
-def _cluster_issues(issues: Iterable[Issue]) -> list[list[Issue]]:
-    """Cluster issues of one kind that share a code; slips share one cluster."""
+def _find_common(issues: Iterable[Issue]) -> list[Cause]:
+    """Find the common causes of issues: the same kind, and a common code; slips are one cause."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
     for issue in issues:
-        codes = (
-            {Kind.SLIP} if issue.kind is Kind.SLIP else set(filter(None, issue.code.split(", ")))
-        )
-        for issue_kind, cluster_codes, related in clusters:
-            if issue_kind is issue.kind and codes & cluster_codes:
+        codes = {code for code in issue.code.split(", ") if code}
+        codes |= {Kind.SLIP} if issue.kind is Kind.SLIP else set()
+        for kind, cluster_codes, members in clusters:
+            if kind is issue.kind and codes & cluster_codes:
                 cluster_codes.update(codes)
-                related.append(issue)
+                members.append(issue)
                 break
         else:
-            clusters.append((issue.kind, set(codes), [issue]))
-    return [related for _, _, related in clusters]
+            clusters.append((issue.kind, codes, [issue]))
+    return [Cause(tuple(members)) for _, _, members in clusters]
 
 
-def _effect(issues: Sequence[Issue], groups: dict[str, Group]) -> Effect | None:
-    if issues[0].kind is Kind.UNREADABLE:
+def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
+    """Find the largest effect of a cause on a number of a group."""
+    if cause.kind is Kind.UNREADABLE:
         return Effect(inf, format_sentence("report.effect_unreadable"))
-    if issues[0].kind is Kind.REJECTED:
+    if cause.kind is Kind.REJECTED:
         return Effect(0.0, format_sentence("report.effect_rejected"))
-    issues_by_group: dict[str, list[Issue]] = {}
-    for issue in issues:
-        issues_by_group.setdefault(issue.group, []).append(issue)
-    effects = [
-        effect
-        for name, group_issues in issues_by_group.items()
-        if name in groups
-        for effect in _group_effects(groups[name], group_issues)
-    ]
-    return max(effects, key=lambda effect: effect.size, default=None)
+    effects = []
+    for name in dict.fromkeys(issue.group for issue in cause.issues):
+        issues = [issue for issue in cause.issues if issue.group == name]
+        for number in groups[name].numbers:
+            tests = {
+                test
+                for issue in issues
+                if not issue.numbers or number.name in issue.numbers
+                for test in issue.tests
+            }
+            if not number.is_set_by_rig:
+                effects.append(_measure_effect(groups[name], number, tests))
+    return max(filter(None, effects), key=lambda effect: effect.size, default=None)
 
 
-def _group_effects(group: Group, issues: Sequence[Issue]) -> Iterator[Effect]:
-    """Yield the effect of the affected tests on each number of a group."""
-    for number in group.numbers:
-        tests = {
-            test
-            for issue in issues
-            if not issue.numbers or number.name in issue.numbers
-            for test in (issue.test, *issue.tests)
-            if test
-        }
-        if tests and not number.is_set_by_rig:
-            effect = _excluded_effect(group, number, tests) or _shift_effect(group, number, tests)
-            if effect is not None:
-                yield effect
-
-
-def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Return the effect of tests that do not enter the mean of a number."""
-    no_interval_effect = 10.0  # half widths, of a cause that leaves one value, without an interval
+def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
+    """Measure the effect of tests on the mean of a number: of their absence, or of their values."""
+    no_interval_size = 10.0  # half widths, of a mean that is a single value
+    label, mean = f"{wording.write_label(number.name)} of {group.name}", number.mean
     lost = len(tests & number.left_out.keys())
-    if not lost:
-        return None
-    name = f"{write_label(number.name)} of {group.name}"
-    if number.mean is None:
-        return Effect(inf, format_sentence("report.effect_no_value", number=name))
-    n = number.mean.chosen.n
-    if n == 1:
-        text = format_sentence("report.effect_one_value", number=name)
-        return Effect(no_interval_effect, text)
-    wider = _relative_width(n) / _relative_width(n + lost)
-    text = format_sentence(
-        "report.effect_fewer_values", n=n, n_all=n + lost, number=name, wider=wider
-    )
-    return Effect(wider - 1.0, text)
+    if lost and mean is None:
+        return Effect(inf, format_sentence("report.effect_no_value", number=label))
+    if lost and mean is not None:
+        n = mean.chosen.n
+        if n == 1:
+            text = format_sentence("report.effect_one_value", number=label)
+            return Effect(no_interval_size, text)
+        width, width_of_all = (
+            compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + lost)
+        )
+        wider = width / width_of_all
+        text = format_sentence(
+            "report.effect_fewer_values", n=n, n_all=n + lost, number=label, wider=wider
+        )
+        return Effect(wider - 1.0, text)
+    affected = tests & number.values.keys()
+    return _measure_shift(group, number, affected, label) if affected and mean else None
 
 
-def _relative_width(n: int) -> float:
-    return compute_t_quantile(n - 1) / sqrt(n)
-
-
-def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Return the effect of tests on a mean that includes them: its shift without them."""
-    all_values_effect = 5.0  # half widths, of a cause that affects all values of a number
-    touched = tests & number.values.keys()
-    mean = number.mean
-    if not touched or mean is None:
-        return None
-    name = f"{write_label(number.name)} of {group.name}"
+def _measure_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
+    """Measure the shift of the mean of a number without the values of some tests."""
+    all_values_size = 5.0  # half widths, of a cause that affects all values
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
+    is_pooled = number.mean is not None and number.mean.is_pooled
     remaining: dict[str, list[float]] = {}
     for test, result in number.values.items():
-        if test not in touched and result.value is not None:
-            spool = "" if mean.is_pooled else spools.get(test, "")
-            remaining.setdefault(spool, []).append(result.value)
-    if not remaining:
-        text = format_sentence("report.effect_all_values", number=name)
-        return Effect(all_values_effect, text)
-    before, half = mean.chosen.mean, mean.chosen.half_width
-    moved = float(np.mean([np.mean(values) for values in remaining.values()])) - before
-    without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
-    share = f"{100.0 * abs(moved / before):.2g} % " if before else ""
-    direction = "higher" if moved > 0.0 else "lower"
-    size = abs(moved) / half if half > 0.0 else 0.0
+        if test not in tests and result.value is not None:
+            remaining.setdefault("" if is_pooled else spools.get(test, ""), []).append(result.value)
+    if not remaining or number.mean is None:
+        return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
+    value, half = number.mean.chosen.mean, number.mean.chosen.half_width
+    shift = float(np.mean([np.mean(values) for values in remaining.values()])) - value
+    size = abs(shift) / half if half > 0.0 else 0.0
+    share = f"{100.0 * abs(shift / value):.2g} % " if value else ""
+    text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {share}"
+    text += "higher" if shift > 0.0 else "lower"
     if isnan(half) or isnan(size):
-        return Effect(0.0, f"{without} {share}{direction}")
-    return Effect(size, f"{without} {share}{direction}, {size:.2g} times half its interval")
+        return Effect(0.0, text)
+    return Effect(size, f"{text}, {size:.2g} times half its interval")

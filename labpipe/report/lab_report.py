@@ -14,15 +14,13 @@ from typing import Any, NamedTuple
 from markupsafe import Markup
 
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
-from labpipe.records.quality import Severity
 from labpipe.records.result import Result
 from labpipe.report import comparisons, page_facts, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import save_pages, writing
-from labpipe.report.group_figures import list_family_figures, list_group_figures, make_family_plots
-from labpipe.report.group_plots import find_first_loading, make_group_plots
+from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
 from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
-from labpipe.report.issues import Cause, Kind, find_causes, join_sentences
+from labpipe.report.issues import Cause, Kind, find_causes
 from labpipe.report.page_facts import PageTest, PageTests, compute_report_id, list_samples
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
@@ -107,7 +105,7 @@ def _list_figures(campaign: Campaign) -> Iterator[Any]:
     for group, stem in zip(campaign.groups, stems, strict=True):
         for figure in list_group_figures(group):
             yield replace(figure, name=f"{stem}-{figure.name}")
-    yield from list_family_figures(campaign)
+    yield from comparisons.list_family_figures(campaign)
 
 
 def render_page(
@@ -127,12 +125,21 @@ def render_page(
     its script. All texts of the campaign are escaped.
     """
     stems = page_facts.make_stems(group.name for group in campaign.groups)
-    tests, report, script = (
-        PageTests(campaign, stems),
+    groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
+    report, script, samples = (
         compute_report_id(campaign),
         read_page_script(),
+        list_samples(campaign),
     )
-    groups = dict(zip(stems, campaign.groups, strict=True))
+    protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
+    days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
+    made = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    facts = [
+        *letterhead.facts,
+        ("Tested", f"{days} by {operators}"),
+        ("Report", ", ".join(filter(None, made))),
+        ("Protocols", protocols),
+    ]
     return fill_template(
         "lab_report.html",
         campaign=campaign,
@@ -140,65 +147,42 @@ def render_page(
         script=script,
         script_hash=compute_hash(script),
         page_data=write_page_data(campaign, report=report),
+        **make_style(f"{campaign.title}  \u00b7  report {report}", read_part("page_answers.css")),
         pages=has_test_pages,
         logo=letterhead.logo,
-        protocols=_write_protocols(campaign),
-        **make_style(f"{campaign.title}  \u00b7  report {report}", read_part("page_answers.css")),
-        **_make_first_screen(campaign, stems, tests, letterhead),
-        groups=[_make_group(group, stem, tests) for stem, group in groups.items()],
-        has_bundles=any(sample.specimen.bundle is not None for sample in list_samples(campaign)),
-        bounds_table=page_tables.make_bounds_table(campaign),
+        facts=facts,
+        protocols=protocols,
+        samples=samples,
+        groups=groups,
+        tests=tests,
+        tables=page_tables,
+        test_facts=page_facts,
+        make_group_plots=make_group_plots,
+        has_bundles=any(sample.specimen.bundle is not None for sample in samples),
         questions=list(_list_questions(campaign, {g.name: stem for stem, g in groups.items()})),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),
-        notes=page_tables.make_note_table(campaign),
-        rows=page_tables.make_test_rows(campaign, tests, {s: g.name for s, g in groups.items()}),
-        methods=page_tables.make_method_tables(campaign),
-        exports=page_tables.make_source_table(tests),
+        **_make_first_screen(campaign, groups, tests),
     )
 
 
 def _make_first_screen(
-    campaign: Campaign, stems: Sequence[str], tests: PageTests, letterhead: Letterhead
+    campaign: Campaign, groups: Mapping[str, Group], tests: PageTests
 ) -> dict[str, Any]:
     """Return the contents of the first screen: answers, then numbers, then open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes, answers = find_causes(campaign), _list_answers(campaign)
     open_ones = find_open_decisions(causes, tests)
-    folds = {
-        "answers": min(len(answers), max_answers),
-        "decisions": min(len(open_ones), max_decisions),
-    }
-    room = screen_lines - folds["answers"] - lines_per_decision * folds["decisions"]
-    samples = list_samples(campaign)
-    roles, no_certificate = (
-        page_facts.name_roles(samples),
-        "no calibration certificate stated in the protocols",
-    )
-    version = f"labpipe {campaign.labpipe_version}".strip()
-    made = [compute_report_id(campaign), str(campaign.made_on or ""), version]
-    days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
+    n_answers, n_decisions = min(len(answers), max_answers), min(len(open_ones), max_decisions)
+    room = max(screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
         "counts": describe_campaign(campaign, open_ones),
-        "facts": [
-            *letterhead.facts,
-            ("Tested", f"{days} by {operators}"),
-            ("Report", ", ".join(filter(None, made))),
-            ("Protocols", _write_protocols(campaign)),
-        ],
-        "instruments": page_facts.list_instruments(samples),
-        "no_instruments": "; ".join(filter(None, [roles, no_certificate])),
-        "lots": page_tables.make_lot_table(campaign, stems),
         "answers": answers,
-        "blocks": _limit_rows(_list_key_blocks(campaign, stems), max(room, min_groups)),
+        "blocks": _limit_rows(_list_key_blocks(groups), room),
         "open_ones": open_ones,
-        "folds": folds,
-        "causes": [(cause, page_tables.make_cause_table(cause)) for cause in causes],
+        "folds": {"answers": n_answers, "decisions": n_decisions},
+        "causes": causes,
     }
-
-
-def _write_protocols(campaign: Campaign) -> str:
-    return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
 def _list_answers(campaign: Campaign) -> list[dict[str, Any]]:
@@ -253,12 +237,11 @@ class KeyBlock(NamedTuple):
     rows: Sequence[dict[str, Any]]
 
 
-def _list_key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
+def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
     """List a block for groups with the same numbers, and a last one for groups that share none."""
-    groups = list(zip(campaign.groups, stems, strict=True))
     by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
-    for protocol in dict.fromkeys(group.protocol for group in campaign.groups):
-        members = [(group, stem) for group, stem in groups if group.protocol == protocol]
+    for protocol in dict.fromkeys(group.protocol for group in groups.values()):
+        members = [(group, stem) for stem, group in groups.items() if group.protocol == protocol]
         by_heads.setdefault(_find_key_heads(members), []).extend(members)
     blocks, single = list[KeyBlock](), list[dict[str, Any]]()
     for heads, members in by_heads.items():
@@ -382,7 +365,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     """
     decisions = []
     for cause in causes:
-        affected = (tests.by_name.get(issue.test) for issue in cause.issues)
+        affected = (tests.by_name.get(test) for issue in cause.issues for test in issue.tests)
         open_tests = (test for test in affected if test is not None and not test.sample.decision)
         undecided = tuple(dict.fromkeys(open_tests))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
@@ -402,37 +385,6 @@ def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> 
     return " \u00b7 ".join(parts)
 
 
-def _make_group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
-    """Return the contents of the section of a group."""
-    samples, about = group.samples, ""
-    if samples:
-        days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
-        counts = wording.describe_counts(group)
-        about = f"{counts}, protocol {group.protocol}, tested {days} by {operators}."
-    budget, causes = page_tables.make_budget_bars(group)
-    return {
-        "name": group.name,
-        "stem": stem,
-        "about": about,
-        "is_empty": not samples,
-        "why_empty": join_sentences([group.band.reason]) or "The group has no samples.",
-        "rejected": tests.rejected(stem),
-        "plots": make_group_plots(group, stem, tests),
-        "numbers": page_tables.make_number_table(group),
-        "verdicts": page_tables.make_verdict_table(group),
-        "budget": budget,
-        "causes": causes,
-        "samples": page_tables.make_sample_tables(group, tests),
-        "slips": page_tables.make_slip_table(group),
-        "spools": page_tables.make_spool_table(group),
-        "remarks": [
-            wording.replace_names(f"{note.where}: {note.message}")
-            for note in group.notes
-            if note.severity is Severity.INFO
-        ],
-    }
-
-
 def _list_questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field."""
     families = comparisons.find_families(campaign)
@@ -447,7 +399,7 @@ def _list_questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[di
             "comparisons": [
                 (
                     comparisons.describe_context(family.groups, field),
-                    make_family_plots(family, stems),
+                    comparisons.make_family_plots(family, stems),
                 )
                 for family in families
                 if family.field == field

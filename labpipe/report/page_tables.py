@@ -8,39 +8,41 @@ from math import isfinite, isnan, nan
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
-
 from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
-from labpipe.records.quality import Reason
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report import wording
-from labpipe.report.budget_figures import (
-    find_cause_colour,
-    list_drawn_causes,
-    make_group_bars,
-    sort_shares,
-)
+from labpipe.report import quality_figures, wording
 from labpipe.report.figure_page import split_pages
-from labpipe.report.issues import Cause, describe_decision, find_notes, join_sentences
-from labpipe.report.page_facts import PageTest, PageTests, make_key
+from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
+from labpipe.report.page_facts import (
+    PageTest,
+    PageTests,
+    describe_days,
+    describe_operators,
+    make_key,
+)
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.report.wording import (
-    Scale,
-    find_display,
-    find_display_unit,
-    find_number_unit,
-    write_heading,
-    write_label,
-    write_number,
-    write_with_interval,
-)
 from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
 """Samples with a column in the table of numbers; a larger group has tables of samples, too."""
+
+
+def describe_group(group: Group) -> str:
+    """Describe a group with samples: their number, protocol, days and operators."""
+    days, operators = describe_days(group.samples), describe_operators(group.samples)
+    counts = wording.describe_counts(group)
+    text = f"{counts}, protocol {group.protocol}, tested {days} by {operators}."
+    return text if group.samples else ""
+
+
+def list_remarks(group: Group) -> list[str]:
+    """List the notes of a group that have no consequences."""
+    notes = [note for note in group.notes if note.severity is Severity.INFO]
+    return [wording.replace_names(f"{note.where}: {note.message}") for note in notes]
 
 
 def make_number_table(group: Group) -> Table:
@@ -54,9 +56,9 @@ def make_number_table(group: Group) -> Table:
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
-        scale = find_number_unit(group, number)
+        scale = wording.find_number_unit(group, number)
         rows.append([
-            Cell(write_heading(number.name, scale.unit), tip=number.name),
+            Cell(wording.write_heading(number.name, scale.unit), tip=number.name),
             Cell("", drawing=_draw_strip(number) if row < n_drawn and number.mean else None),
             *_mean_cells(group, number, scale.factor),
             *(_sample_cell(number, sample, scale.factor) for sample in columns),
@@ -78,7 +80,7 @@ def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell,
     return (
         Cell(wording.write_mean(mean.chosen, factor)),
         Cell(count, tip=str(mean.decision) if len(mean.spool_means) > 1 else ""),
-        Cell(write_number(mean.chosen.deviation, None, factor, digits=2).value),
+        Cell(wording.write_number(mean.chosen.deviation, None, factor, digits=2).value),
     )
 
 
@@ -120,7 +122,9 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     means = [(number, number.mean) for number in group.numbers if number.mean is not None]
     if any(not mean.is_pooled for _, mean in means):
         yield format_sentence("report.n_in_spools")
-    names = [write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
+    names = [
+        wording.write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
+    ]
     if names:
         yield format_sentence("report.set_by_rig", numbers="; ".join(names))
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
@@ -128,7 +132,7 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     reasons: dict[Reason, list[str]] = {}
     for number, mean in means:
         if mean.chosen.reason:
-            reasons.setdefault(mean.chosen.reason, []).append(write_label(number.name))
+            reasons.setdefault(mean.chosen.reason, []).append(wording.write_label(number.name))
     for why, names in reasons.items():
         numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield format_sentence("report.no_mean_interval", why=join_sentences([why]), numbers=numbers)
@@ -152,7 +156,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
         for outlier in number.outliers:
-            outliers.setdefault(outlier.sample, []).append(write_label(number.name).lower())
+            outliers.setdefault(outlier.sample, []).append(wording.write_label(number.name).lower())
     for test, numbers in outliers.items():
         yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(numbers))
 
@@ -181,8 +185,8 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
                 link = f"#t{tests.number[make_key(sample)]}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                unit = find_number_unit(group, number)
-                head = write_heading(number.name, unit.unit)
+                unit = wording.find_number_unit(group, number)
+                head = wording.write_heading(number.name, unit.unit)
                 row[head] = _sample_cell(number, sample, unit.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
@@ -190,7 +194,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     return tables
 
 
-def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
     """Make the bars of budgets: of the first means, or else of the medians over the tests.
 
     Parameters
@@ -199,31 +203,19 @@ def make_budget_bars(group: Group) -> tuple[list[dict[str, Any]], list[dict[str,
 
     Returns
     -------
-    Up to five bars with ``name``, ``text`` and ``parts``; and the parts of the key, each cause
-    once.
+    Up to five bars, and ``colour`` and ``is_common`` of each of their causes.
     """
     n_bars = 5
-    means = [bar for bar in make_group_bars(group, of_means=True) if bar.shares]
-    tests = [bar._replace(text="one test") for bar in make_group_bars(group, of_means=False)]
-    chosen = (means or tests)[:n_bars]
-    bar_shares = sort_shares([bar.shares for bar in chosen])
-    looks: dict[str, dict[str, Any]] = {
-        cause: {
-            "cause": cause,
-            "colour": find_cause_colour(cause),
-            "is_common": IS_COMMON.get(cause, False),
-        }
-        for cause in list_drawn_causes(bar_shares)
+    means, tests = (
+        quality_figures.make_group_bars(group, of_means=of_means) for of_means in (True, False)
+    )
+    bars = [bar for bar in means if bar.shares] or [bar._replace(text="one test") for bar in tests]
+    shares = quality_figures.sort_shares([bar.shares for bar in bars[:n_bars]])
+    looks = {
+        name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
+        for name in quality_figures.list_drawn_causes(shares)
     }
-    bars = []
-    for bar, shares in zip(chosen, bar_shares, strict=True):
-        starts = np.cumsum([0.0, *shares.values()]).tolist()
-        parts = [
-            looks[cause] | {"share": share, "start": start}
-            for (cause, share), start in zip(shares.items(), starts, strict=False)
-        ]
-        bars.append({"name": bar.name, "text": bar.text, "parts": parts})
-    return bars, list(looks.values())
+    return [bar._replace(shares=own) for bar, own in zip(bars, shares, strict=False)], looks
 
 
 def make_spool_table(group: Group) -> Table | None:
@@ -233,8 +225,8 @@ def make_spool_table(group: Group) -> Table | None:
     for number in group.numbers:
         if number.mean is None:
             continue
-        unit, decision = find_number_unit(group, number), number.mean.decision
-        row: Record = {"Number": write_heading(number.name, unit.unit)}
+        unit, decision = wording.find_number_unit(group, number), number.mean.decision
+        row: Record = {"Number": wording.write_heading(number.name, unit.unit)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
@@ -252,15 +244,17 @@ def make_spool_table(group: Group) -> Table | None:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    x, y = wording.find_units(find_display(group), "displacement", "force")
+    x, y = wording.find_units(wording.find_display(group), "displacement", "force")
     rows: list[Record] = [
         {
             "Sample": sample.test,
-            x.label("Displacement"): write_with_interval(
+            x.label("Displacement"): wording.write_with_interval(
                 slip.position, slip.position_interval, x.factor
             ),
-            y.label("Force lost"): write_with_interval(slip.drop, slip.drop_interval, y.factor),
-            "Treatment": describe_decision(slip.decision),
+            y.label("Force lost"): wording.write_with_interval(
+                slip.drop, slip.drop_interval, y.factor
+            ),
+            "Treatment": DECISIONS[slip.decision],
         }
         for sample in group.samples
         for slip in sample.slips
@@ -268,12 +262,12 @@ def make_slip_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
-def find_lot_scale(group: Group, lot: Lot) -> Scale:
+def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
     """Return the scale of a share of the limit: a force, or the share itself without one limit."""
     if lot.limit is None:
-        return Scale(1.0, "")
-    factor, unit = find_display_unit("", "N", find_display(group))
-    return Scale(factor * lot.limit, wording.typeset_unit(unit))
+        return wording.Scale(1.0, "")
+    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
+    return wording.Scale(factor * lot.limit, wording.typeset_unit(unit))
 
 
 def describe_observations(samples: Sequence[Sample]) -> str:
@@ -293,21 +287,20 @@ def describe_observations(samples: Sequence[Sample]) -> str:
 _NOT_STATED = "not stated"
 
 
-def make_lot_table(campaign: Campaign, stems: Sequence[str]) -> Table | None:
+def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
     """Make the table of lots with their answers; None if no protocol asks for a limit.
 
     Parameters
     ----------
-    campaign : with its groups
-    stems : of the groups, for links
+    groups : by the stems of their links
     """
     rows, rules = list[Record](), set[str]()
-    for group, stem in zip(campaign.groups, stems, strict=True):
+    for stem, group in groups.items():
         if (lot := group.lot) is None:
             continue
         scale = find_lot_scale(group, lot)
         limit, bound, smallest = (
-            f"{write_number(share, None, scale.factor).value} {scale.unit}".strip()
+            f"{wording.write_number(share, None, scale.factor).value} {scale.unit}".strip()
             if isfinite(share)
             else DASH
             for share in (1.0, lot.bound, lot.smallest)
@@ -339,7 +332,7 @@ def make_verdict_table(group: Group) -> Table | None:
     """
     if group.lot is None:
         return None
-    factor, unit = find_display_unit("", "N", find_display(group))
+    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
     names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
     rows = []
     for sample in group.samples:
@@ -351,7 +344,7 @@ def make_verdict_table(group: Group) -> Table | None:
         }
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
-            row[write_heading(name, unit)] = make_result_cell(result, factor)
+            row[wording.write_heading(name, unit)] = make_result_cell(result, factor)
         for name in names:
             answer = sample.specimen.observed.get(name, _NOT_STATED)
             row[name.replace("_", " ").capitalize()] = answer
@@ -359,7 +352,7 @@ def make_verdict_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
+def choose_stiffness_units(campaign: Campaign) -> dict[str, wording.Scale]:
     """Choose the display unit of bending stiffness for each group.
 
     Parameters
@@ -371,7 +364,7 @@ def choose_stiffness_units(campaign: Campaign) -> dict[str, Scale]:
     Scale by group: the unit of its protocol, or SI for all groups if their units differ.
     """
     scales = {
-        group.name: wording.find_unit(find_display(group), "bending_stiffness")
+        group.name: wording.find_unit(wording.find_display(group), "bending_stiffness")
         for group in campaign.groups
     }
     has_common_unit = len({scale.unit for scale in scales.values()}) == 1
@@ -396,19 +389,19 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     for stiffness in campaign.bounded_stiffnesses:
         scale = scales[stiffness.group]
         all_slip, wires_slip, nothing_slips, smallest, largest = (
-            write_number(bound, None, scale.factor, digits=3).value
+            wording.write_number(bound, None, scale.factor, digits=3).value
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
         )
         value = nan if stiffness.value is None else stiffness.value
-        share = write_number(100.0 * stiffness.share, None, digits=2).value
+        share = wording.write_number(100.0 * stiffness.share, None, digits=2).value
         if stiffness.share_interval is not None:
-            share = write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
+            share = wording.write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
         share += "" if isnan(stiffness.share) else " %"
         directions = "" if smallest == largest else f"{smallest} to {largest}"
         test = Cell(stiffness.test, stiffness.group)
         rows.append({
             "Test": test if stiffness.test else f"mean of {stiffness.group}",
-            scale.label("Bending stiffness"): write_with_interval(
+            scale.label("Bending stiffness"): wording.write_with_interval(
                 value, stiffness.interval, scale.factor
             ),
             scale.label("All slips"): all_slip,
@@ -424,7 +417,7 @@ def make_cause_table(cause: Cause) -> Table:
     """Make the table of a cause: a row per issue."""
     rows: list[Record] = [
         {
-            "Test": Cell(issue.test or ", ".join(issue.tests) or "the whole group", issue.group),
+            "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
             "What": issue.what or DASH,
             "Why": Cell(issue.reason, tip=issue.code),
         }
@@ -459,21 +452,20 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
         rows = []
         for name, texts in numbers.items():
             method = wording.replace_names("; ".join(filter(None, texts)))
-            row: Record = {"Number": Cell(write_label(name), tip=name)}
+            row: Record = {"Number": Cell(wording.write_label(name), tip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
         tables.append(tabulate(title, rows, ("Number", "Method")))
     return tables
 
 
-def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[Any]:
+def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[str, Any]]:
     """Make the rows of the table of tests.
 
     Parameters
     ----------
-    campaign : with its groups
+    groups : by the stems of their links
     tests : of the page
-    stems : names of groups by their stems
 
     Returns
     -------
@@ -481,17 +473,14 @@ def make_test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str
     (``decided``: ``accept``, ``reject`` or empty; its ``words``), the file ``page`` and its
     ``address``, and ``why`` the test is doubtful, failed or rejected.
     """
-    mains = {
-        stem: next((number.name for number in group.numbers if wording.is_main(number.name)), "")
-        for stem, group in zip(stems, campaign.groups, strict=False)
-    }
     rows = []
     for test in tests.every:
         page = name_page_file(test.sample.label or test.sample.test)
+        group = groups.get(test.stem)
         rows.append({
             "test": test,
-            "group": stems.get(test.stem, ""),
-            "first": _first_number_cell(test.sample, mains.get(test.stem, "")),
+            "group": group.name if group else "",
+            "first": _first_number_cell(test.sample, group.numbers if group else ()),
             "decided": "reject" if test.why else "accept" if test.sample.decision else "",
             "words": test.why or test.sample.decision,
             "page": page,
@@ -516,14 +505,15 @@ def name_page_file(label: str) -> str:
     return f"tests/{label.replace('/', '__')}.html"
 
 
-def _first_number_cell(sample: Sample, main: str) -> Cell:
+def _first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
     """Make the cell of the first main number of a test, with the name and the unit below it."""
+    main = next((number.name for number in numbers if wording.is_main(number.name)), "")
     result = find_result(sample.results, main)
     if result is None:
         return Cell(DASH)
-    unit = find_display_unit(main, result.unit, sample.display)
+    unit = wording.find_display_unit(main, result.unit, sample.display)
     cell = make_result_cell(result, unit.factor)
-    return cell._replace(small=write_heading(main, unit.unit), sort=result.value)
+    return cell._replace(small=wording.write_heading(main, unit.unit), sort=result.value)
 
 
 def describe_problems(test: PageTest) -> str:

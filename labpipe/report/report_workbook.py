@@ -18,7 +18,7 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Status
-from labpipe.report import comparisons, page_facts
+from labpipe.report import comparisons, page_facts, wording
 from labpipe.report.issues import find_causes, find_notes, join_sentences
 from labpipe.report.page_tables import (
     choose_stiffness_units,
@@ -26,7 +26,6 @@ from labpipe.report.page_tables import (
     find_lot_scale,
 )
 from labpipe.report.table_records import (
-    Chart,
     Record,
     Table,
     make_interval_cells,
@@ -34,20 +33,8 @@ from labpipe.report.table_records import (
     make_percent_cell,
     make_records,
     save_tables,
-    stack_blocks,
     tabulate,
-)
-from labpipe.report.wording import (
-    Scale,
-    find_display,
-    find_display_unit,
-    find_number_unit,
-    find_units,
-    is_main,
-    list_key_numbers,
-    typeset_unit,
-    write_count,
-    write_label,
+    tabulate_curves,
 )
 from labpipe.statistics.means import sort_causes, summarise_budget
 
@@ -77,8 +64,10 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators and instruments."""
     samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
-    text = f"{write_count(len(samples), 'test')} in {write_count(len(campaign.groups), 'group')}"
-    yield f"{text}, {write_count(rejected, 'test')} rejected." if rejected else f"{text}."
+    counts = {"test": len(samples), "group": len(campaign.groups)}
+    tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
+    left_out = wording.write_count(rejected, "test")
+    yield f"{tests} in {groups}{f', {left_out} rejected' if rejected else ''}."
     if samples:
         days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
         yield f"Tested {days}; {operators}."
@@ -93,7 +82,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     """Yield the sheets in order; None for one without rows that is then left out."""
     pairs = comparisons.list_single_field_pairs(campaign)
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
-    displays = {group.name: find_display(group) for group in campaign.groups}
+    displays = {group.name: wording.find_display(group) for group in campaign.groups}
     single_field = [difference for difference in campaign.differences if difference.family]
     differences = [*single_field, *comparisons.list_multi_field_differences(campaign)]
     has_scaled = any(group.band_scaled is not None for group in campaign.groups)
@@ -140,7 +129,7 @@ def _record_lot(group: Group, lot: Lot) -> Record:
 def _record_answer(pair: comparisons.Pair) -> Record:
     """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
-    record = _record_difference(difference, find_display(pair.first))
+    record = _record_difference(difference, wording.find_display(pair.first))
     n_first, n_second = comparisons.count_values(pair)
     return {
         "comparison": comparisons.name_comparison(pair),
@@ -167,15 +156,15 @@ def _record_key_numbers(group: Group) -> Record:
     record: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
-    for number in list_key_numbers(group)[:n_numbers]:
-        scale = find_number_unit(group, number)
+    for number in wording.list_key_numbers(group)[:n_numbers]:
+        scale = wording.find_number_unit(group, number)
         cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
         for part, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
-            record[write_column_heading(write_label(number.name), scale.unit, part)] = cell
+            record[write_column_heading(wording.write_label(number.name), scale.unit, part)] = cell
     return record
 
 
-def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
+def _mean_cells(mean: MeanInterval | None, scale: wording.Scale) -> Record:
     """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
     value, interval = (None, None) if mean is None else (mean.mean, mean.interval)
     return make_interval_cells(value, interval, scale.factor, name="mean")
@@ -183,7 +172,7 @@ def _mean_cells(mean: MeanInterval | None, scale: Scale) -> Record:
 
 def write_column_heading(name: str, unit: str, part: str = "") -> str:
     """Write the heading of a column: name, part and typeset unit."""
-    text = typeset_unit(unit)
+    text = wording.typeset_unit(unit)
     return f"{name}{part} ({text})" if text else f"{name}{part}"
 
 
@@ -191,10 +180,10 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
     """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
-            scale, mean = find_number_unit(group, number), number.mean
+            scale, mean = wording.find_number_unit(group, number), number.mean
             head: Record = {
-                "group": group.name, "number": write_label(number.name), "over": "all",
-                "unit": typeset_unit(scale.unit),
+                "group": group.name, "number": wording.write_label(number.name), "over": "all",
+                "unit": wording.typeset_unit(scale.unit),
             }  # fmt: skip
             if mean is None:
                 reason = "; ".join(map(join_reasons, number.left_out.values()))
@@ -221,7 +210,7 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _record_mean(
-    head: Record, number: GroupNumber, mean: MeanInterval, scale: Scale, more: Record
+    head: Record, number: GroupNumber, mean: MeanInterval, scale: wording.Scale, more: Record
 ) -> Record:
     return {
         **head,
@@ -250,7 +239,7 @@ def _tabulate_tests(campaign: Campaign) -> Table:
 
 def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
-    main = [result for result in sample.results if is_main(result.name)]
+    main = [result for result in sample.results if wording.is_main(result.name)]
     answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
     verdict = lot and lot.verdicts.get(sample.test)
     verdicts: Record = (verdict and {
@@ -260,8 +249,8 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
     for result in main:
-        scale = find_display_unit(result.name, result.unit, sample.display)
-        head = write_column_heading(write_label(result.name), scale.unit)
+        scale = wording.find_display_unit(result.name, result.unit, sample.display)
+        head = write_column_heading(wording.write_label(result.name), scale.unit)
         numbers[head] = make_number_cell(result.value, result.interval, scale.factor)
     return {
         "test": sample.test,
@@ -288,12 +277,12 @@ def _list_results(campaign: Campaign) -> Iterator[Record]:
     for group in campaign.groups:
         for sample in group.samples:
             for result in sample.results:
-                scale = find_display_unit(result.name, result.unit, sample.display)
+                scale = wording.find_display_unit(result.name, result.unit, sample.display)
                 yield {
                     "group": group.name,
                     "test": sample.test,
-                    "number": write_label(result.name),
-                    "unit": typeset_unit(scale.unit),
+                    "number": wording.write_label(result.name),
+                    "unit": wording.typeset_unit(scale.unit),
                     **make_interval_cells(result.value, result.interval, scale.factor),
                     "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
                     "status": str(result.status),
@@ -312,29 +301,24 @@ _BAND_COLUMNS = {
 
 def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
     """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
-    display = next((find_display(group) for group in campaign.groups if group.samples), {})
-    x, y = find_units(display, "displacement", "force")
-    y, title = (Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
-    blocks, by_protocol = dict[str, list[Record]](), dict[str, list[str]]()
+    display = next((wording.find_display(group) for group in campaign.groups if group.samples), {})
+    x, y = wording.find_units(display, "displacement", "force")
+    y, title = (
+        (wording.Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
+    )
+    charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
-            blocks[group.name] = _list_band_records(group.name, band, x, y)
-        if band is not None and len(band.displacement):
-            by_protocol.setdefault(group.protocol, []).append(group.name)
-    rows, ends = stack_blocks(blocks)
-    x_head, y_head = x.label("displacement"), write_column_heading("mean", y.unit)
-    charts = [
-        Chart(f"{title} on first loading ({protocol})", x_head, y_head, {n: ends[n] for n in names})
-        for protocol, names in by_protocol.items()
-    ]
+            name = f"{title} on first loading ({group.protocol})"
+            charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)
     columns = [write_column_heading(part, y.unit) for part in _BAND_COLUMNS]
-    heads = ["group", x_head, *columns, "n", "mean over", "reason"]
+    heads = ["group", x.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
-    return tabulate(name, rows, heads, charts=charts)
+    return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
 
 
-def _list_band_records(group: str, band: Band, x: Scale, y: Scale) -> list[Record]:
+def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:
     """List a record per point of a mean curve, at least one; the first holds the reason."""
     columns = {x.label("displacement"): x.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
@@ -347,14 +331,14 @@ def _list_band_records(group: str, band: Band, x: Scale, y: Scale) -> list[Recor
 def _record_difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
     shift, ends = difference.difference, difference.interval
-    scale = find_display_unit(difference.name, difference.unit, display)
+    scale = wording.find_display_unit(difference.name, difference.unit, display)
     in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
     corrected = make_interval_cells(shift.mean, in_unit, scale.factor)
     return {
         "first": difference.first,
         "second": difference.second,
-        "number": write_label(difference.name),
-        "unit": typeset_unit(scale.unit),
+        "number": wording.write_label(difference.name),
+        "unit": wording.typeset_unit(scale.unit),
         **make_interval_cells(shift.mean, shift.interval, scale.factor, name="second minus first"),
         "share (%)": make_percent_cell(difference.share),
         "corrected lower (%)": make_percent_cell(of_share, "lower"),
@@ -381,7 +365,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
-            budget, scale = summarise_budget(number), find_number_unit(group, number)
+            budget, scale = summarise_budget(number), wording.find_number_unit(group, number)
             interval = None if number.mean is None else number.mean.chosen.interval
             kinds = (
                 ("mean of the group", interval, number.mean and budget.of_mean),
@@ -391,9 +375,9 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
                 half = None if ends is None else 0.5 * (ends.upper - ends.lower)
                 head: Record = {
                     "group": group.name,
-                    "number": write_label(number.name),
+                    "number": wording.write_label(number.name),
                     "of": name,
-                    "unit": typeset_unit(scale.unit),
+                    "unit": wording.typeset_unit(scale.unit),
                     "half of the 95 % interval": make_number_cell(half, None, scale.factor),
                 }
                 if shares:
@@ -439,7 +423,7 @@ def _list_issues(campaign: Campaign) -> Iterator[Record]:
                 "rank": rank,
                 "kind": str(issue.kind),
                 "group": issue.group,
-                "test": issue.test or ", ".join(issue.tests),
+                "test": ", ".join(issue.tests),
                 "what": issue.what,
                 "reason": issue.reason,
                 "largest effect of the cause": "" if cause.effect is None else cause.effect.text,

@@ -135,27 +135,37 @@ def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Rec
     return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
 
 
-def stack_blocks(
-    blocks: Mapping[str, list[Record]],
-) -> tuple[list[Record], dict[str, tuple[int, int]]]:
-    """Join blocks of records to the rows of one table.
+def tabulate_curves(
+    title: str,
+    charts: Iterable[tuple[str, Mapping[str, list[Record]]]],
+    x: str,
+    *y: str,
+    heads: Iterable[str] = (),
+    start: int = 0,
+    is_log: bool = False,
+) -> Table:
+    """Make a table of the points of curves, with charts of them.
 
     Parameters
     ----------
-    blocks : records by the name of their block
-
-    Returns
-    -------
-    All records, and the first and the last row of each block by its name, from 0; an empty block
-    has no rows.
+    title, heads : of the table
+    charts : title, and the records of each line by its name; a line of one point is not drawn
+    x, y : headings of the columns that a chart draws; several for y give charts with their titles
+    start : first point of each line in the charts
+    is_log : make both axes logarithmic
     """
-    rows: list[Record] = []
-    ends = {}
-    for name, block in blocks.items():
-        if block:
-            ends[name] = len(rows), len(rows) + len(block) - 1
-        rows += block
-    return rows, ends
+    records, made = list[Record](), list[Chart]()
+    for name, blocks in charts:
+        lines: dict[str, tuple[int, int]] = {}
+        for line, block in blocks.items():
+            ends = len(records) + start, len(records) + len(block) - 1
+            records += block
+            if ends[0] < ends[1]:
+                lines[line] = ends
+        for head in y if lines else ():
+            chart_title = name if len(y) == 1 else head.partition(" (")[0].capitalize()
+            made.append(Chart(chart_title, x, head, lines, is_log))
+    return tabulate(title, records, heads, charts=made)
 
 
 def make_number_cell(

@@ -11,17 +11,9 @@ from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
+from labpipe.report import table_records
 from labpipe.report.plot_records import simplify_line
-from labpipe.report.table_records import (
-    Cell,
-    Chart,
-    Record,
-    Table,
-    make_records,
-    save_tables,
-    stack_blocks,
-    tabulate,
-)
+from labpipe.report.table_records import Record, Table, save_tables, tabulate, tabulate_curves
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
@@ -204,14 +196,15 @@ def _list_tables(
     min_law_rows = 40  # of a wire: linear interpolation is within 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
-    laws, places = _laws_sheet(tables, law_rows)
+    laws = _tabulate_laws(tables, law_rows)
+    wires = [row[0] for row in laws.rows]
     records: list[Record] = [
         {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
     ]
     for table, rows in zip(tables, law_rows, strict=True):
-        link = f"'laws'!A{places[table.name][0] + 2}"
+        link = f"'laws'!A{wires.index(table.name) + 2}"
         records.append({
-            "wire": Cell(table.name, link=link),
+            "wire": table_records.Cell(table.name, link=link),
             **make_summary_record(table),
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
@@ -221,61 +214,48 @@ def _list_tables(
     heads = dict.fromkeys(head for record in reversed(records) for head in record)
     yield tabulate("wires", records, heads)
     yield laws
-    yield _cantilevers_sheet(tables)
-    yield tabulate("notes", _note_records(tables, refused))
+    yield _tabulate_cantilevers(tables)
+    yield tabulate("notes", _list_notes(tables, refused))
+
+
+def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Table:
+    """Make the sheet of the laws of all wires; charts are without the point at zero curvature."""
+    blocks = {}
+    for table, rows in zip(tables, law_rows, strict=True):
+        columns = {
+            scale.label(label): scale.factor * getattr(table, field)[rows]
+            for label, field, scale in _LAW_COLUMNS
+        }
+        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
+    names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
+    drawn = CURVATURE.label("curvature"), STIFFNESS.label("secant stiffness"), names[1]
+    heads = ["wire", *names, "doubtful"]
+    return tabulate_curves("laws", [("", blocks)], *drawn, heads=heads, start=1, is_log=True)
+
+
+def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
+    """Make the sheet of end loads against deflection, with a chart."""
+    heads, blocks = (LENGTH.label("tip deflection"), FORCE.label("end load")), {}
+    for table in tables:
+        x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
+        is_doubtful = table.tip_deflection > table.doubtful_deflection
+        columns = dict(zip(heads, (x, y), strict=True))
+        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
+    return tabulate_curves("cantilevers", [("", blocks)], *heads)
 
 
 def _mark_doubtful(
     table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
 ) -> list[Record]:
     """Make the records of a wire, and mark the doubtful ones."""
-    records = make_records({"wire": table.name}, columns)
+    records = table_records.make_records({"wire": table.name}, columns)
     return [
         record | {"doubtful": "yes" if doubt else None}
         for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
     ]
 
 
-def _laws_sheet(
-    tables: Sequence[WireTable], law_rows: Sequence[Ints]
-) -> tuple[Table, dict[str, tuple[int, int]]]:
-    """Make the sheet of the laws of all wires; return it and the first and last row by wire."""
-    blocks = {}
-    for table, rows_of_law in zip(tables, law_rows, strict=True):
-        columns = {
-            scale.label(label): scale.factor * getattr(table, field)[rows_of_law]
-            for label, field, scale in _LAW_COLUMNS
-        }
-        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows_of_law])
-    rows, ends = stack_blocks(blocks)
-    heads = ["wire", *(scale.label(label) for label, _, scale in _LAW_COLUMNS), "doubtful"]
-    charts = []
-    for head in (STIFFNESS.label("secant stiffness"), MOMENT.label("moment")):
-        # without the point at zero curvature
-        lines = {name: (first + 1, last) for name, (first, last) in ends.items() if last > first}
-        title = head.partition(" (")[0].capitalize()
-        if lines:
-            charts.append(Chart(title, CURVATURE.label("curvature"), head, lines, is_log=True))
-    return tabulate("laws", rows, heads=heads, charts=charts), ends
-
-
-def _cantilevers_sheet(tables: Sequence[WireTable]) -> Table:
-    """Make the sheet of end loads against deflection, with a chart."""
-    blocks = {}
-    for table in tables:
-        columns = {
-            LENGTH.label("tip deflection"): LENGTH.factor * table.tip_deflection,
-            FORCE.label("end load"): FORCE.factor * table.tip_force,
-        }
-        is_doubtful = table.tip_deflection > table.doubtful_deflection
-        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
-    rows, ends = stack_blocks(blocks)
-    lines = {name: (first, last) for name, (first, last) in ends.items() if last > first}
-    chart = Chart("", LENGTH.label("tip deflection"), FORCE.label("end load"), lines)
-    return tabulate("cantilevers", rows, charts=[chart] if lines else [])
-
-
-def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
+def _list_notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
     rows = [(name, "not modelled", "", reason, "refused") for name, reason in refused.items()]
     rows += [
         (table.name, str(note.severity), note.where, note.message, note.code)
@@ -284,5 +264,4 @@ def _note_records(tables: Sequence[WireTable], refused: Mapping[str, str]) -> li
         for note in table.notes
         if note.severity is severity
     ]
-    heads = ("wire", "kind", "where", "what", "code")
-    return [dict(zip(heads, row, strict=True)) for row in rows]
+    return [dict(zip(("wire", "kind", "where", "what", "code"), row, strict=True)) for row in rows]

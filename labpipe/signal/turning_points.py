@@ -239,10 +239,7 @@ def _dwell_times(before: _ExtremeSide | None, after: _ExtremeSide | None) -> tup
 
 
 def split_branches(
-    time: Floats,
-    strokes: tuple[Stroke, ...],
-    *,
-    turning_times: Floats | None = None,
+    time: Floats, strokes: tuple[Stroke, ...], *, turning_times: Floats | None = None
 ) -> tuple[Branch, ...]:
     """Convert strokes to the loading and unloading branches of cycles.
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import permutations
+from itertools import chain, permutations
 from math import exp, factorial, hypot, prod
 from statistics import median
 
@@ -402,18 +402,10 @@ def _of_mean(mean: MeanInterval) -> dict[str, float]:
     return {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
 
 
-@dataclass(frozen=True, slots=True)
-class _Shared:
-    """Errors of a result or a mean that do not contribute to the scatter.
-
-    Parameters
-    ----------
-    bias : value minus estimate
-    changes : by common cause of all tests of a rig
-    """
-
-    bias: float
-    changes: Mapping[str, float]
+_BIAS = ""
+"""Key of value minus estimate among the errors that do not contribute to the scatter."""
+_Errors = Mapping[str, float]
+"""Such errors of a result or a mean: `_BIAS`, and the change by each common cause."""
 
 
 def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
@@ -434,67 +426,53 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     A common cause changes all numbers at once, each by its own signed change, and so their mean by
     the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
-    results_by_spool = {
-        name: [_shared_of_result(spool) for spool in spools[name]] for name in mean.spool_means
-    }
-    means = {name: _mean_shared(results) for name, results in results_by_spool.items()}
-    samples = _mean_shared([result for results in results_by_spool.values() for result in results])
-    over_samples = _add_shared(mean.over_samples, samples)
-    over_spools = mean.over_spools and _add_shared(
-        mean.over_spools, _mean_shared(list(means.values()))
-    )
+    errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
+    means = {name: _average_errors(rows) for name, rows in errors.items()}
+    over_samples = _shift(mean.over_samples, _average_errors([*chain(*errors.values())]))
+    over_spools = mean.over_spools and _shift(mean.over_spools, _average_errors([*means.values()]))
     chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
-    causes = tuple(contribution.cause for contribution in chosen.common)
     decision = mean.decision
-    if causes:
-        clause = format_sentence("statistics.common_causes", causes=", ".join(causes))
+    if causes := ", ".join(contribution.cause for contribution in chosen.common):
+        clause = format_sentence("statistics.common_causes", causes=causes)
         decision = replace(decision, grounds=(*decision.grounds, clause))
     return replace(
         mean,
         chosen=chosen,
         over_samples=over_samples,
         over_spools=over_spools,
-        spool_means={
-            name: _add_shared(spool_mean, means[name])
-            for name, spool_mean in mean.spool_means.items()
-        },
+        spool_means={name: _shift(own, means[name]) for name, own in mean.spool_means.items()},
         decision=decision,
     )
 
 
-def _shared_of_result(result: Result) -> _Shared:
+def _list_errors(result: Result) -> _Errors:
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
-    changes = {
-        contribution.cause: contribution.change
-        for contribution in result.budget
-        if contribution.is_common
-    }
-    return _Shared(value - estimate, changes)
+    common = {row.cause: row.change for row in result.budget if row.is_common}
+    return {_BIAS: value - estimate, **common}
 
 
-def _mean_shared(several: Sequence[_Shared]) -> _Shared:
-    """Average results; a missing cause counts as no change."""
-    causes = dict.fromkeys(cause for shared in several for cause in shared.changes)
-    if not several:
-        return _Shared(0.0, {})
-    changes = {
-        cause: float(np.mean([shared.changes.get(cause, 0.0) for shared in several]))
-        for cause in causes
-    }
-    return _Shared(float(np.mean([shared.bias for shared in several])), changes)
+def _average_errors(rows: Sequence[_Errors]) -> _Errors:
+    """Average errors; a missing cause counts as no change."""
+    causes = dict.fromkeys([_BIAS, *chain(*rows)])
+    if not rows:
+        return {_BIAS: 0.0}
+    return {cause: float(np.mean([row.get(cause, 0.0) for row in rows])) for cause in causes}
 
 
-def _add_shared(mean: MeanInterval, shared: _Shared) -> MeanInterval:
+def _shift(mean: MeanInterval, errors: _Errors) -> MeanInterval:
+    """Move the interval of a mean to its estimate, and widen it by the common causes."""
+    bias = errors[_BIAS]
     common = tuple(
-        Contribution(cause, change, is_common=True) for cause, change in shared.changes.items()
+        Contribution(cause, change, is_common=True)
+        for cause, change in errors.items()
+        if cause != _BIAS
     )
-    estimate = mean.mean - shared.bias if shared.bias else None
-    shifted = mean.interval and Interval(
-        mean.interval.lower - shared.bias, mean.interval.upper - shared.bias
-    )
-    interval = shifted and widen_interval(shifted, common)
-    return replace(mean, interval=interval, estimate=estimate, common=common)
+    ends = mean.interval
+    if ends is not None:
+        ends = widen_interval(Interval(ends.lower - bias, ends.upper - bias), common)
+    estimate = mean.mean - bias if bias else None
+    return replace(mean, interval=ends, estimate=estimate, common=common)
 
 
 def combine_changes(common: Sequence[Contribution]) -> float:

@@ -36,13 +36,7 @@ from labpipe.store.datasets import (
     set_number,
     set_text,
 )
-from labpipe.store.layout import (
-    BudgetRow,
-    DatasetSpec,
-    ResultRow,
-    list_datasets,
-    make_link_name,
-)
+from labpipe.store.layout import BudgetRow, DatasetSpec, ResultRow, list_datasets, make_link_name
 from labpipe.store.stored_records import (
     read_arrays,
     read_attributes,

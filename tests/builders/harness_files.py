@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import prepare_line
-from labpipe.mechanics.studies.harness_material import Material, read_material
+from labpipe.mechanics.studies.harness_line import Material, prepare_line, read_material
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 import pytest
 
 from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, read_plan
-from labpipe.campaign.watching import FileStability
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
 from tests.builders.small_tests import Lab, state
@@ -190,27 +188,3 @@ def test_faulty_plan_is_refused(campaign: Path) -> None:
     plan.write_text(BY_NAME.replace("wire-cantilever", "wire-cantilver"), encoding="utf-8")
     with pytest.raises(UsageError, match="Did you mean 'wire-cantilever'"):
         pair_test(only(campaign), read_plan(campaign))
-
-
-def test_file_is_stable_after_a_time_without_change(tmp_path: Path) -> None:
-    times, path = [100.0], tmp_path / "x"
-    files = FileStability(lambda: times[-1], 2.0)
-    assert files.look(path) == "missing"
-    for text, seconds, state_of_file in (
-        ("1", 0.0, "growing"),
-        ("1", 1.9, "growing"),
-        ("12", 0.0, "growing"),
-        ("12", 1.9, "growing"),
-        ("12", 0.1, "stable"),
-    ):
-        if not path.exists() or path.read_text() != text:
-            path.write_text(text)
-        times.append(times[-1] + seconds)
-        assert files.look(path) == state_of_file
-    assert files.age([path]) == pytest.approx(2.0)
-    os.utime(path, (1.0, 1.0))  # it changes at the same size
-    assert files.look(path) == "growing"
-    times.append(times[-1] + 1.0)
-    assert files.look(path) == "growing"
-    path.unlink()
-    assert (files.look(path), files.signature(path)) == ("missing", None)

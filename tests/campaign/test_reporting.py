@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
-from labpipe.campaign.report_samples import add_sizes, classify_results, make_sample
 from labpipe.campaign.reporting import (
     OPTIONS_FILE,
     ReportOptions,
+    add_sizes,
+    classify_results,
     make_campaign,
+    make_sample,
     report_tests,
 )
 from labpipe.errors import StoreError, UsageError

@@ -183,6 +183,22 @@ def test_locked_file_is_reported_and_awaited(
     assert "WELL" in bench.go(3)
 
 
+def test_files_are_awaited_while_they_change(bench: Bench, exports: dict[str, bytes]) -> None:
+    folder = put(bench, "A2-085-1", exports)
+    for count in (1, 2, 3):
+        (folder / "take.csv").write_bytes(exports["take.csv"][: 1000 * count])
+        assert bench.go(0.9, step=0.1) == ""
+    (folder / "take.csv").write_bytes(exports["take.csv"])
+    os.utime(folder / "force.mat", (1.0, 1.0))  # it changes at the same size
+    assert bench.go(0.9, step=0.1) == ""
+    (folder / "take.csv").unlink()
+    assert bench.go(10) == "A2-085-1: waits for markers"
+    put(bench, "A2-085-1", exports)
+    assert bench.go(0.9, step=0.1) == ""
+    assert "A2-085-1: WELL" in bench.go(1.0, step=0.1)
+    assert bench.campaign.asked == ["A2-085-1"]
+
+
 def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[str, bytes]) -> None:
     put(bench, "A2-085-1", exports)
     bench.go(3)

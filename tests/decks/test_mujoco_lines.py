@@ -15,8 +15,7 @@ from labpipe.mechanics.decks.mujoco import write_mujoco_deck
 from labpipe.mechanics.decks.mujoco_line import write_line_deck
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_material import read_material
+from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line, read_material
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written

@@ -93,14 +93,14 @@ def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: s
 KILLED = """
 import os, sys
 import labpipe.store.replace as store
-left, make = int(sys.argv.pop(1)), store._Move.make
+left, apply = int(sys.argv.pop(1)), store._Move.apply
 def killed(move):
     global left
     left -= 1
     if left == 0:
         os._exit(9)
-    make(move)
-store._Move.make = killed
+    apply(move)
+store._Move.apply = killed
 from labpipe.cli import main
 sys.exit(main(sys.argv[1:]))
 """

@@ -36,10 +36,10 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     number = replace(group.numbers[1], left_out=left_out)
     group = replace(group, numbers=(number,), notes=(warning("short_overlap", "curves"),))
     issues = find_issues(campaign_of(group))
-    assert [(issue.kind, issue.test, issue.what) for issue in issues] == [
-        (Kind.LEFT_OUT, "tt-s1a", "Stiffness, first region"),
-        (Kind.WARNING, "", "curves"),
-        (Kind.NO_INTERVAL, "tt-s1a", "Peak force, cycle 1"),
+    assert [(issue.kind, issue.tests, issue.what) for issue in issues] == [
+        (Kind.LEFT_OUT, ("tt-s1a",), "Stiffness, first region"),
+        (Kind.WARNING, (), "curves"),
+        (Kind.NO_INTERVAL, ("tt-s1a",), "Peak force, cycle 1"),
     ]
 
 

@@ -9,18 +9,18 @@ import numpy as np
 from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, MeanInterval
 from labpipe.records.quality import Reason
-from labpipe.report.budget_figures import make_budget_page
 from labpipe.report.comparisons import (
     MAX_COMPARED_GROUPS,
     Pair,
     describe_pair,
     find_families,
+    list_family_figures,
     list_multi_field_differences,
     list_single_field_pairs,
     make_pair_table,
 )
-from labpipe.report.group_figures import list_family_figures
 from labpipe.report.plot_records import Page
+from labpipe.report.quality_figures import make_budget_page
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,

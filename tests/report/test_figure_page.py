@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
-from labpipe.report.marker_figures import read_centre_offset
 from labpipe.report.plot_records import find_extremes, simplify_line, thin_flags
+from labpipe.report.quality_figures import read_centre_offset
 from tests.store.builders_result import build_result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,15 +25,16 @@ from labpipe.report.figures import (
     make_force_displacement_page,
     make_moment_curvature_page,
     make_stiffness_lines_page,
+    make_stress_strain_page,
     make_timeline_page,
 )
-from labpipe.report.marker_figures import (
+from labpipe.report.plot_records import Axis
+from labpipe.report.quality_figures import (
     choose_frames,
     make_flag_plot,
     make_marker_quality_page,
     make_wire_shapes_page,
 )
-from labpipe.report.plot_records import Axis
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.report.figure_words import all_words
@@ -152,6 +154,69 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
         "no moments": make_moment_curvature_page(replace(bent, bending=None)),
     }
     approved(all_words(pages))
+
+
+MODULUS, AREA, GAUGE = 200e9, 20e-6, 25e-3
+YIELD, HARDENING = 400e6, 1e9
+
+
+@pytest.fixture(scope="module")
+def pulled(result: TestResult, repository: Path) -> TestResult:
+    """A bilinear pull to 10 % with 0.1 mm of toe, by the shipped protocol."""
+    assert result.curve is not None
+    first = result.curve.branches[0]
+    strain = np.linspace(0.0, 0.1, len(result.curve.force) - first.start)
+    stress = np.minimum(MODULUS * strain, YIELD + HARDENING * (strain - YIELD / MODULUS))
+    before = np.zeros(first.start)
+    curve = replace(
+        result.curve,
+        displacement=np.concatenate([before, GAUGE * strain + 1e-4]),
+        force=np.concatenate([before, AREA * stress]),
+        branches=(replace(first, stop=len(result.curve.force)),),
+    )
+    slope, level = MODULUS * AREA / GAUGE, 0.5 * AREA * YIELD
+    start = 1e-4 + level / slope
+    proofs = {
+        f"proof_stress_{offset}": (YIELD + HARDENING * plastic) / (1.0 - HARDENING / MODULUS)
+        for offset, plastic in (("0_2", 0.002 - YIELD / MODULUS), ("1", 0.01 - YIELD / MODULUS))
+    }
+    values = {"elastic_modulus": MODULUS, "tensile_strength": float(stress[-1]), **proofs}
+    results = [Result(name, value, "Pa", Interval(0.9 * value, 1.1 * value))
+               for name, value in values.items()]  # fmt: skip
+    results.append(Result("elongation_at_maximum_force", 0.1, "1", Interval(0.09, 0.11)))
+    results.append(Result("elongation_at_break", 0.1, "1", Interval(0.09, 0.11)))
+    protocol = (repository / "protocols" / "iso-6892.yaml").read_text(encoding="utf-8")
+    sizes = "{gauge_length: 25 mm, section: {area: 20 mm^2}}"
+    return replace(
+        result,
+        curve=curve,
+        lines=(FittedLine("elastic_modulus", slope, level, start, start + 1e-4),),
+        results=tuple(results),
+        display={"pressure": "MPa", "strain": "%"},
+        protocol_yaml=f"{protocol}\nspecimen: {sizes}\n",
+    )
+
+
+def test_stress_over_strain_with_its_numbers(pulled: TestResult, approved: Approve) -> None:
+    """Strain is counted from the toe; each number is on the curve or on its offset line."""
+    whole, beginning = make_stress_strain_page(pulled).plots
+    curve, *numbers, elongation = whole.lines
+    stress = np.interp([0.001, 0.05], curve.x, curve.y)
+    np.testing.assert_allclose(stress, [MODULUS * 1e-3, YIELD + HARDENING * 0.048], rtol=1e-3)
+    points = {line.settings["label"].split()[0]: (line.x[0], line.y[0]) for line in numbers}
+    for symbol, offset in (("Rp0.2", 0.002), ("Rp1", 0.01)):
+        strain, height = points[symbol]
+        assert height == pytest.approx(MODULUS * (strain - offset))
+        assert height == pytest.approx(YIELD + HARDENING * (strain - YIELD / MODULUS))
+    assert points["Rm"] == points["At"] == pytest.approx((0.1, YIELD + HARDENING * 0.098))
+    assert elongation.x[0] == 0.1
+    (window,) = (line for line in beginning.lines if line.look == "fit_window")
+    np.testing.assert_allclose(window.y, MODULUS * window.x)
+    assert window.x[0] == pytest.approx(0.5 * YIELD / MODULUS)
+    no_line = replace(pulled, lines=())
+    no_area = replace(pulled, protocol_yaml=pulled.protocol_yaml.replace("area: 20 mm^2", ""))
+    pages = {"tension": pulled, "no elastic line": no_line, "no area": no_area}
+    approved(all_words({name: make_stress_strain_page(test) for name, test in pages.items()}))
 
 
 def test_rows_are_the_markers_and_spans_their_flags(result: TestResult) -> None:

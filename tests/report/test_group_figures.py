@@ -9,8 +9,7 @@ import pytest
 
 from labpipe.records.curve import FittedLine
 from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
-from labpipe.report.group_figures import list_group_figures
-from labpipe.report.group_plots import make_file_plots
+from labpipe.report.group_plots import list_group_figures, make_file_plots
 from labpipe.report.page_facts import make_stems
 from labpipe.report.plot_records import Page
 from labpipe.statistics.mean_curves import reduce_band

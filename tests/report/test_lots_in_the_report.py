@@ -47,7 +47,7 @@ def lot() -> Group:
 
 def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     campaign = Campaign("S", (lot,))
-    table = make_lot_table(campaign, ["crimps"])
+    table = make_lot_table({"crimps": lot})
     assert table is not None
     words = list(map(cell_text, table.rows[0]))
     assert words[:2] == ["crimps", "PASS"]
@@ -59,7 +59,7 @@ def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     assert verdicts is not None
     assert list(map(cell_text, verdicts.rows[0][1:3])) == ["pass", "pass"]
     assert verdicts.rows[4][-1] == "not stated"
-    assert make_lot_table(Campaign("S", (replace(lot, lot=None),)), ["crimps"]) is None
+    assert make_lot_table({"crimps": replace(lot, lot=None)}) is None
 
 
 def test_the_workbook_has_lots_and_verdicts(lot: Group, tmp_path: Path) -> None:

@@ -95,13 +95,13 @@ def test_decided_and_rejected() -> None:
     out = replace(samples[1], label="c/x")
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
-    one, two = make_test_rows(campaign, PageTests(campaign, ["a"]), {"a": "A"})
+    one, two = make_test_rows({"a": group}, PageTests(campaign, ["a"]))
     assert (one["decided"], one["words"], one["why"]) == ("accept", "fine (me)", "")
     shown = two["decided"], two["words"], two["why"]
     assert shown == ("reject", "bent (me)", "Rejected: bent (me)")
     assert two["page"] == "tests/c__x.html" == name_page_file("c/x")
     odd = Campaign("S", (build_group("A", [replace(kept, label="a#1 50 %?")]),))
-    (row,) = make_test_rows(odd, PageTests(odd, ["a"]), {"a": "A"})
+    (row,) = make_test_rows({"a": odd.groups[0]}, PageTests(odd, ["a"]))
     assert row["address"] == "tests/a%231%2050%20%25%3F.html"
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -129,7 +130,9 @@ def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     frames = multiply(from_rotation_vectors(twist), line.frames[-1:])
     path = follow(line, [clamp(line), Held(-1, line.positions[-1], frames)], steps=10)
     assert (path.status, len(path.states), path.snapped) == ("doubtful", 11, (10,))
-    assert [(reason.code, reason.step) for reason in path.reasons] == [("unstable", 10)]
+    assert [(reason.code, reason.message[:7]) for reason in path.reasons] == [
+        ("unstable", "step 10")
+    ]
 
 
 @pytest.mark.parametrize("node", [-1, 5])
@@ -304,9 +307,11 @@ def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[obj
     """Sentence of the only reason of a walk; its status, number of states, code, step and node."""
     path = follow(line, boundaries, steps=steps)
     (reason,) = path.reasons
-    node = max(reason.nodes.values())
-    facts = (path.status, len(path.states), reason.code, reason.step, node)
-    return reason.sentence, facts
+    step = int(reason.message.removeprefix("step ").partition(":")[0])
+    places = re.findall(r"(\S+) mm from the start", reason.message)
+    node = int(np.argmin(np.abs(line.stations - 1e-3 * float(places[-1]))))
+    facts = (path.status, len(path.states), reason.code, step, node)
+    return reason.message, facts
 
 
 def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:

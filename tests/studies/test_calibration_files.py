@@ -22,7 +22,6 @@ from labpipe.mechanics.studies.calibration_study import (
     choose_wire,
     drop_copies,
     find_wire_sheet,
-    require_wires,
 )
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.model_comparisons import (
@@ -31,7 +30,7 @@ from labpipe.mechanics.studies.model_comparisons import (
     note_misfits,
     read_external_curves,
 )
-from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as reached
 from labpipe.mechanics.wire.wire_table import find_linear_range
@@ -227,8 +226,8 @@ def plan_of(folder: Path, text: str = PLAN) -> Path:
 
 
 def read(plan: Path) -> tuple[ExternalCurve, ...]:
-    specs = {"A2": spec_of("A2", "A2")}
-    return read_external_curves(load_calibration_plan(plan), plan, specs, Path("wires.xlsx"))
+    sheet = WireSheet(Path("wires.xlsx"), (spec_of("A2", "A2"),), {})
+    return read_external_curves(load_calibration_plan(plan), plan, sheet)
 
 
 def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:
@@ -361,13 +360,11 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
     assert choose_wire(a2, wire_plan(), None) == "A2"
     assert choose_wire(both, wire_plan("A1"), None) == "A1"
-    require_wires(a2, {"A2": spec}, SHEET_PATH)
     assert len(build_sheet_wire(spec, SHEET_PATH).section.layers) == 2
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     calls: list[Callable[[], object]] = [
         lambda: choose_wire(both, wire_plan(), None),
         lambda: choose_wire(a2, wire_plan("A3"), None),
-        lambda: require_wires(both, {"A2": spec}, SHEET_PATH),
         lambda: build_sheet_wire(thin, SHEET_PATH),
     ]
     messages = []

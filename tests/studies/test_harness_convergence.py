@@ -6,20 +6,22 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Plane
-from labpipe.mechanics.rod.path import Reason, RodPath
+from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_doubts import (
+from labpipe.mechanics.studies.harness_line import PreparedLine
+from labpipe.mechanics.studies.harness_numbers import (
     MAX_CHANGE,
+    Doubt,
     check_element_count,
     check_steps,
+    compute_numbers,
     depends_on_history,
     select_coarse_steps,
     solve_in_other_steps,
 )
-from labpipe.mechanics.studies.harness_line import PreparedLine
-from labpipe.mechanics.studies.harness_numbers import Doubt, compute_numbers
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
 CORNERS = LENGTH * np.array(
@@ -88,7 +90,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
     times, other = solve_in_other_steps(prepared, 10)
-    torn = replace(other, status="failed", reasons=(Reason("mechanics.rod.torn", 2),))
+    torn = replace(other, status="failed", reasons=(Reason("torn", "it is torn"),))
     doubt = check_steps(path, times, torn, {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)

@@ -21,16 +21,18 @@ from labpipe.mechanics.law.sliders import (
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Section
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.studies.harness_doubts import (
+from labpipe.mechanics.studies.harness_line import (
+    Material,
+    PreparedLine,
+    prepare_line,
+    read_material,
+)
+from labpipe.mechanics.studies.harness_numbers import (
     bound_residual_curvature,
     check_unloading,
-    measure_unbending,
-)
-from labpipe.mechanics.studies.harness_line import PreparedLine, prepare_line
-from labpipe.mechanics.studies.harness_material import Material, read_material
-from labpipe.mechanics.studies.harness_numbers import (
     compute_released_curvature,
     compute_residual_curvature,
+    measure_unbending,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import wire_table

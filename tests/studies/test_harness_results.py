@@ -9,27 +9,24 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.rod.bands import Band, StateBands
-from labpipe.mechanics.rod.path import Reason as RodReason
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.studies.harness_doubts import (
-    check_elements,
-    check_jumps,
-    check_share,
-    check_unloading,
-    find_reasons,
-)
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
     Doubt,
     Number,
     build_results,
+    check_elements,
+    check_jumps,
+    check_share,
+    check_unloading,
     collect_fields,
     compute_curvature,
     compute_numbers,
     compute_radius,
     evaluate_numbers,
     find_bend_limit,
+    find_reasons,
     find_sharpest_bend,
     list_releases,
 )
@@ -44,6 +41,7 @@ from labpipe.mechanics.studies.harness_study import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
@@ -97,18 +95,6 @@ def test_a_heavy_cantilever() -> None:
         ("straight",),
     )
     assert compute_radius(np.array([0.0, 2.0])).tolist() == [np.inf, 0.5]
-
-
-def test_reasons_say_places_and_not_nodes() -> None:
-    _, material, path = followed(ALONE)
-    reason = RodReason.of(
-        "mechanics.rod.too_short", step=1, place=0, other=6, length=0.05, distance=0.1
-    )
-    assert "between node 0 and node 6" in reason.sentence
-    (said,) = find_reasons(replace(path, reasons=(reason,)), material)
-    assert said.message.startswith(
-        "step 1: between 0 mm from the start and 50 mm from the start the line is 0.05 m long"
-    )
 
 
 @pytest.mark.parametrize(
@@ -248,9 +234,7 @@ def test_beyond_what_backs_the_law() -> None:
     assert reason.message.startswith("step ")
     beyond = replace(
         path,
-        reasons=(
-            RodReason("mechanics.rod.beyond_law", 3, {"place": 0}, {"curvature": 2.0, "last": 1.0}),
-        ),
+        reasons=(Reason("beyond_law", "step 3"),),
     )
     assert [reason.code for reason in find_reasons(beyond, half)] == ["beyond_law"]
 

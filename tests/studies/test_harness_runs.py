@@ -15,8 +15,7 @@ from scipy.stats import rice
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import Inputs, prepare_line
-from labpipe.mechanics.studies.harness_material import read_material
+from labpipe.mechanics.studies.harness_line import Inputs, prepare_line, read_material
 from labpipe.mechanics.studies.harness_solution import (
     FollowedHarness,
     HarnessBands,

@@ -25,12 +25,13 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
     describe_deck_losses,
+    fill_template,
     find_mass,
     format_percent,
     list_facts,
     shorten_name,
 )
-from labpipe.mechanics.decks.unloading import Release, release_elastically
+from labpipe.mechanics.decks.unloading import release_elastically
 from labpipe.mechanics.law.loss_card import EquivalentMaterial, fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
@@ -222,55 +223,44 @@ def write_calculix_deck(
     material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
     max_deflection_share = 0.6  # of the free length
     deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
-    lines = [
-        f"** {line}"
-        for line in (*_describe_model(table, material), *_describe_loading(table, deflection))
-    ]
-    if deflection > 0.0:
-        mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
-        density = find_mass(table) / (np.pi / 4.0 * diameter**2)
-        lines += [
-            *_write_mesh(mesh),
-            *_write_material(material, density),
-            *_write_step(deflection, n_steps),
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _describe_model(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
-    return (
-        *list_facts(table, shorten_name(table.name, 60)),
-        "The wire is a solid round bar, its elastic-plastic material fitted to the wire's law.",
-        f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
-        *_describe_accuracy(material),
-        "On unloading the bar follows its first slope, unlike a wire. Not for cycles.",
-        *describe_deck_losses(
-            table,
-            _describe_deck_loss(material),
-            "a bar with its first slope",
-            _release_bar(table, material),
-        ),
+    error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
+    hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
+    loss = (
+        f"This deck: error on first loading up to {hardening} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
     )
-
-
-def _release_bar(table: WireTable, material: EquivalentMaterial) -> Release:
-    """Compute the release of the bar; its fibres do not yield again before zero moment."""
-    second_moment = np.pi / 64.0 * material.diameter**4
-    return release_elastically(table, material.modulus * second_moment)
-
-
-def _describe_loading(table: WireTable, deflection: float) -> tuple[str, ...]:
-    """Describe the loading of the bar, or state why there is no model."""
+    # the fibres of the bar do not yield again before zero moment
+    form = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
+    cuts = (note.message for note in table.notes if note.code == "cantilever_cut")
+    facts = {
+        "table": table,
+        "head": list_facts(table, 60),
+        "material": material,
+        "accuracy": list(_describe_accuracy(material)),
+        "losses": describe_deck_losses(table, loss, "a bar with its first slope", form),
+        "deflection": deflection,
+    }
     if deflection == 0.0:
-        reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
-        reason = shorten_name(next(reasons, "the table has no cantilever"), 120)
-        return ("No model:", reason)
-    return (
-        "Computed, not measured: a cantilever clamped at x = 0, its tip pushed along y.",
-        f"Free length {table.spec.length:.6g} m, tip deflection to {deflection:.6g} m.",
-        f"Half a bar (z >= 0). Reaction of set {TIP_SET}: half the end load. labpipe reads the",
-        "result (ending .dat) as an external curve and doubles the force.",
-        "Run: ccx -i NAME, the name of this file without .inp.",
+        reason = shorten_name(next(cuts, "the table has no cantilever"), 120)
+        return fill_template("calculix.inp", reason=reason, **facts)
+    mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
+    node_sets = {
+        "CLAMP": mesh.clamp,
+        "HINGE": mesh.clamp & mesh.neutral_plane,
+        "CUT": mesh.symmetry_plane,
+        TIP_SET: mesh.tip & mesh.neutral_plane,
+    }
+    return fill_template(
+        "calculix.inp",
+        tip=TIP_SET,
+        nodes=_format_rows("%d, %.9g, %.9g, %.9g", mesh.nodes + 0.0),
+        bricks=_format_rows(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), mesh.bricks),
+        node_sets={name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in node_sets.items()},
+        # true stress over plastic strain, which CalculiX continues as a constant
+        plastic=list(zip(material.stress, material.plastic_strain, strict=True)),
+        density=find_mass(table) / (np.pi / 4.0 * diameter**2),
+        n_steps=n_steps,  # with larger increments, CalculiX does not converge
+        **facts,
     )
 
 
@@ -291,61 +281,7 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
             yield f"From {start:.4g} 1/m to the end of the range its error is below {limit}."
 
 
-def _describe_deck_loss(material: EquivalentMaterial) -> str:
-    error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
-    return (
-        f"This deck: error on first loading up to {hardening} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
-    )
-
-
-def _write_mesh(mesh: BarMesh) -> Iterator[str]:
-    yield "*NODE, NSET=ALL"
-    nodes = np.column_stack([np.arange(1, len(mesh.nodes) + 1), mesh.nodes + 0.0])
-    yield _format_rows("%d, %.9g, %.9g, %.9g", nodes)
-    yield "*ELEMENT, TYPE=C3D20R, ELSET=WIRE"
-    bricks = np.column_stack([np.arange(1, len(mesh.bricks) + 1), mesh.bricks])
-    yield _format_rows(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), bricks)
-    yield from _write_node_set("CLAMP", mesh.clamp)
-    yield from _write_node_set("HINGE", mesh.clamp & mesh.neutral_plane)
-    yield from _write_node_set("CUT", mesh.symmetry_plane)
-    yield from _write_node_set(TIP_SET, mesh.tip & mesh.neutral_plane)
-    yield from ("*BOUNDARY", "CLAMP, 1", "HINGE, 2", "CUT, 3")
-
-
-def _write_node_set(name: str, is_member: Flags) -> Iterator[str]:
-    numbers_per_line = 12
-    yield f"*NSET, NSET={name}"
-    numbers = np.flatnonzero(is_member) + 1
-    for start in range(0, len(numbers), numbers_per_line):
-        yield f"{', '.join(map(str, numbers[start : start + numbers_per_line].tolist()))},"
-
-
 def _format_rows(row_format: str, rows: Floats | Ints) -> str:
-    """Format all rows of numbers in one step, which is three times as fast as row by row."""
-    return "\n".join([row_format] * len(rows)) % tuple(rows.ravel().tolist())
-
-
-def _write_material(material: EquivalentMaterial, density: float) -> Iterator[str]:
-    """Write the material and its assignment to all bricks; density in kg/m^3.
-
-    The plastic curve is true stress over plastic strain; CalculiX continues it as a constant.
-    """
-    yield from ("*MATERIAL, NAME=WIRE", "*ELASTIC", f"{material.modulus:.9g}, 0.3")
-    yield "*PLASTIC"
-    for stress, strain in zip(material.stress, material.plastic_strain, strict=True):
-        yield f"{stress:.9g}, {strain:.9g}"
-    yield from ("*DENSITY", f"{density:.9g}")
-    yield "*SOLID SECTION, ELSET=WIRE, MATERIAL=WIRE"
-
-
-def _write_step(deflection: float, n_steps: int) -> Iterator[str]:
-    """Write the load step. With increments above the stated size, CalculiX does not converge."""
-    increment = f"{1.0 / n_steps:.9g}"
-    yield f"*STEP, NLGEOM, INC={100 * n_steps}"
-    yield from ("*STATIC", f"{increment}, 1., 1e-8, {increment}")
-    yield from ("*BOUNDARY", f"{TIP_SET}, 2, 2, {deflection:.9g}")
-    yield from (f"*NODE PRINT, NSET={TIP_SET}", "U")
-    yield from (f"*NODE PRINT, NSET={TIP_SET}, TOTALS=ONLY", "RF")
-    yield "*END STEP"
+    """Format numbered rows in one step, which is three times as fast as row by row."""
+    numbered = np.column_stack([np.arange(1, len(rows) + 1), rows])
+    return "\n".join([row_format] * len(rows)) % tuple(numbered.ravel().tolist())

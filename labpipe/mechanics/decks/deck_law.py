@@ -1,4 +1,4 @@
-"""Facts, range and names of a wire for the head of every deck."""
+"""Templates of decks, and facts, range and names of a wire for the head of every deck."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import re
 import textwrap
 import unicodedata
 import zlib
+from collections.abc import Iterable
 from dataclasses import asdict
-from functools import lru_cache
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -22,23 +26,70 @@ from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 FIRST_LOADING_TEXT = "The law is that of the first loading of a wire that was never bent before."
 
 
-def list_facts(table: WireTable, name: str) -> tuple[str, ...]:
+@cache
+def _load_templates() -> Environment:
+    """Return the templates of decks with their filters."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # decks are no pages; names pass `quoteattr`
+    )
+    filters = {
+        "attribute": quoteattr,
+        "comments": _write_xml_comments,
+        "g": _format_numbers,
+        "lines": lambda lines, prefix: "\n".join(f"{prefix}{line}" for line in lines),
+        "shorten": shorten_name,
+    }
+    environment.filters.update(filters)
+    return environment
+
+
+def fill_template(name: str, /, **facts: object) -> str:
+    """Fill the template of a deck.
+
+    Parameters
+    ----------
+    name : of the file in ``templates``
+    facts : values of all names in the template
+    """
+    return _load_templates().get_template(name).render(facts)
+
+
+def _format_numbers(values: Floats | float, digits: int = 7) -> str:
+    """Return numbers of any shape with significant digits, separated by blanks."""
+    return " ".join(f"{value:.{digits}g}" for value in np.ravel(values).tolist())
+
+
+def _write_xml_comments(lines: Iterable[str]) -> str:
+    """Return XML comments, in which two hyphens are not allowed."""
+    return "\n".join(f"  <!-- {line.replace('--', '- -')} -->" for line in lines)
+
+
+def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
     """Return the sentences at the head of every deck.
 
     Parameters
     ----------
     table : law of the wire
-    name : of the wire, as the deck may write it
+    max_length : characters of the name of the wire
     """
     end = float(table.curvature[-1])
     limit = table.doubtful_curvature
     strain = 100.0 * table.spec.insulation_strain
     doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
-        f"Wire {name}, made by labpipe {__version__}.",
+        f"Wire {shorten_name(table.name, max_length)}, made by labpipe {__version__}.",
         "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
         f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
         "The deck is not valid beyond this range.",
@@ -73,11 +124,6 @@ def compute_first_frequency(stiffness: float, mass_per_length: float, length: fl
     """
     first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
     return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
-
-
-def write_xml_comment(line: str) -> str:
-    """Return an XML comment, in which two hyphens are not allowed."""
-    return f"  <!-- {line.replace('--', '- -')} -->"
 
 
 def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
@@ -278,6 +324,11 @@ def describe_losses(card: LossCard) -> str:
         f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
         f"{format_percent(card.dahl.error)}, {sliders}."
     )
+
+
+def describe_masing_losses(table: WireTable) -> tuple[str, str]:
+    """Describe unloading by Masing's rule, and the errors of forms that programs can represent."""
+    return describe_unloading(table, "Masing"), describe_losses(make_table_card(table))
 
 
 def format_percent(share: float) -> str:

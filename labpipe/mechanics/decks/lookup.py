@@ -5,22 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
+import numpy as np
+
 from labpipe import __version__
 from labpipe.mechanics.decks.deck_law import (
     FIRST_LOADING_TEXT,
     collect_card_numbers,
     describe_deck_losses,
-    describe_losses,
+    describe_masing_losses,
     describe_memoryless_loss,
+    fill_template,
     find_mass,
     list_facts,
-    shorten_name,
 )
-from labpipe.mechanics.decks.unloading import (
-    collect_growing_numbers,
-    describe_unloading,
-    release_without_memory,
-)
+from labpipe.mechanics.decks.unloading import collect_growing_numbers, release_without_memory
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
 from labpipe.records.wire import WireTable
@@ -72,36 +70,20 @@ def write_lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    lines = [f"# {line}" for line in list_facts(table, shorten_name(table.name))]
-    lines += [
-        f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
-        f"{table.slip_stiffness:.9g} N m^2, mass {find_mass(table):.9g} kg/m.",
-        f"# Axial stiffness EA {table.axial_stiffness:.9g} N (constant twist), torsional stiffness "
-        f"GJ {table.torsional_stiffness:.9g} N m^2",
-        f"# (constant length; {table.free_torsional_stiffness:.9g} at zero tension), coupling C "
-        f"{table.stretch_twist_coupling:.9g} N m.",
-        *(
-            f"# {line}"
-            for line in describe_deck_losses(
-                table,
-                describe_memoryless_loss(table),
-                "a curve",
-                release_without_memory(table),
-                wide=1000,
-            )
-        ),
-        "# moment = stick + slip + bending + plastic + insulation; lowest and highest over all "
-        "directions of bending.",
-        "# insulation_share: of the moment. is_doubtful: 1 beyond the range of the insulation's "
-        "straight line.",
-        ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
-    ]
-    numbers = {name: getattr(table, name) for name in COLUMNS} | {
-        "is_doubtful": table.is_doubtful.astype(int)
-    }
+    loss = describe_memoryless_loss(table)
+    form = release_without_memory(table)
+    numbers = {name: getattr(table, name) for name in COLUMNS}
+    numbers["is_doubtful"] = table.is_doubtful.astype(int)
     columns = [map(repr, number.tolist()) for number in numbers.values()]
-    lines += map(",".join, zip(*columns, strict=True))
-    return "\n".join(lines) + "\n"
+    heading = ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())
+    return fill_template(
+        "lookup.csv",
+        table=table,
+        head=list_facts(table),
+        mass=find_mass(table),
+        losses=describe_deck_losses(table, loss, "a curve", form, wide=1000),
+        rows=[heading, *map(",".join, zip(*columns, strict=True))],
+    )
 
 
 def write_lookup_json(table: WireTable) -> str:
@@ -188,25 +170,27 @@ def write_sliders_csv(table: WireTable) -> str:
     ----------
     table : law of the wire; one that cannot be fitted by sliders gets the reason and no rows
     """
-    lines = [f"# {line}" for line in list_facts(table, shorten_name(table.name))]
+    head = list_facts(table)
     try:
         law = fit_wire_sliders(table)
     except ValueError as error:
-        return "\n".join([*lines, f"# {describe_missing_sliders(error)}"]) + "\n"
-    lines += [
-        f"# Mass {find_mass(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
-        "N m^2.",
-        f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
-        f"# {describe_unloading(table, 'Masing')}",
-        f"# {describe_losses(make_table_card(table))}",
-        "# The first row is the spring, which never slides. On reversal a slider slips after twice "
-        "its slip curvature (Masing).",
-        "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
-        f"{law.stiffness!r},inf,inf",
-    ]
+        reason = describe_missing_sliders(error)
+        return fill_template("sliders.csv", head=head, reason=reason)
     columns = (law.stiffnesses, law.slip_curvatures, compute_slip_moments(law))
-    lines += [",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns), strict=True)]
-    return "\n".join(lines) + "\n"
+    return fill_template(
+        "sliders.csv",
+        table=table,
+        head=head,
+        reason="",
+        mass=find_mass(table),
+        law=law,
+        losses=describe_masing_losses(table),
+        rows=[
+            "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
+            f"{law.stiffness!r},inf,inf",
+            *(",".join(map(repr, row)) for row in np.transpose(columns).tolist()),
+        ],
+    )
 
 
 def write_sliders_json(table: WireTable) -> str:

@@ -8,31 +8,25 @@ no other file. Strings are tendons of limited length, loads are actuators.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from xml.sax.saxutils import quoteattr
+from collections.abc import Sequence
 
 import numpy as np
 
+from labpipe.mechanics.decks.deck_law import fill_template
 from labpipe.mechanics.decks.mujoco_sliders import (
     DEFAULT_NODES,
     RAMP,
     REST,
     Chain,
-    Hinges,
     make_space_hinges,
-    write_model,
-    write_node,
-    write_tendons,
 )
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
-from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
 """Rotation from the axes of a frame, d3 along the line, to those of a body, x along the line."""
-_DIGITS = ".7g"
 
 
 def write_line_deck(
@@ -56,30 +50,39 @@ def write_line_deck(
     default_mass = 1e-3  # kg/m, of a line without weight: MuJoCo needs a mass
     section = line.section
     chain = Chain(
-        *(section.law, line.length, max(0.5 * section.diameter, 1e-6 * line.length)),
-        *(section.mass_per_length or default_mass, section.torsional_stiffness, nodes),
+        law=section.law,
+        length=line.length,
+        radius=max(0.5 * section.diameter, 1e-6 * line.length),
+        mass_per_length=section.mass_per_length or default_mass,
+        torsional_stiffness=section.torsional_stiffness,
+        nodes=nodes,
     )
-    hinges, sentences = make_space_hinges(chain)
     every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
-    base = next((boundary for boundary in every if _is_base(boundary)), None)
-    other_boundaries = [boundary for boundary in every if boundary is not base]
+    base = next((held for held in every if _is_base(held)), None)
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
     gravity = np.sum([np.zeros(3), *weight], axis=0)
-    sections = {
-        "custom": _paths(every),
-        "worldbody": [
-            '    <site name="space" />',
-            *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
-            *_mocap_bodies(other_boundaries, strings),
-        ],
-        "equality": _equalities(other_boundaries, 2.0 * chain.unit_time),
-        "tendon": [*write_tendons(chain, hinges), *_strings(strings)],
-        "actuator": _loads(loads),
-    }
-    comments = (*_comments(chain, boundaries), *sentences)
-    return write_model(title, comments, chain, hinges, sections, gravity=_joined(gravity))
+    contacts = [b.name for b in boundaries if isinstance(b, rod.Ring | rod.Plane)]
+    return fill_template(
+        "line_chain.xml",
+        name=title,
+        chain=chain,
+        hinges=make_space_hinges(chain),
+        gravity=" ".join(f"{component:.7g}" for component in gravity.tolist()),
+        ramp=RAMP,
+        rest=REST,
+        left_out=contacts,
+        bodies=_list_bodies(line, chain, [*every, *strings, *loads], base),
+        every=every,
+        others=[held for held in every if held is not base],
+        poses={held.name: _compute_poses(held) for held in every},
+        strings=strings,
+        loads=loads,
+        gears={
+            axis: " ".join("01"[n == number] for n in range(6)) for number, axis in enumerate("xyz")
+        },
+    )
 
 
 def _is_base(held: rod.Held) -> bool:
@@ -87,29 +90,7 @@ def _is_base(held: rod.Held) -> bool:
     return held.node == 0 and held.frame is not None and held.release is None
 
 
-def _comments(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]:
-    yield "Made by labpipe. Units m, N, kg, s, rad."
-    yield (
-        "The model begins with the line at rest, without weight. At each step of the harness, move "
-        "the mocap bodies to the next row of path_NAME (x y z, quaternion w x y z) in "
-        f"{RAMP} moves or more, then let the line settle for {REST} time steps; ramp gravity and "
-        "loads likewise."
-    )
-    yield ("release_NAME: the step at which to switch off the equality hold_NAME; 0 for never.")
-    out = [boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)]
-    if out:
-        yield f"Left out, as the chain has no contacts: {', '.join(out)}."
-    if chain.law.growing:
-        yield format_sentence("mechanics.decks.line_by_masing")
-    yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."
-    yield "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file."
-
-
-def _joined(values: Floats) -> str:
-    return " ".join(f"{value:{_DIGITS}}" for value in np.ravel(values).tolist())
-
-
-def _poses(held: rod.Held) -> Floats:
+def _compute_poses(held: rod.Held) -> Floats:
     """Return position and quaternion of a mocap body, shape (steps + 1, 7)."""
     count = len(held.position)
     if held.frame is None:
@@ -119,86 +100,38 @@ def _poses(held: rod.Held) -> Floats:
     return np.hstack([held.position, turns])
 
 
-def _paths(held: Sequence[rod.Held]) -> Iterator[str]:
-    for boundary in held:
-        path, release = (
-            quoteattr(f"path_{boundary.name}"),
-            quoteattr(f"release_{boundary.name}"),
-        )
-        yield f'    <numeric name={path} data="{_joined(_poses(boundary))}" />'
-        yield f'    <numeric name={release} data="{boundary.release or 0}" />'
-
-
-def _mocap_bodies(held: Sequence[rod.Held], strings: Sequence[rod.String]) -> Iterator[str]:
-    for boundary in held:
-        pose = _poses(boundary)[0]
-        name, site = quoteattr(boundary.name), quoteattr(f"hold_{boundary.name}")
-        yield (
-            f'    <body name={name} mocap="true" pos="{_joined(pose[:3])}" '
-            f'quat="{_joined(pose[3:])}"><site name={site} /></body>'
-        )
-    for string in strings:
-        site = quoteattr(f"anchor_{string.name}")
-        yield f'    <site name={site} pos="{_joined(string.anchor[-1])}" />'
-
-
-def _equalities(held: Sequence[rod.Held], time: float) -> Iterator[str]:
-    """Return constraints without compliance, of a time constant in s."""
-    stiff = f'solref="{time:{_DIGITS}} 1" solimp="0.9999 0.99999 1e-6"'
-    for boundary in held:
-        constraint = "connect" if boundary.frame is None else "weld"
-        names = [quoteattr(f"{word}_{boundary.name}") for word in ("hold", "at", "hold")]
-        yield f"    <{constraint} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
-
-
-def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
-    for string in strings:
-        node_name, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
-        yield (
-            f'    <spatial name={quoteattr(string.name)} limited="true" '
-            f'range="0 {string.length:{_DIGITS}}">'
-            f"<site site={node_name} /><site site={anchor} /></spatial>"
-        )
-
-
-def _loads(loads: Sequence[rod.Load]) -> Iterator[str]:
-    for load in loads:
-        node_name = quoteattr(f"at_{load.name}")
-        for number, axis in enumerate("xyz"):
-            gear = _joined(np.eye(6)[number])
-            name = quoteattr(f"{load.name}_{axis}")
-            yield f'    <motor name={name} site={node_name} refsite="space" gear="{gear}" />'
-
-
-def _chain_bodies(
+def _list_bodies(
     line: Line,
     chain: Chain,
-    hinges: Hinges,
     tied: Sequence[rod.Held | rod.String | rod.Load],
     base: rod.Held | None,
-) -> Iterator[str]:
-    """Return the chain, on its base or free in space."""
-    h, last = chain.spacing, chain.nodes
-    frames = multiply(_frames_at(line, chain), _TO_BODY)
-    sites = _sites(line, chain, tied)
-    prefix = _unused_prefix([load.name for load in tied])
-    name = f"{prefix}_0" if base is None else base.name
-    base_attributes = "><freejoint />" if base is None else ' mocap="true">'
-    place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
-    yield f"    <body name={quoteattr(name)} {place}{base_attributes}"
-    for node in range(last + 1):
-        if node:
-            turn = multiply(conjugate(frames[node - 1]), frames[node])
-            begin = 0.5 * h if node == 1 else h
-            place = f'pos="{begin:{_DIGITS}} 0 0" quat="{_joined(turn)}"'
-            yield f'    <body name="{prefix}_{node}" {place}>'
-        yield from write_node(chain, hinges, node)
-        for name, along in sites[node]:
-            yield f'      <site name={quoteattr(f"at_{name}")} pos="{along:{_DIGITS}} 0 0" />'
-    yield "    " + "</body>" * (last + 1)
+) -> list[dict[str, object]]:
+    """Return the bodies of the chain, on its base or free in space, each in the one before."""
+    frames = multiply(_find_frames(line, chain), _TO_BODY)
+    prefix = _find_unused_prefix([tie.name for tie in tied])
+    bodies: list[dict[str, object]] = [
+        {
+            "name": f"{prefix}_0" if base is None else base.name,
+            "position": line.positions[0],
+            "turn": frames[0],
+            "kind": "><freejoint />" if base is None else ' mocap="true">',
+        }
+    ]
+    for node in range(1, chain.nodes + 1):
+        begin = 0.5 * chain.spacing if node == 1 else chain.spacing
+        turn = multiply(conjugate(frames[node - 1]), frames[node])
+        body = {"name": f"{prefix}_{node}", "position": np.array([begin, 0.0, 0.0])}
+        bodies.append({**body, "turn": turn, "kind": ">"})
+    sites: list[list[tuple[str, float]]] = [[] for _ in bodies]
+    for tie in tied:  # places on a body, and their distances from its start, m
+        along = float(line.stations[tie.node])
+        node = min(int(along / chain.spacing + 0.5), chain.nodes)
+        begin = (node - 0.5) * chain.spacing if node else 0.0
+        sites[node].append((tie.name, along - begin))
+    return [{**body, "sites": places} for body, places in zip(bodies, sites, strict=True)]
 
 
-def _unused_prefix(names: Sequence[str]) -> str:
+def _find_unused_prefix(names: Sequence[str]) -> str:
     """Return a prefix for the bodies of the chain that no name of the file begins with."""
     prefix = "node"
     while any(name.startswith(f"{prefix}_") for name in names):
@@ -206,20 +139,7 @@ def _unused_prefix(names: Sequence[str]) -> str:
     return prefix
 
 
-def _sites(
-    line: Line, chain: Chain, tied: Sequence[rod.Held | rod.String | rod.Load]
-) -> list[list[tuple[str, float]]]:
-    """Return by body the names of places on it and their distances from its start, m."""
-    sites: list[list[tuple[str, float]]] = [[] for _ in range(chain.nodes + 1)]
-    for load in tied:
-        along = float(line.stations[load.node])
-        body = min(int(along / chain.spacing + 0.5), chain.nodes)
-        begin = (body - 0.5) * chain.spacing if body else 0.0
-        sites[body].append((load.name, along - begin))
-    return sites
-
-
-def _frames_at(line: Line, chain: Chain) -> Floats:
+def _find_frames(line: Line, chain: Chain) -> Floats:
     """Return the frames of the bodies at the start, (nodes + 1, 4): those of the elements there."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)

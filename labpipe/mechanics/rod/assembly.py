@@ -201,6 +201,10 @@ class Assembly:
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
         self._free = supports.before >= 0, supports.behind >= 0
+        self._free_ends = [
+            (np.flatnonzero(free), elements[free])
+            for free, elements in zip(self._free, (supports.before, supports.behind), strict=True)
+        ]
         self._inner = np.flatnonzero(self._free[0] & self._free[1])
         self._shares = self._coupling_shares()
         self._shortest = float(np.min(line.lengths))
@@ -386,13 +390,12 @@ class Assembly:
 
     def _turns(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and their diagonal tangents."""
-        s, (free_a, free_b) = self.supports, self._free
         residual, tangent = directions.pull.copy(), directions.stiff.copy()
+        sides = ((cells.before, cells.by_before), (cells.behind, cells.by_behind))
         # no element is twice on the same side of a cell, so that plain indexing suffices
-        residual[s.before[free_a]] += cells.before[free_a]
-        tangent[s.before[free_a]] += cells.by_before[free_a]
-        residual[s.behind[free_b]] += cells.behind[free_b]
-        tangent[s.behind[free_b]] += cells.by_behind[free_b]
+        for (rows, elements), (moments, stiffness) in zip(self._free_ends, sides, strict=True):
+            residual[elements] += moments[rows]
+            tangent[elements] += stiffness[rows]
         return residual, tangent
 
     def _at_nodes(

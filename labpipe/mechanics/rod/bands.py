@@ -146,9 +146,7 @@ class Band:
 
 
 def compute_band(
-    responses: Sequence[Response],
-    name: str,
-    measure: Callable[[Floats], Floats] = np.asarray,
+    responses: Sequence[Response], name: str, measure: Callable[[Floats], Floats] = np.asarray
 ) -> Band:
     """Compute the pointwise 95 % band of a field over all distributions.
 

@@ -100,7 +100,9 @@ def find_equilibrium(
     least_turn, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         held_shift = target.held - shape.positions[nodes]
-        clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), target.clamps))
+        clamps = np.zeros((len(target.clamps), 3))
+        if present_demands is not target:
+            clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), target.clamps))
         right = assembly.right_side(balance, shape, present_demands, held_shift, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:

@@ -156,13 +156,18 @@ class Line(ArrayRecord):
         """Return the arc length of the nodes at rest, m, shape (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
+    def describe_place(self, node: int) -> str:
+        """Describe the place of a node for messages."""
+        return format_place(float(self.stations[node]))
+
+
+def format_place(station: float) -> str:
+    """Format a place on a line, m from its start."""
+    return f"{1e3 * station:.4g} mm from the start"
+
 
 def build_line(
-    positions: Floats,
-    section: Section,
-    *,
-    up: ArrayLike = (0.0, 0.0, 1.0),
-    is_formed: bool = False,
+    positions: Floats, section: Section, *, up: ArrayLike = (0.0, 0.0, 1.0), is_formed: bool = False
 ) -> Line:
     """Build a line without twist through points, which are its nodes.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.line import Line
-from labpipe.messages import find_code, format_sentence
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
+from labpipe.records.quality import Reason
 
 Status: TypeAlias = Literal["ok", "doubtful", "failed"]
 
@@ -71,51 +71,6 @@ class RodState(ArrayRecord):
         return np.asarray(np.max(np.linalg.norm(across, axis=2), axis=1))
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """Reason why a path failed or is doubtful.
-
-    Parameters
-    ----------
-    template : name of the template of its sentence
-    step : in which it occurred
-    nodes : fields of the template that are places on the line
-    facts : other fields of the template
-    """
-
-    template: str
-    step: int
-    nodes: Mapping[str, int] = field(default_factory=dict)
-    facts: Mapping[str, object] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, name: str, /, *, step: int, **facts: object) -> Reason:
-        """Make a reason; its fields `place` and `other` are nodes."""
-        places = [key for key in ("place", "other") if key in facts]
-        nodes: dict[str, int] = {key: int(str(facts.pop(key))) for key in places}
-        return cls(name, step, nodes, facts)
-
-    @property
-    def code(self) -> str:
-        """Return the code of the reason."""
-        return find_code(self.template)
-
-    @property
-    def sentence(self) -> str:
-        """Return the sentence, with places given as numbers of nodes."""
-        return self.at("node {}".format)
-
-    def at(self, place: Callable[[int], str]) -> str:
-        """Return the sentence, with places as described by a function.
-
-        Parameters
-        ----------
-        place : returns the description of a node
-        """
-        places = {key: place(node) for key, node in self.nodes.items()}
-        return format_sentence(self.template, step=self.step, **places, **self.facts)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPath(ArrayRecord):
     """Path of a line; energies are totals since the start.
@@ -162,6 +117,6 @@ class RodPath(ArrayRecord):
         """
         if not self.states:
             raise ValueError(
-                format_sentence("mechanics.rod.no_state", reason=self.reasons[0].sentence)
+                format_sentence("mechanics.rod.no_state", reason=self.reasons[0].message)
             )
         return self.states[-1]

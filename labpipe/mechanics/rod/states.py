@@ -8,11 +8,12 @@ import numpy as np
 
 from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.mechanics.rod.path import Reason, RodState
+from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_matrices, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
 from labpipe.mechanics.rod.supports import END_SHARE, Supports
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,13 +202,13 @@ class NoEquilibriumError(Exception):
     """The path of a line ends, for a reason."""
 
     def __init__(self, reason: Reason) -> None:
-        super().__init__(reason.sentence)
+        super().__init__(reason.message)
         self.reason = reason
 
     @classmethod
-    def of(cls, template: str, /, *, step: int, **facts: object) -> NoEquilibriumError:
+    def of(cls, template: str, /, **facts: object) -> NoEquilibriumError:
         """Make the error from a template and its facts, as `Reason.of`."""
-        return cls(Reason.of(template, step=step, **facts))
+        return cls(Reason.of(template, **facts))
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
@@ -245,8 +246,8 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
         raise NoEquilibriumError.of(
             "mechanics.rod.too_short" if is_short else "mechanics.rod.taut",
             step=step,
-            place=place,
-            other=other,
+            place=schedule.line.describe_place(place),
+            other=schedule.line.describe_place(other),
             length=length,
             distance=distance,
         )
@@ -270,7 +271,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
             raise NoEquilibriumError.of(
                 "mechanics.rod.in_plane",
                 step=step,
-                place=schedule.held_nodes[k],
+                place=line.describe_place(schedule.held_nodes[k]),
                 grip=get_boundary_name(schedule.boundaries, schedule.held[k]),
                 table=get_boundary_name(schedule.boundaries, plane),
                 height=1e3 * heights[lowest],
@@ -294,13 +295,19 @@ def check_line(
     stretch, most = 100.0 * shape.stretches[element], 100.0 * max_strain
     if stretch > most:
         raise NoEquilibriumError.of(
-            "mechanics.rod.torn", step=step, place=element, stretch=stretch, most=most
+            "mechanics.rod.torn",
+            step=step,
+            place=assembly.line.describe_place(element),
+            stretch=stretch,
+            most=most,
         )
     turns = np.linalg.norm(balance.cells.turns, axis=1)
     if float(np.max(turns, initial=0.0)) > max_fold:
         cell = int(np.argmax(turns))
-        node = assembly.supports.nodes[cell]
-        raise NoEquilibriumError.of("mechanics.rod.folded", step=step, place=node, turn=turns[cell])
+        place = assembly.line.describe_place(assembly.supports.nodes[cell])
+        raise NoEquilibriumError.of(
+            "mechanics.rod.folded", step=step, place=place, turn=turns[cell]
+        )
 
 
 def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
@@ -314,6 +321,6 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
         if not 0.0 < contact.place < schedule.n:
-            end = 0 if contact.place <= 0.0 else schedule.n
+            end = schedule.line.describe_place(0 if contact.place <= 0.0 else schedule.n)
             name = get_boundary_name(schedule.boundaries, ring)
             raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -25,7 +25,7 @@ from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
 from labpipe.mechanics.rod.line import Line
-from labpipe.mechanics.rod.path import Reason, RodPath, RodState, Status
+from labpipe.mechanics.rod.path import RodPath, RodState, Status
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.states import (
@@ -44,6 +44,7 @@ from labpipe.mechanics.rod.states import (
 )
 from labpipe.mechanics.rod.supports import split_supports
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +105,7 @@ def follow(
 
 class _Walk:
     def __init__(
-        self,
-        line: Line,
-        boundaries: tuple[Boundary, ...],
-        steps: int,
-        settings: RodSettings,
+        self, line: Line, boundaries: tuple[Boundary, ...], steps: int, settings: RodSettings
     ) -> None:
         self.line, self.boundaries, self.settings = line, boundaries, settings
         n = len(line.lengths)
@@ -300,15 +297,16 @@ class _Walk:
         if not is_unstable:
             pulls = np.linalg.norm(self.now.shape.forces, axis=1)
             node = int(np.argmax(pulls))
+            place = self.line.describe_place(node)
             raise NoEquilibriumError.of(
-                "mechanics.rod.no_equilibrium", step=self.step, place=node, pull=pulls[node]
+                "mechanics.rod.no_equilibrium", step=self.step, place=place, pull=pulls[node]
             )
         if not self._has_reason("unstable"):
             push = np.zeros(self.assembly.places.total)
             mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
             moves = split_unknowns(push if mode is None else mode)[0]
-            node = int(np.argmax(np.linalg.norm(moves, axis=1)))
-            self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=node))
+            place = self.line.describe_place(int(np.argmax(np.linalg.norm(moves, axis=1))))
+            self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=place))
 
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
@@ -394,11 +392,15 @@ class _Walk:
         bendings, last = state.bendings, self.line.section.law.last
         node = int(np.argmax(bendings))
         if bendings[node] > last and not self._has_reason("beyond_law"):
-            curvature = bendings[node]
-            reason = Reason.of(
-                "mechanics.rod.beyond_law", step=step, place=node, curvature=curvature, last=last
+            self.reasons.append(
+                Reason.of(
+                    "mechanics.rod.beyond_law",
+                    step=step,
+                    place=self.line.describe_place(node),
+                    curvature=bendings[node],
+                    last=last,
+                )
             )
-            self.reasons.append(reason)
 
     def path(self) -> RodPath:
         """Return the path."""

@@ -245,7 +245,7 @@ def model_bundle(
         )
     test = read_processed_test(target)
     name, bundle = _read_bundle(target, test, arrangement)
-    tables = _read_tables(bundle, wires)
+    tables = _read_tables(target, bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
         model = _choose_conduit(
@@ -300,25 +300,16 @@ def _read_bundle(
     return name, replace(bundle, arrangement=arrangement or bundle.arrangement)
 
 
-def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
+def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTable]:
     """Compute the laws of the wires of a bundle."""
-    specs = {spec.name: spec for spec in read_wire_sheet(wires).specs}
-    missing = [wire.type for wire in bundle.wires if wire.type not in specs]
-    if missing:
-        raise UsageError.about(
-            "mechanics.studies.wire_without_row",
-            wires,
-            missing=", ".join(missing),
-            names=", ".join(specs),
-        )
-    tables = {}
-    for name in dict.fromkeys(wire.type for wire in bundle.wires):
+    sheet, tables = read_wire_sheet(wires), {}
+    for spec in [
+        sheet.find(name, target) for name in dict.fromkeys(wire.type for wire in bundle.wires)
+    ]:
         try:
-            tables[name] = wire_table(specs[name])
+            tables[spec.name] = wire_table(spec)
         except ValueError as error:
-            raise build_wire_error(
-                wires, specs[name], "a wire that can be modelled", error
-            ) from error
+            raise build_wire_error(wires, spec, "a wire that can be modelled", error) from error
     return tables
 
 

@@ -100,7 +100,7 @@ def calibrate_tests(
     wires = find_wire_sheet() if wires is None else wires
     sheet = read_wire_sheet(wires)
     specs = {spec.name: spec for spec in sheet.specs}
-    curves = read_external_curves(settings, plan, specs, wires)
+    curves = read_external_curves(settings, plan, sheet)
     files = find_results(targets)
     loadings, left_out = read_first_loadings(
         files, points=settings.points, up_to=settings.up_to, say=say
@@ -110,7 +110,8 @@ def calibrate_tests(
     refuse_duplicates([(loading.curve.test, loading.file) for loading in loadings], "name")
     loadings, copies = drop_copies(loadings)
     name = choose_wire(loadings, settings, plan)
-    require_wires(loadings, specs, wires)
+    for loading in loadings:
+        sheet.find(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
     built = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
@@ -251,34 +252,6 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
             error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
             left_out[str(loading.file)] = str(error)
     return list(first.values()), left_out
-
-
-def require_wires(
-    loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
-) -> None:
-    """Refuse tests of wires that are not in the sheet.
-
-    Parameters
-    ----------
-    loadings : of all tests
-    specs : wires of the sheet, by name
-    wires : the sheet, for messages
-
-    Raises
-    ------
-    UsageError
-        If a wire is missing.
-    """
-    for wire in sorted({loading.curve.wire for loading in loadings} - set(specs)):
-        test = next(loading.curve.test for loading in loadings if loading.curve.wire == wire)
-        raise UsageError.about(
-            "mechanics.studies.type_not_in_sheet",
-            wires,
-            "column wire",
-            wire=wire,
-            test=test,
-            near=", ".join(sort_by_likeness(wire, list(specs))),
-        )
 
 
 def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:

@@ -15,14 +15,7 @@ from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_draws,
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_doubts import (
-    check_path,
-    check_share,
-    find_reasons,
-    list_unloading_numbers,
-)
-from labpipe.mechanics.studies.harness_line import Inputs, prepare_line
-from labpipe.mechanics.studies.harness_material import Material, fix_inputs
+from labpipe.mechanics.studies.harness_line import Inputs, Material, fix_inputs, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
     POSITIONS,
@@ -31,13 +24,17 @@ from labpipe.mechanics.studies.harness_numbers import (
     Bend,
     BendLimit,
     build_results,
+    check_path,
+    check_share,
     collect_fields,
     compute_numbers,
     estimate_sizes,
     evaluate_numbers,
     find_bend_limit,
+    find_reasons,
     find_sharpest_bend,
     find_unit,
+    list_unloading_numbers,
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import HarnessFile

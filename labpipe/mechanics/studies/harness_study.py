@@ -19,7 +19,7 @@ from labpipe.mechanics.rod.bands import StateBands
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.studies.harness_material import describe_file, read_material
+from labpipe.mechanics.studies.harness_line import describe_file, read_material
 from labpipe.mechanics.studies.harness_numbers import (
     RADIUS,
     RADIUS_ON_PATH,
@@ -37,6 +37,7 @@ from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats, Ints
+from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.report.harness_figures import (
     SWEEP_FIGURE,
@@ -51,7 +52,6 @@ from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
     build_result_entry,
-    replace_non_finite,
     select_json,
     to_json,
 )
@@ -157,7 +157,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
         SUMMARY_FILE: _format_json(as_json(solution)),
     }
     if solution.sweep:
-        texts[SWEEP_FILE] = _format_csv([_build_sweep_row(run) for run in solution.sweep])
+        texts[SWEEP_FILE] = _format_csv(_build_sweep_table(solution))
     owned, pages = [SWEEP_FILE, FAILURE_FILE], []
     if figures:
         owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
@@ -165,25 +165,34 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
     return replace(solution, files=write_study(solution.folder, texts, pages, owned=owned, png=png))
 
 
+_LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_PATH} [m]"
+"""Columns of ``sweep.csv``."""
+
+
 def _build_sweep_row(run: FollowedHarness) -> dict[str, object]:
     bend, on_path, lowest = run.bend, run.sharpest, math.nan
     if run.status is not Status.FAILED:
         lowest = float(compute_heights(run.path.last.positions, run.path).min())
-    code, message = "", ""
-    if run.reasons:
-        code, message = run.reasons[0].code, run.reasons[0].message
+    ends = None if run.bands is None else run.bands.intervals[RADIUS]
+    reason = run.reasons[0] if run.reasons else Reason("", "")
     return {
-        "length [m]": run.harness.line.length,
-        "smallest_bend_radius [m]": bend.radius,
-        **{f"{end} [m]": value for end, value in _build_band_ends(run).items()},
+        _LENGTH: run.harness.line.length,
+        _RADIUS: bend.radius,
+        "lower [m]": ends.lower if ends else math.nan,
+        "upper [m]": ends.upper if ends else math.nan,
         "place [m]": bend.place,
-        f"{RADIUS_ON_PATH} [m]": on_path.radius,
+        _RADIUS_ON_PATH: on_path.radius,
         "step": "" if run.status is Status.FAILED else str(on_path.step),
         "lowest_point [m]": lowest,
         "status": str(run.status),
-        "code": code,
-        "reason": message,
+        "code": reason.code,
+        "reason": reason.message,
     }
+
+
+def _build_sweep_table(solution: FollowedHarness) -> pd.DataFrame:
+    """Return the rows of ``sweep.csv``, one for each length."""
+    return pd.DataFrame([_build_sweep_row(run) for run in solution.sweep])
 
 
 def _build_head(solution: FollowedHarness) -> dict[str, object]:
@@ -230,27 +239,19 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             "doubtful": solution.is_bend_doubtful,
         },
         "results": [build_result_entry(result) for result in solution.results],
-        "sweep": [
-            {
-                "length": run.harness.line.length,
-                **select_json(run, "status"),
-                "smallest_bend_radius": replace_non_finite(run.bend.radius),
-                **_build_band_ends(run),
-                "smallest_bend_radius_on_the_way": replace_non_finite(run.sharpest.radius),
-            }
-            for run in solution.sweep
-        ],
+        "sweep": _list_sweep(solution),
         "bands": _build_bands(solution),
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _UNITS,
     }
 
 
-def _build_band_ends(run: FollowedHarness) -> dict[str, float | None]:
-    """Return the ends of the interval of the smallest bend radius; None without one."""
-    if run.bands is None:
-        return {"lower": None, "upper": None}
-    return select_json(run.bands.intervals[RADIUS], "lower", "upper")
+def _list_sweep(solution: FollowedHarness) -> list[dict[str, object]]:
+    if not solution.sweep:
+        return []
+    names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
+    rows = _build_sweep_table(solution)[list(names)].to_dict("records")
+    return [{str(name).removesuffix(" [m]"): to_json(row[name]) for name in row} for row in rows]
 
 
 def _build_bands(solution: FollowedHarness) -> dict[str, object]:
@@ -499,22 +500,19 @@ def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
     if not solution.sweep:
         return None
     sweep = sorted(solution.sweep, key=lambda run: run.harness.line.length)
-    rows = [(run.harness.line.length, run.bend.radius, run.sharpest.radius) for run in sweep]
-    length, radius, radius_over_steps = np.array(rows).T
-    intervals = [run.bands and run.bands.intervals[RADIUS] for run in sweep]
-    ends = [(end.lower, end.upper) if end else (math.nan, math.nan) for end in intervals]
-    lower, upper = np.array(ends).T
+    table = _build_sweep_table(replace(solution, sweep=tuple(sweep)))
+    lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(
         name=solution.file.stem,
         note=_format_caption(solution),
-        length=length,
-        radius=radius,
-        radius_over_steps=radius_over_steps,
-        radius_band=(lower, upper) if any(intervals) else None,
+        length=table[_LENGTH].to_numpy(),
+        radius=table[_RADIUS].to_numpy(),
+        radius_over_steps=table[_RADIUS_ON_PATH].to_numpy(),
+        radius_band=None if np.isnan(lower).all() else (lower, upper),
         shapes=tuple(
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
             for run in sweep
         ),
         allowed=solution.limit.radius,
-        is_doubtful=np.array([run.status is Status.DOUBTFUL for run in sweep]),
+        is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),
     )

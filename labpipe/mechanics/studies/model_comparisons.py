@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, sort_by_likeness
+from labpipe.errors import ReadError, UsageError
 from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
+from labpipe.mechanics.studies.wire_sheets import WireSheet
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.calibration.measured_curves import (
@@ -280,7 +281,7 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
 
 
 def read_external_curves(
-    settings: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
+    settings: CalibrationPlan, plan: Path | None, sheet: WireSheet
 ) -> tuple[ExternalCurve, ...]:
     """Read all external curves of a plan.
 
@@ -288,8 +289,7 @@ def read_external_curves(
     ----------
     settings : the plan
     plan : its file, whose folder the curves are in
-    specs : wires of the sheet, by name
-    wires : the sheet, for messages
+    sheet : of the wires
 
     Raises
     ------
@@ -298,26 +298,19 @@ def read_external_curves(
         message.
     """
     folder = Path() if plan is None else plan.parent
-    external_curves, faults = [], []
+    curves, faults = [], []
     for comparison in settings.comparisons:
-        if comparison.wire not in specs:
-            nearest = ", ".join(sort_by_likeness(comparison.wire, list(specs)))
-            error = UsageError.about(
-                "mechanics.studies.curve_of_unknown_wire",
-                plan or "plan",
-                f"comparison '{comparison.name}', wire",
-                sheet=wires,
-                near=nearest,
-                wire=comparison.wire,
-            )
+        try:
+            sheet.find(comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire")
+        except UsageError as error:
             faults.append(str(error))
         try:
-            external_curves.append(_read_external(comparison, folder))
-        except ReadError as damaged:
-            faults.append(str(damaged))
+            curves.append(_read_external(comparison, folder))
+        except ReadError as error:
+            faults.append(str(error))
     if faults:
         raise UsageError("\n".join(faults))
-    return tuple(external_curves)
+    return tuple(curves)
 
 
 def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:

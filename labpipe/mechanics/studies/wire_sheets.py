@@ -16,7 +16,14 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ProcessingError, ReadError, format_error, sort_by_likeness
+from labpipe.errors import (
+    Fault,
+    ProcessingError,
+    ReadError,
+    UsageError,
+    format_error,
+    sort_by_likeness,
+)
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.protocol.grammar import Block
@@ -248,14 +255,10 @@ def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
     [numbers] = _parse_rows(ProofStress, cells, file)
-    raise_faults(file, place_faults(_find_number_faults(numbers, column), rows[0]))
-    return numbers
-
-
-def _find_number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
+    faults = []
     low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
     if not low <= numbers.modulus_mpa <= high:
-        yield Fault.of(
+        fault = Fault.of(
             "mechanics.studies.modulus_range",
             ("modulus_mpa",),
             part="insulation" if column == "insulation_table" else "strands",
@@ -263,14 +266,18 @@ def _find_number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
             high=high,
             modulus=numbers.modulus_mpa,
         )
-    yields = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
-    if yields > numbers.largest_strain:
-        yield Fault.of(
+        faults.append(fault)
+    yield_strain = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
+    if yield_strain > numbers.largest_strain:
+        fault = Fault.of(
             "mechanics.studies.proof_beyond_range",
             ("largest_strain",),
-            least=yields,
+            least=yield_strain,
             strain=numbers.largest_strain,
         )
+        faults.append(fault)
+    raise_faults(file, place_faults(faults, rows[0]))
+    return numbers
 
 
 def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
@@ -359,12 +366,35 @@ class WireSheet:
 
     Parameters
     ----------
+    path : of the sheet
     specs : the wires, in the order of the rows
     curves : wire -> column of the sheet -> stress table, if there is one
     """
 
+    path: Path
     specs: tuple[WireSpec, ...]
     curves: Mapping[str, Mapping[str, StatedCurve]]
+
+    def find(self, name: str, where: str) -> WireSpec:
+        """Return the wire of a name.
+
+        Parameters
+        ----------
+        name : of the wire
+        where : file and key that name it, for the message
+
+        Raises
+        ------
+        UsageError
+            If the sheet has no such wire.
+        """
+        specs = {spec.name: spec for spec in self.specs}
+        if name in specs:
+            return specs[name]
+        near = ", ".join(sort_by_likeness(name, list(specs)))
+        raise UsageError.about(
+            "mechanics.studies.no_such_wire", where, sheet=self.path, near=near, name=name
+        )
 
 
 def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
@@ -404,14 +434,37 @@ def read_wire_sheet(path: Path) -> WireSheet:
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
-    curves: dict[tuple[str, str], StatedCurve] = {}
-    specs = [_read_spec(row, path, curves, messages) for row in rows]
+    tables: dict[tuple[str, str], StatedCurve] = {}
+    wire_rows: list[WireRow] = []
+    for row in rows:
+        wire_row = WireRow.read(get_texts(row))
+        if isinstance(wire_row, list):
+            messages += format_faults(path, place_faults(wire_row, row))
+        else:
+            wire_rows.append(wire_row)
+        for column, cell in _list_table_names(row):
+            try:
+                if (column, cell.text) not in tables:
+                    tables[column, cell.text] = read_stress_table(column, cell, path)
+            except ReadError as error:
+                messages.append(str(error))
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
-    return WireSheet(
-        tuple(spec for spec in specs if spec is not None),
-        {row["wire"].text: _select_tables(row, curves) for row in rows},
-    )
+    specs, curves = [], {}
+    for row, wire_row in zip(rows, wire_rows, strict=True):
+        own = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
+        stress_tables = (own[name].curve if name in own else None for name in FIRST_SLOPES)
+        blank = [name for name, cell in row.items() if not cell.text]
+        place = re.sub(r", column \d+$", "", row["wire"].place)
+        place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
+        specs.append(build_wire_spec(wire_row, blank, place, *stress_tables))
+        curves[row["wire"].text] = own
+    return WireSheet(path, tuple(specs), curves)
+
+
+def _list_table_names(row: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
+    """Return the columns of a row that name a stress table, with their cells."""
+    return [(name, row[name]) for name in FIRST_SLOPES if name in row and row[name].text]
 
 
 def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
@@ -466,42 +519,3 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
                 place=first.place,
             )
             yield f"{cell.place} (wire)", fault
-
-
-def _read_spec(
-    row: Mapping[str, Cell],
-    path: Path,
-    curves: dict[tuple[str, str], StatedCurve],
-    messages: list[str],
-) -> WireSpec | None:
-    """Read one wire; return None for one with faults, which are added to the messages."""
-    before = len(messages)
-    read = WireRow.read(get_texts(row))
-    messages += format_faults(path, place_faults(read, row)) if isinstance(read, list) else []
-    for column in FIRST_SLOPES:
-        table = row.get(column)
-        if table is not None and table.text and (column, table.text) not in curves:
-            try:
-                curves[column, table.text] = read_stress_table(column, table, path)
-            except ReadError as error:
-                messages.append(str(error))
-    if isinstance(read, list) or len(messages) > before:
-        return None
-    blank = [name for name, cell in row.items() if not cell.text]
-    place = re.sub(r", column \d+$", "", row["wire"].place)
-    place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-    named = _select_tables(row, curves)
-    tables = [
-        named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
-    ]
-    return build_wire_spec(read, blank, place, *tables)
-
-
-def _select_tables(
-    row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
-) -> dict[str, StatedCurve]:
-    """Return the stress tables of a row, by column."""
-    curves_by_column = {
-        column: curves.get((column, row[column].text)) for column in FIRST_SLOPES if column in row
-    }
-    return {column: curve for column, curve in curves_by_column.items() if curve is not None}
