@@ -29,8 +29,7 @@ from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import recognise_export
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
-from labpipe.results.beam import BendingStiffness
-from labpipe.results.shapes import MidSpan, Twist
+from labpipe.results.bending import BendingStiffness, MidSpan, Twist
 from labpipe.results.tension import TensionResult
 
 _YAML_SUFFIXES = (".yaml", ".yml")

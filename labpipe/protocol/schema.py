@@ -82,7 +82,7 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.group import LotRule
 from labpipe.results import KINDS
-from labpipe.results.beam import BendingStiffness
+from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
 
 if TYPE_CHECKING:
