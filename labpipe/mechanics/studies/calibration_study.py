@@ -48,7 +48,7 @@ from labpipe.mechanics.wire.wire_table import (
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.protocol.plans import CalibrationPlan
+from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (

@@ -32,7 +32,7 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.messages import format_sentence
-from labpipe.protocol.plans import CalibrationPlan, Comparison
+from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag
