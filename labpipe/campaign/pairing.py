@@ -270,8 +270,8 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if candidate.by_role:
-        roles = _list_planned_roles(plan, candidate)
+    if candidate.by_role and isinstance(plan.pair, ByName):
+        roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if absent := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=absent)
     copies = _copy_exports(candidate)
@@ -283,7 +283,11 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
-    sheet = write_inferred_sheet(add_plan_blocks(inferred, plan))
+    # facts of the plan that have no column
+    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
+    overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
+    planned = replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
+    sheet = write_inferred_sheet(planned)
     return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open)
 
 
@@ -312,25 +316,6 @@ def _differs(path: Path, copy: Path) -> bool:
         return False
     states = [(status.st_size, int(status.st_mtime)) for status in (path.stat(), copy.stat())]
     return states[0] != states[1]
-
-
-def add_plan_blocks(inferred: InferredTest, plan: CampaignPlan) -> InferredTest:
-    """Add the facts of the plan that have no column: labels, bundle, overrides.
-
-    Parameters
-    ----------
-    inferred : a test
-    plan : of the campaign
-    """
-    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
-    overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
-    return replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
-
-
-def _list_planned_roles(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
-    if plan.wait_for is not None:
-        return plan.wait_for
-    return list(plan.pair.exports) if isinstance(plan.pair, ByName) else list(candidate.files)
 
 
 def _find_missing_roles(
