@@ -21,9 +21,8 @@ from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples
 from labpipe.messages import format_sentence
-from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.motion import Motion, find_motion_turns
-from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, average_level
+from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, Prepared, Take, average_level
 from labpipe.protocol.schema import Markers
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, find_run_times
@@ -319,16 +318,22 @@ def fit_three_point_shape(
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
+        moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
+        moved = np.max(np.nan_to_num(moved), axis=1)  # at most, in each frame
         shape = fit_span(
             sections,
             span=span,
             radius=settings.centre_offset,
             facing=step.facing,
-            is_bent=_flag_bent_frames(sections),
+            is_bent=np.asarray(moved > 0.5 * moved.max(), dtype=np.bool_),
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
-    mid_span = _make_mid_span_signal(shape, time, is_at_rest, take)
+    deflection = shape.axis.deflection
+    at_rest = deflection[is_at_rest & np.isfinite(deflection)]
+    variance = estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)
+    mid_span = take.make_signal(time, deflection - at_rest.mean())
+    mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))
     prepared = replace(
         prepared,
         signals=prepared.signals.add_signal("mid_span", mid_span),
@@ -344,20 +349,6 @@ def fit_three_point_shape(
 def _reject_span(prepared: Prepared, reason: Failure) -> StepOutcome:
     note = QualityNote(reason.code, Severity.ERROR, "markers", reason.message)
     return replace(prepared, span=reason), [Finding(note)]
-
-
-def _make_mid_span_signal(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
-    deflection = shape.axis.deflection
-    at_rest = deflection[rest & np.isfinite(deflection)]
-    error = float(np.sqrt(estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)))
-    return replace(take.make_signal(time, deflection - at_rest.mean()), zero_error=error)
-
-
-def _flag_bent_frames(sections: Sections) -> Flags:
-    """Flag frames with more than half of the largest deflection."""
-    moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
-    largest_moves = np.max(np.nan_to_num(moved), axis=1)
-    return np.asarray(largest_moves > 0.5 * largest_moves.max(), dtype=np.bool_)
 
 
 def _make_span_shape(

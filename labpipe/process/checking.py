@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
-from labpipe.process.calibrated_signals import Prepared, calibrate
 from labpipe.process.output_paths import files_below
 from labpipe.process.reading import join_exports, read_role
-from labpipe.process.steps import run_step
+from labpipe.process.steps import Prepared, calibrate, run_step
 from labpipe.protocol.load import (
     find_missing_exports,
     load_calibration_plan,
@@ -86,46 +85,37 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     -------
     The report; faults of files are never raised.
     """
-    report = CheckReport()
-    checked_paths = list(paths) or [
-        path for path in (Path("protocols"), Path("raw")) if path.is_dir()
-    ]
-    files = [file for path in checked_paths for file in _yaml_files(path)]
-    report.faults += [
-        _describe_unusable_path(path)
-        for path in checked_paths or [Path("protocols")]
-        if not _yaml_files(path)
-    ]
-    for file in dict.fromkeys(files):
+    report, files = CheckReport(), dict[Path, None]()
+    for path in (
+        paths or [x for x in map(Path, ("protocols", "raw")) if x.is_dir()] or [Path("protocols")]
+    ):
+        below = files_below(path) if path.is_dir() else [path]
+        found = [file for file in below if file.suffix in _YAML_SUFFIXES and file.is_file()]
+        files |= dict.fromkeys(found)
+        if not found:
+            other = "a folder without any" if path.is_dir() else "another file"
+            actual = other if path.exists() else "nothing of that name"
+            error = ProtocolError.about("process.nothing_to_check", path, found=actual)
+            report.faults.append(str(error))
+    for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
             report.tests.append(file)
-        elif load is None:
-            report.protocols.append(file)
-            _check_protocol(file, report)
-        else:
+        elif load is not None:
             report.plans.append(file)
             report.attempt(partial(load, file))
+        else:
+            report.protocols.append(file)
+            protocol = report.attempt(partial(load_protocol, file))
+            if protocol is not None and (name := protocol.name) != file.stem:
+                error = ProtocolError.about(
+                    "process.other_name", file, "(name)", file=file.stem, name=name
+                )
+                report.faults.append(str(error))
     sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
     report.faults += _find_duplicate_names({file: sheet for file, sheet in sheets.items() if sheet})
     report.faults = list(dict.fromkeys(report.faults))
     return report
-
-
-def _yaml_files(path: Path) -> list[Path]:
-    if path.is_dir():
-        return [
-            file for file in files_below(path) if file.suffix in _YAML_SUFFIXES and file.is_file()
-        ]
-    return [path] if path.suffix in _YAML_SUFFIXES and path.is_file() else []
-
-
-def _describe_unusable_path(path: Path) -> str:
-    """Describe a path that holds nothing to check."""
-    found = "nothing of that name"
-    if path.exists():
-        found = "a folder without any" if path.is_dir() else "another file"
-    return str(ProtocolError.about("process.nothing_to_check", path, found=found))
 
 
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
@@ -144,14 +134,6 @@ def _select_loader(path: Path) -> Callable[[Path], object] | None:
     if other_keys & {*HarnessFile.list_keys()} - {*CalibrationPlan.list_keys()}:
         return load_harness
     return load_calibration_plan if other_keys & {*CalibrationPlan.list_keys()} else None
-
-
-def _check_protocol(path: Path, report: CheckReport) -> None:
-    protocol = report.attempt(partial(load_protocol, path))
-    if protocol is not None and protocol.name != path.stem:
-        file, name = path.stem, protocol.name
-        error = ProtocolError.about("process.other_name", path, "(name)", file=file, name=name)
-        report.faults.append(str(error))
 
 
 def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
@@ -173,7 +155,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             "process.size_missing", path, where, meaning=meaning, results=listed, example=example
         )
         report.faults.append(str(error))
-        n_faults_before += 1
+        n_faults_before += size != "gauge_length"  # strain cannot be converted without it
     missing = find_missing_exports(sheet, path)
     report.faults += str(missing).splitlines() if missing else []
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
@@ -241,7 +223,12 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
         if isinstance(entry, TensionResult):
             needs.setdefault("gauge_length", []).append(entry.result)
             needs.setdefault("section.area", []).append(entry.result)
-    alternatives = {"gauge_length": [["length"]], "section.area": SECTIONS}
+    curve = protocol.curve and protocol.channels.get(protocol.curve.displacement)
+    is_extension = bool(curve and curve.is_extension)
+    alternatives = {
+        "gauge_length": [] if is_extension else [["length"]],
+        "section.area": SECTIONS,
+    }
     return {
         size: results
         for size, results in needs.items()

@@ -83,8 +83,8 @@ class Record:
     @cached_property
     def changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
         """Return changes of instruments: kind and size, the cycle before and the one after."""
-        found = [(_find_instrument_change(self, *pair), pair) for pair in pairwise(self.cycles)]
-        return [(*change, *pair) for change, pair in found if change is not None]
+        changes = [(_find_instrument_change(self, *pair), pair) for pair in pairwise(self.cycles)]
+        return [(*change, *pair) for change, pair in changes if change is not None]
 
     def sign(self, branch: Branch) -> float:
         """Return the sign in which the force changes in a branch."""
@@ -322,10 +322,8 @@ def _find_instrument_change(
     # at most 2.0 in whole cycles, and 4.0 (scale) and 6.2 (level) in unloading alone.
     min_scale_ratio = 3.0
     unloading_scale_ratio, unloading_level_ratio = 5.5, 8.0
-    least, forces = (
-        record.limits.cycle_change,
-        _interpolate_common_forces(*before.paths, *after.paths),
-    )
+    min_change = record.limits.cycle_change
+    forces = _interpolate_common_forces(*before.paths, *after.paths)
     if not forces:
         return None
     old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
@@ -336,9 +334,13 @@ def _find_instrument_change(
         recorded = _rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
         misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
-        if misfit < level_misfit and abs(scale - 1.0) > least and recorded > scale_ratio * misfit:
+        if (
+            misfit < level_misfit
+            and abs(scale - 1.0) > min_change
+            and recorded > scale_ratio * misfit
+        ):
             return "scale", scale
-        if abs(level) > least * record.largest and recorded > level_ratio * level_misfit:
+        if abs(level) > min_change * record.largest and recorded > level_ratio * level_misfit:
             return "level", level
     return None
 

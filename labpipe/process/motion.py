@@ -92,13 +92,15 @@ def find_motion_strokes(motion: Signal, block: Branches) -> tuple[Motion, list[F
     block : of the protocol, with channel name and minimum stroke
     """
     noise_factor = 5.0  # standard deviations that noise alone may reach
-    where, least, noise = block.channel, block.min_stroke, estimate_noise_level(motion.values)
-    if noise_factor * noise > least:
-        noise, least = 1e3 * noise, 1e3 * least
+    where, noise = block.channel, estimate_noise_level(motion.values)
+    if noise_factor * noise > block.min_stroke:
+        noise, min_stroke = 1e3 * noise, 1e3 * block.min_stroke
         return Motion(motion), [
-            Finding.of("process.motion_is_noise", where, blocks=True, noise=noise, min_stroke=least)
+            Finding.of(
+                "process.motion_is_noise", where, blocks=True, noise=noise, min_stroke=min_stroke
+            )
         ]
-    strokes = turning_points.find_strokes(motion.time, motion.values, min_stroke=least)
+    strokes = turning_points.find_strokes(motion.time, motion.values, min_stroke=block.min_stroke)
     if not strokes:
         span = 1e3 * float(np.nanmax(motion.values) - np.nanmin(motion.values))
         return Motion(motion), [Finding.of("process.no_motion", where, blocks=True, span=span)]
@@ -343,12 +345,12 @@ def find_turn_events(
     longer one.
     """
     turns = {turn.stroke: turn for turn in motion.turns}
-    found = (
+    corners_by_turn = (
         _find_corners(force, turns[number], near, window)
         for number, near in pairs
         if number in turns
     )
-    events = [_average_corners(corners) for corners in found if len(corners)]
+    events = [_average_corners(corners) for corners in corners_by_turn if len(corners)]
     return np.array(events, dtype=np.float64).reshape(-1, 4).T
 
 

@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from labpipe.errors import ReadError, format_overrides
+from labpipe.messages import format_sentence
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
@@ -42,12 +43,14 @@ def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> lis
     Faults are: export and protocol state no unit; the unit in the export is unknown or of another
     quantity; or `unit` in the protocol contradicts it and `wrong_unit_in_file` does not name it.
     """
-    stated, key = channel.unit_in_file, source.key
+    stated, key, word = channel.unit_in_file, source.key, channel.unit_in_file.casefold()
     si_unit = _find_si_unit(source, source.unit or stated)
-    place, likely = f"channel {channel.path!r}", _find_known_spelling(stated)
-    another = format_overrides(f"{key}.channel", "...")
+    likely = _UNIT_SPELLINGS.get(word) or _UNIT_SPELLINGS.get(word.removesuffix("s"), stated)
+    likely = stated if is_unit(stated) else likely  # such as kN for KN
+    is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
+    fits, place = _are_equal_units(likely, likely, si_unit), f"channel {channel.path!r}"
+    another, calibration = format_overrides(f"{key}.channel", "..."), f"{key}.calibration"
     if source.unit is not None:
-        is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
         is_same = _are_equal_units(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
             return []
@@ -57,44 +60,31 @@ def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> lis
             place,
             stated=stated,
             key=f"{key}.unit: {source.unit}",
-            likely=(
-                f"Write {likely} there"
-                if _are_equal_units(likely, likely, si_unit)
-                else f"Name another channel with {another}"
-            ),
+            likely=f"Write {likely} there" if fits else f"Name another channel with {another}",
             wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
         )
-    elif not stated:
+        return [str(error)]
+    if not stated:
         unit = format_overrides(f"{key}.unit", source.target_unit)
-        error = ReadError.about("process.no_unit", path, place, unit=unit)
-    elif _are_equal_units(stated, stated, si_unit):
+        return [str(ReadError.about("process.no_unit", path, place, unit=unit))]
+    if fits and likely == stated:
         return []
-    elif source.target_unit == "N" and has_dimension_of(stated, "kg"):
-        error = ReadError.about(
-            "process.unit_of_mass",
-            path,
-            place,
-            si_unit=si_unit,
-            stated=stated,
-            unit=format_overrides(f"{key}.unit", stated),
-            calibration=f"{key}.calibration",
+    if source.target_unit == "N" and has_dimension_of(stated, "kg"):
+        unit = format_overrides(f"{key}.unit", stated)
+        remedy = format_sentence(
+            "process.unit_of_mass", stated=stated, unit=unit, calibration=calibration
         )
-    elif stated not in _UNKNOWN_UNITS and is_unit(stated):
-        error = ReadError.about(
-            "process.unit_of_another_quantity",
-            path,
-            place,
-            si_unit=si_unit,
-            stated=stated,
-            another=another,
-            calibration=f"{key}.calibration",
+    elif is_known and likely == stated:
+        remedy = format_sentence(
+            "process.unit_of_another_quantity", another=another, calibration=calibration
         )
     else:
-        is_spelt_otherwise = _are_equal_units(likely, likely, source.target_unit)
-        unit = format_overrides(f"{key}.unit", likely if is_spelt_otherwise else "...")
-        error = ReadError.about(
-            "process.unit_unknown", path, place, si_unit=si_unit, stated=stated, unit=unit
-        )
+        fits = _are_equal_units(likely, likely, source.target_unit)
+        unit = format_overrides(f"{key}.unit", likely if fits else "...")
+        remedy = format_sentence("process.unit_unknown", unit=unit)
+    error = ReadError.about(
+        "process.wrong_unit", path, place, si_unit=si_unit, stated=stated, remedy=remedy
+    )
     return [str(error)]
 
 
@@ -105,13 +95,6 @@ def _find_si_unit(source: ChannelSource, stated: str) -> str:
     return "1" if is_strain else unit
 
 
-def _find_known_spelling(stated: str) -> str:
-    """Return the known spelling of a unit in an export, such as kN for KN; else as written."""
-    word = stated.casefold()
-    spelt = _UNIT_SPELLINGS.get(word) or _UNIT_SPELLINGS.get(word.removesuffix("s"), stated)
-    return stated if is_unit(stated) else spelt
-
-
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
     """Check whether two units are equal and of the dimension of an SI unit."""
     try:
@@ -120,10 +103,6 @@ def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
         )
     except ValueError:
         return False
-
-
-DIALECT = "dialect"
-"""Role of the dialect cards of the lab among the inputs of a test."""
 
 
 def read_inputs(
@@ -189,7 +168,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
     Returns
     -------
-    All cards, as inputs of the role `DIALECT`, if a source may be a load-frame export: a new card
+    All cards, as inputs of the role ``dialect``, if a source may be a load-frame export: a new card
     may fit better. None otherwise.
 
     Raises
@@ -199,7 +178,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     """
     if not any("load-frame" in source.reader for source in protocol.sources.values()):
         return ()
-    return tuple(fingerprint(file, DIALECT, file.name) for file in lab_card_files())
+    return tuple(fingerprint(file, "dialect", file.name) for file in lab_card_files())
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:

@@ -94,7 +94,7 @@ class Task:
     figures : whether to draw figures as SVG
     png : whether to draw them as PNG as well
     follow_links : whether exports may be links out of the folder of the test
-    run : key of its inputs (`run_key`), if it is known before they are read; else empty
+    run : key of its inputs (`make_input_key`), if it is known before they are read; else empty
     """
 
     sheet: Path
@@ -151,7 +151,11 @@ def process(task: Task, say: Say) -> Processed:
     say("process")
     result = reduce_test(raw, protocol)
     folder = task.results_folder or find_results_folder(source, None, lambda: result.test)
-    owned = [FAILURE_FILE, *_list_outdated_figures(folder, result.run, is_drawn=task.figures)]
+    figures_shown = _list_figure_files()
+    with suppress(StoreError):
+        if not task.figures and read_run(folder / RESULT_FILE) == result.run:
+            figures_shown = []  # they show this run
+    owned = [FAILURE_FILE, *figures_shown]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
@@ -230,6 +234,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         If a recording lacks data that a step needs.
     """
     tested, operator = find_day_and_operator(raw.test_yaml, raw.recordings)
+    exports = [(file.role, file.sha256) for file in raw.inputs]
     try:
         reduced = reduce_recordings(raw.recordings, protocol, tested=tested, specimen=raw.specimen)
     except ProcessingError as error:
@@ -255,7 +260,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         figures=protocol.report.figures,
         slips=test.slips,
         lines=reduced.lines,
-        run=run_key(raw),
+        run=make_input_key(exports, raw.test_yaml, raw.protocol_yaml),
         date=tested,
         operator=operator,
         instruments=list_certified_instruments(protocol),
@@ -307,42 +312,21 @@ def read_test_name(source: Path) -> str:
     return read_name(source) if source.suffix == ".h5" else load_test_sheet(source).test
 
 
-def run_key(raw: RawTest) -> str:
-    """Make the key of the inputs of a test: equal keys mean equal numbers.
-
-    Parameters
-    ----------
-    raw : fingerprints of the exports, test sheet and protocol
-
-    Returns
-    -------
-    SHA-256, hexadecimal, of these and `PROCESSING_VERSION`, independent of time and machine.
-    """
-    exports = [(file.role, file.sha256) for file in raw.inputs]
-    return make_input_key(exports, raw.test_yaml, raw.protocol_yaml)
-
-
 def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
-    """Make the key of inputs, see `run_key`.
+    """Make the key of the inputs of a test: equal keys mean equal numbers.
 
     Parameters
     ----------
     inputs : role and SHA-256 of each, in the order of the protocol
     test_yaml : the test sheet as written
     protocol_yaml : the resolved protocol
+
+    Returns
+    -------
+    SHA-256, hexadecimal, of these and `PROCESSING_VERSION`, independent of time and machine.
     """
-    exports = [list(file) for file in inputs]
-    parts = [PROCESSING_VERSION, exports, test_yaml, protocol_yaml]
+    parts = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
     return sha256(json.dumps(parts).encode()).hexdigest()
-
-
-def _list_outdated_figures(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
-    """List the figures of a folder, which are outdated; none if they show this run."""
-    if not is_drawn:
-        with suppress(StoreError):
-            if read_run(folder / RESULT_FILE) == run:
-                return []
-    return _list_figure_files()
 
 
 def _list_figure_files() -> list[str]:
@@ -489,7 +473,11 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
     The refusal. If the results folder is not known, not writable, or in use by another process,
     there is no failure.json, or an earlier one remains.
     """
-    folder = _try_results_folder(task)
+    folder = task.results_folder
+    with suppress(LabpipeError, OSError, MemoryError):
+        folder = folder or find_results_folder(
+            task.sheet, None, partial(read_test_name, task.sheet)
+        )
     failure = FailedTest("", code, reason, task.run)
     if is_read:
         failure = _add_inputs(failure, task)
@@ -497,14 +485,6 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
         with suppress(LabpipeError):
             write_failure(failure, folder)
     return Refused(task.sheet, code, reason, folder, failure.run)
-
-
-def _try_results_folder(task: Task) -> Path | None:
-    if task.results_folder is not None:
-        return task.results_folder
-    with suppress(LabpipeError, OSError, MemoryError):
-        return find_results_folder(task.sheet, None, partial(read_test_name, task.sheet))
-    return None
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
@@ -518,7 +498,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         resolved = dump_protocol(protocol)
         texts = {"sheet": text, "protocol": resolved}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        failure = replace(failure, made_of=hashes)
+        failure = replace(failure, made_of=hashes)  # known even if an export cannot be read
         exports_by_role, folder = list_named_exports(sheet, protocol), task.sheet.parent
         exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
@@ -535,13 +515,10 @@ def _describe_fault(code: str, test: Path, error: Exception) -> str:
     if code == "out_of_memory":
         return str(LabpipeError.about("process.out_of_memory", test))
     frames = traceback.extract_tb(error.__traceback__)
-    own_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
-    frame = (own_frames or frames)[-1]
-    message = " ".join(str(error).split())
+    frame = ([x for x in frames if "labpipe" in Path(x.filename).parts] or frames)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    kind = type(error).__name__
-    return str(
-        LabpipeError.about(
-            "process.fault_of_labpipe", test, kind=kind, message=message, place=place
-        )
+    kind, message = type(error).__name__, " ".join(str(error).split())
+    fault = LabpipeError.about(
+        "process.fault_of_labpipe", test, kind=kind, message=message, place=place
     )
+    return str(fault)

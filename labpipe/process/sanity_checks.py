@@ -11,8 +11,8 @@ import numpy as np
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
+from labpipe.process.steps import Prepared
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats, average_between

@@ -298,8 +298,8 @@ def match_protocols(
 
 def _find_namesakes(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
     """Find the protocols whose name a text contains as whole words."""
-    words = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
-    return [name for name in protocols if any(f"-{name.casefold()}-" in text for text in words)]
+    plain = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
+    return [name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain)]
 
 
 def find_majority(counts: Mapping[str, int]) -> str:
@@ -530,8 +530,11 @@ def infer_test(
     values |= {fact.key: fact.value for fact in copied} | dict(stated)
     inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
-    required = ["protocol", "type", "spool", "sample"]
-    required += find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else []
+    sizes = find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else {}
+    if "section.area" in sizes and {"width", "thickness"} <= values.keys():
+        values |= {f"section.{key}": values[key] for key in ("width", "thickness")}
+        del sizes["section.area"]
+    required = ["protocol", "type", "spool", "sample", *sizes]
     open_keys = [key for key in required if not values.get(key)]
     open_keys += sorted(ambiguous) or ([] if files else ["files"])
     used = unclear.union(*files.values())

@@ -92,9 +92,9 @@ def write_inferred_sheets(
             raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
         yield write_inferred_sheet(infer_test(folder, stated))
         return
-    kept = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in kept)
-    for test in infer_tests([path for path in test_folders if path not in kept], stated):
+    existing = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
+    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in existing)
+    for test in infer_tests([path for path in test_folders if path not in existing], stated):
         yield write_inferred_sheet(test)
 
 

@@ -18,7 +18,6 @@ from datetime import date
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.consistency import Record, check_break, check_consistency
 from labpipe.process.curve_corrections import (
     align_signals,
@@ -35,10 +34,10 @@ from labpipe.process.sanity_checks import (
     check_start,
     find_cut_ends,
 )
-from labpipe.process.steps import rezero_at_rest, run_steps
+from labpipe.process.steps import Prepared, calibrate, check_channels, rezero_at_rest, run_steps
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
-from labpipe.records.declarations import FitShape, Limits
+from labpipe.records.declarations import FitShape
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Specimen, Status
@@ -101,8 +100,10 @@ def reduce_recordings(
     seed = make_seed(recordings)
     prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
     findings += new_findings
-    prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
+    prepared, new_findings = check_mid_span(prepared, motion, protocol.limits)
     findings += new_findings
+    signals, new_findings = rezero_at_rest(prepared.signals, motion)
+    prepared, findings = replace(prepared, signals=signals), findings + new_findings
     findings = check_signals(prepared, motion, protocol, findings)
     test = replace(
         _build_reduced_test(prepared, motion.clocks, protocol, findings, labels), seed=seed
@@ -153,15 +154,6 @@ def split_motion(
         motion = replace(motion, clocks=replace(clocks, others=others))
         findings += new_findings
     return prepared, motion, findings
-
-
-def recheck_rest(
-    prepared: Prepared, motion: Motion, limits: Limits
-) -> tuple[Prepared, list[Finding]]:
-    """Check and correct what was measured at rest, now that the times of the motion are known."""
-    prepared, findings = check_mid_span(prepared, motion, limits)
-    signals, zero_findings = rezero_at_rest(prepared.signals, motion)
-    return replace(prepared, signals=signals), [*findings, *zero_findings]
 
 
 def add_curve(

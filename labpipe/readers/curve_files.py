@@ -29,10 +29,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -299,16 +298,6 @@ def _compute_unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
     return factor
 
 
-class _Block(NamedTuple):
-    """The mean of the second component below one heading."""
-
-    quantity: str
-    set_name: str
-    time: str
-    line: int
-    value: float
-
-
 def is_calculix(lines: Sequence[str]) -> bool:
     """Return whether the first non-blank line is a heading of CalculiX.
 
@@ -321,38 +310,39 @@ def is_calculix(lines: Sequence[str]) -> bool:
 
 def _format_tip_lines(lines: Sequence[str], path: Path) -> list[str]:
     """Convert the blocks to lines of deflection and force, each on the line of its block."""
-    blocks = list(_blocks(lines, path))
-    names = sorted({block.set_name for block in blocks})
-    deflections, forces = (
-        [block for block in blocks if block.quantity == quantity]
-        for quantity in (_DEFLECTION, _FORCE)
-    )
-    if len(names) > 1 or [block.time for block in deflections] != [block.time for block in forces]:
-        found = f"{len(deflections)} and {len(forces)} of the sets {', '.join(names)}"
+    headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
+    ends = [*(i for i, _ in headings[1:]), len(lines)]
+    times: dict[str, list[str]] = {_DEFLECTION: [], _FORCE: []}
+    means: dict[str, list[tuple[int, float]]] = {_DEFLECTION: [], _FORCE: []}
+    names = set[str]()
+    for (start, match), end in zip(headings, ends, strict=True):
+        quantity, _, name, time = (group.strip() for group in match.groups())
+        second = 2 if quantity != _FORCE else 1  # behind the number of the node
+        names.add(name)
+        mean = _average_block(lines, range(start, end), second, path)
+        times.setdefault(quantity, []).append(time)
+        means.setdefault(quantity, []).append(mean)
+    listed = ", ".join(sorted(names))
+    if len(names) > 1 or times[_DEFLECTION] != times[_FORCE]:
+        found = f"{len(times[_DEFLECTION])} and {len(times[_FORCE])} of the sets {listed}"
         raise ReadError.about("readers.calculix_blocks", path, found=found)
-    share = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
-    table = [""] * (len(lines) + 1)
-    table[0] = "deflection / m\tforce / N"
-    for u, f in zip(deflections, forces, strict=True):
-        table[u.line - 1] = f"{u.value:.9g}\t{share * f.value:.9g}"
+    share = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
+    table = ["deflection / m\tforce / N", *[""] * len(lines)]
+    for (line, deflection), (_, force) in zip(means[_DEFLECTION], means[_FORCE], strict=True):
+        table[line] = f"{deflection:.9g}\t{share * force:.9g}"
     return table
 
 
-def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
-    """Yield the blocks, each with at least one line of numbers."""
-    headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
-    ends = [*(i for i, _ in headings[1:]), len(lines)]
-    for (start, match), end in zip(headings, ends, strict=True):
-        quantity, _, set_name, time = (group.strip() for group in match.groups())
-        second = 2 if quantity != _FORCE else 1  # behind the number of the node
-        values, filled = [], [i for i in range(start + 1, end) if lines[i].strip()]
-        for i in filled or [start]:
-            cells = lines[i].split()
-            # Exponents of very small numbers beside it may lack the letter.
-            if not filled or len(cells) != second + 2 or not NUMERAL["."].fullmatch(cells[second]):
-                count, line = second + 2, lines[i].strip()[:60]
-                raise ReadError.about(
-                    "readers.calculix_line", path, f"line {i + 1}", count=count, line=line
-                )
-            values.append(float(cells[second]))
-        yield _Block(quantity, set_name, time, filled[0] + 1, sum(values) / len(values))
+def _average_block(
+    lines: Sequence[str], block: range, column: int, path: Path
+) -> tuple[int, float]:
+    """Return the first line of numbers below a heading, and the mean of a column of the block."""
+    values, filled = [], [i for i in block[1:] if lines[i].strip()]
+    for i in filled or block[:1]:
+        cells = lines[i].split()
+        # Exponents of very small numbers beside it may lack the letter.
+        if not filled or len(cells) != column + 2 or not NUMERAL["."].fullmatch(cells[column]):
+            place, count, line = f"line {i + 1}", column + 2, lines[i].strip()[:60]
+            raise ReadError.about("readers.calculix_line", path, place, count=count, line=line)
+        values.append(float(cells[column]))
+    return filled[0], sum(values) / len(values)

@@ -89,7 +89,12 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If it is damaged, contains no struct with X and Y, or lacks a wanted channel.
     """
     with _open_variables(path) as (variables, header_text):
-        name, tree = _find_recording(variables, path)
+        structs = {name: _find_struct(variables, name) for name in variables}
+        structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
+        if len(structs) != 1:
+            names = ", ".join(list(structs or variables)[:5]) or "nothing"
+            raise ReadError.about("readers.no_struct", path, count=len(structs), names=names)
+        ((name, tree),) = structs.items()
         export = _parse(name, tree, header_text, path)
         return load_export(export, reader="dspace-mat", path=path, channels=channels)
 
@@ -160,35 +165,19 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
     if item.is_virtual or item.external:
         message = f"{item.name} keeps its samples in another file"
         raise ValueError(message)
-    if item.nbytes > max_deflate_ratio * size or not _has_all_samples(item):
+    shape = zip(item.shape, item.chunks or (), strict=item.chunks is not None)
+    has_all_samples = item.size <= _MAX_EAGER_ELEMENTS or (
+        item.id.get_storage_size() >= item.nbytes
+        if item.chunks is None
+        else item.id.get_num_chunks() >= prod(ceil(n / chunk) for n, chunk in shape)
+    )
+    if item.nbytes > max_deflate_ratio * size or not has_all_samples:
         message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
         raise ValueError(message)
     if is_text:
         units = np.asarray(item[()]).T.astype("<u2")
         return units.tobytes().decode("utf-16-le", errors="replace")
     return item if item.size > _MAX_EAGER_ELEMENTS else np.asarray(item[()])
-
-
-def _has_all_samples(item: h5py.Dataset) -> bool:
-    """Return whether the file contains all samples of a data set; small ones are not checked."""
-    if item.size <= _MAX_EAGER_ELEMENTS:
-        return True
-    if item.chunks is None:
-        return bool(item.id.get_storage_size() >= item.nbytes)
-    sizes = zip(item.shape, item.chunks, strict=True)
-    return bool(item.id.get_num_chunks() >= prod(ceil(every / one) for every, one in sizes))
-
-
-def _find_recording(
-    variables: Mapping[str, MatValue], path: Path
-) -> tuple[str, dict[str, MatValue]]:
-    """Return the only variable with the fields X and Y, whatever its name."""
-    structs = {name: _find_struct(variables, name) for name in variables}
-    structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
-    if len(structs) == 1:
-        return next(iter(structs.items()))
-    names = ", ".join(list(structs or variables)[:5]) or "nothing"
-    raise ReadError.about("readers.no_struct", path, count=len(structs), names=names)
 
 
 def _parse(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
@@ -379,7 +368,10 @@ def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
     elif kind == char:
         value = _parse_text(cursor)
     elif kind in _NUMERIC_CLASSES and not flags & complex_flag:
-        value = _parse_array(cursor, count)
+        value = cursor.numbers()
+        if len(value) != count:
+            message = f"{len(value)} numbers instead of {count}"
+            raise ValueError(message)
     return bytes(name).decode("latin-1"), value
 
 
@@ -419,11 +411,3 @@ def _parse_text(cursor: _Cursor) -> str:
         name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
         return bytes(data).decode(name, errors="replace")
     return bytes(data).decode(_ENCODING_BY_MI_TYPE[kind], errors="replace")
-
-
-def _parse_array(cursor: _Cursor, count: int) -> np.ndarray:
-    values = cursor.numbers()
-    if len(values) != count:
-        message = f"{len(values)} numbers instead of {count}"
-        raise ValueError(message)
-    return values

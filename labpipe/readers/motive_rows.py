@@ -6,15 +6,14 @@ import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.motive_takes import derive_rate, unique_names
+from labpipe.readers.motive_takes import derive_rate, make_recording, unique_names
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import QualityNote
-from labpipe.records.recording import MarkerTracks, RigidBody
+from labpipe.records.recording import MarkerTracks, Recording, RigidBody
 from labpipe.units import parse_count
 
 
@@ -45,24 +44,7 @@ class _Take:
     named: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
 
-class RowExport(NamedTuple):
-    """A row-style export.
-
-    Parameters
-    ----------
-    version : ``1.1`` as in the file, ``1.0`` if not stated
-    tracks : the take in SI
-    about : properties of the export
-    notes : quality notes
-    """
-
-    version: str
-    tracks: MarkerTracks
-    about: dict[str, object]
-    notes: list[QualityNote]
-
-
-def parse_rows(text: str, path: Path) -> RowExport:
+def parse_rows(text: str, path: Path) -> Recording:
     """Read a row-style export.
 
     Parameters
@@ -72,7 +54,7 @@ def parse_rows(text: str, path: Path) -> RowExport:
 
     Returns
     -------
-    The take. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
+    The recording. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
     them; positions are taken as metres, as the file states no unit.
 
     Raises
@@ -104,7 +86,7 @@ def parse_rows(text: str, path: Path) -> RowExport:
         raise ReadError.about("readers.no_frames", path, f"lines 1 to {len(lines)}")
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
     points = {"least": int(n_points.min()), "most": int(n_points.max())}
-    about = {
+    about: dict[str, object] = {
         "title": take.title,
         "handedness": take.handedness,
         "info": take.info,
@@ -114,9 +96,8 @@ def parse_rows(text: str, path: Path) -> RowExport:
         "visible_markers": points,
         "frames_without_body": int((n_bodies == 0).sum()),
     }
-    return RowExport(
-        take.version, _tracks(take), about, [*notes, *_notes(take, n_bodies, n_points)]
-    )
+    notes += _notes(take, n_bodies, n_points)
+    return make_recording("motive-csv", take.version, _tracks(take), about, notes)
 
 
 def _read_line(take: _Take, cells: list[str]) -> None:

@@ -25,6 +25,7 @@ from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +107,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     from labpipe.readers.motive_rows import parse_rows
 
     with reading(path, "lines of a row-style export"):
-        export = parse_rows(content.decode("utf-8", errors="replace"), path)
-    return _recording("motive-csv", *export)
+        return parse_rows(content.decode("utf-8", errors="replace"), path)
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
@@ -124,33 +124,30 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
         first_line=header.rows + 1,
         separator=separator,
         decimal=".",
-        stated_rows=header.stated_rows,
+        stated_rows=parse_count(header.about.get("Total Exported Frames", "").removesuffix(".0")),
         as_exported=not sheet,
         sheet=sheet,
     )
     columns, notes = read_columns(body, path)
-    return _table_recording("motive-xlsx" if sheet else "motive-csv", header, columns, notes, path)
-
-
-def _table_recording(
-    reader: str, header: Header, columns: Columns, notes: list[QualityNote], path: Path
-) -> Recording:
     if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
-        notes = [*notes, QualityNote.of("readers.infinite_numbers", "take", count=count)]
+        notes.append(QualityNote.of("readers.infinite_numbers", "take", count=count))
     tracks, track_notes = _convert_tracks(header, columns, path)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
+    about = {**header.about, "objects": objects}
     notes = [*_make_header_notes(header, path), *notes, *track_notes]
-    return _recording(reader, header.version, tracks, {**header.about, "objects": objects}, notes)
+    reader, version = "motive-xlsx" if sheet else "motive-csv", header.about["Format Version"]
+    return make_recording(reader, version, tracks, about, notes)
 
 
-def _recording(
+def make_recording(
     reader: str,
     version: str,
     tracks: MarkerTracks,
     about: Mapping[str, object],
     notes: Sequence[QualityNote],
 ) -> Recording:
+    """Make a recording of marker tracks, with the notes on their clock and positions."""
     return Recording(
         reader=reader,
         program="Motive",
@@ -223,11 +220,6 @@ class Header:
         return sorted(needed)
 
     @property
-    def version(self) -> str:
-        """Return the format version as text."""
-        return self.about.get("Format Version", "")
-
-    @property
     def rate(self) -> float | None:
         """Return the export frame rate in 1/s (the capture rate if it is not stated)."""
         for key in ("Export Frame Rate", "Capture Frame Rate"):
@@ -235,12 +227,6 @@ class Header:
             if re.fullmatch(r"\d+(\.\d*)?", text) and float(text) > 0.0:
                 return float(text)
         return None
-
-    @property
-    def stated_rows(self) -> int | None:
-        """Return the number of exported frames stated in line 1."""
-        text = self.about.get("Total Exported Frames", "").removesuffix(".0")
-        return parse_count(text)
 
     @property
     def length_unit(self) -> float:
@@ -278,15 +264,10 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
     if unit not in _LENGTH_UNITS:
         units = ", ".join(_LENGTH_UNITS)
         raise ReadError.about("readers.length_units", path, "line 1", units=units, unit=unit)
-    groups = _group_columns(labels, rows[last], start, last, path)
+    label_rows = [*(labels.get(label, []) for label in (*_LABELS, "Quantity")), rows[last]]
+    groups = _group_columns(label_rows, start, last, path)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
-    return Header(
-        about=about,
-        groups=groups,
-        time_column=time_column,
-        width=max(len(rows[last]), furthest + 1),
-        rows=last + 1,
-    )
+    return Header(about, groups, time_column, max(len(rows[last]), furthest + 1), last + 1)
 
 
 def _parse_keys(cells: Cells) -> dict[str, str]:
@@ -331,31 +312,24 @@ def _find_label_rows(rows: Sequence[Cells], start: int, last: int, path: Path) -
     return labels
 
 
-def _group_columns(
-    labels: Mapping[str, Cells], axes: Cells, start: int, last: int, path: Path
-) -> tuple[Group, ...]:
-    """Collect the columns of each object, keyed on type, name and id."""
+def _group_columns(rows: Sequence[Cells], start: int, last: int, path: Path) -> tuple[Group, ...]:
+    """Collect the columns of each object, keyed on type, name and id.
+
+    `rows` are those of `_LABELS`, of quantities, and of axes.
+    """
     groups: dict[tuple[str, str, str, int], dict[tuple[str, str], int]] = {}
-    width = max([len(axes), *(len(row) for row in labels.values())])
-    for column in range(start, width):
-        type_, name, id_, quantity = (
-            _get_cell(labels.get(word, []), column) for word in (*_LABELS, "Quantity")
-        )
-        axis = _get_cell(axes, column).upper()
-        if not (type_ or name or quantity or axis):
-            continue  # padding of a spreadsheet
-        if not type_:
+    for column, cells in enumerate(zip_longest(*rows, fillvalue="")):
+        kind, name, id_, quantity, axis = (cell.strip() for cell in cells)
+        if column < start or not (kind or name or quantity or axis):
+            continue  # frame and time, or padding of a spreadsheet
+        if not kind:
             place = f"line {last + 1}, cell {column + 1}"
             raise ReadError.about("readers.no_type", path, place)
-        number = 0
-        while (quantity, axis) in groups.get((type_, name, id_, number), {}):
+        number, key = 0, (quantity, axis.upper())
+        while key in groups.get((kind, name, id_, number), {}):
             number += 1  # the same name and id again: another object
-        groups.setdefault((type_, name, id_, number), {})[quantity, axis] = column
+        groups.setdefault((kind, name, id_, number), {})[key] = column
     return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
-
-
-def _get_cell(row: Cells, column: int) -> str:
-    return row[column].strip() if column < len(row) else ""
 
 
 def _convert_tracks(
@@ -421,9 +395,9 @@ def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
-    if header.version not in _KNOWN_VERSIONS:
+    if (version := header.about["Format Version"]) not in _KNOWN_VERSIONS:
         known = ", ".join(_KNOWN_VERSIONS)
-        yield QualityNote.of("readers.version_unseen", "file", version=header.version, known=known)
+        yield QualityNote.of("readers.version_unseen", "file", version=version, known=known)
     take = header.about.get("Take Name", "")
     if take and take != path.stem:
         yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
@@ -504,11 +478,10 @@ def _convert_body(
 
 def _convert_rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
     """Return quaternions x, y, z, w; from Euler angles if the export contains those."""
-    quaternion, angles = group.axes("Rotation", "XYZW"), _find_euler_axes(group, about)
-    if quaternion is not None:
+    if (quaternion := group.axes("Rotation", "XYZW")) is not None:
         return _stack_columns(columns, quaternion)
     rotation = np.full((len(columns[0]), 4), np.nan)
-    if angles:
+    if angles := _find_euler_axes(group, about):
         from scipy.spatial.transform import Rotation
 
         degrees = _stack_columns(columns, angles)

@@ -369,13 +369,13 @@ def _is_complete(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     if is_missing(cut) or not all(is_number(cell) or is_missing(cell) for cell in cells):
         return is_missing(cut) and cut in above
     decimals, digits, exponent = _count_digits(cut)
-    its_decimals, its_digits, its_exponent = _count_digits(above[0])
-    if exponent >= its_exponent and decimals >= its_decimals:
+    decimals_above, digits_above, exponent_above = _count_digits(above[0])
+    if exponent >= exponent_above and decimals >= decimals_above:
         return True
     if body.as_exported or not cut[-1:].isdigit():
         return False
     others = (_count_digits(cell) for cell in above if cell)
-    return (exponent >= its_exponent and digits >= its_digits) or any(
+    return (exponent >= exponent_above and digits >= digits_above) or any(
         decimals >= d and digits >= n and exponent >= e for d, n, e in others
     )
 
@@ -408,8 +408,8 @@ def _parse(body: Body) -> pd.DataFrame:
         table = _read_csv(body, _NAN_WORDS if body.as_exported else ())
     except (ValueError, OverflowError):
         texts = _read_csv(body, (), dtype=str)
-        words = {str(word) for column in body.columns for word in texts[column].unique()}
-        if not (missing := [word for word in words if is_missing(word)]):
+        cells = {str(word) for column in body.columns for word in texts[column].unique()}
+        if not (missing := [word for word in cells if is_missing(word)]):
             raise
         table = _read_csv(body, missing)
     if table[extra].notna().any():

@@ -221,12 +221,12 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
         return [QualityNote.of("readers.take_empty", "take")]
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    gone = {name: find_blank_frames(track) for name, track in (markers | bodies).items()}
-    never = [name for name in markers if len(gone[name]) and gone[name].all()]
+    missing_by_name = {name: find_blank_frames(track) for name, track in (markers | bodies).items()}
+    never = [name for name in markers if len(missing_by_name[name]) and missing_by_name[name].all()]
     notes = []
     if never:
         notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never)))
-    for name, missing in gone.items():
+    for name, missing in missing_by_name.items():
         if missing.any() and not missing.all():
             count, total, most = int(missing.sum()), len(missing), find_longest_stretch(missing)
             note = QualityNote.of(
@@ -238,7 +238,7 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
             notes.append(note)
     notes += [
         *_make_frozen_notes(bodies | markers),
-        *_make_switch_notes({m: gone[m] for m in markers}),
+        *_make_switch_notes({m: missing_by_name[m] for m in markers}),
     ]
     if unlabelled := sum(map(_is_unlabelled, tracks.names)):
         total = len(tracks.names)
@@ -262,10 +262,12 @@ def _make_frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
             yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
 
 
-def _make_switch_notes(gone: Mapping[str, Flags]) -> Iterator[QualityNote]:
+def _make_switch_notes(missing_by_name: Mapping[str, Flags]) -> Iterator[QualityNote]:
     """Find labelled markers missing exactly in the frames that show an unlabelled one."""
-    unlabelled = {name: missing for name, missing in gone.items() if _is_unlabelled(name)}
-    for name, missing in gone.items():
+    unlabelled = {
+        name: missing for name, missing in missing_by_name.items() if _is_unlabelled(name)
+    }
+    for name, missing in missing_by_name.items():
         others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]
         if name not in unlabelled and others and missing.any():
             ranges = [f"{start}-{stop - 1}" for start, stop in find_runs(missing)[:3]]

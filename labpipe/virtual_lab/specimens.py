@@ -95,11 +95,9 @@ class ElasticModel:
     Parameters
     ----------
     stiffness : N m^2
-    mass_per_length : kg/m
     """
 
     stiffness: float
-    mass_per_length: float = 0.0
 
     def law(self) -> PlayLaw:
         """Return the law."""

@@ -194,6 +194,24 @@ def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.Monke
     assert message.startswith(f"{FOLDER.as_posix()}/empty.mat: expected samples, found none")
 
 
+def test_sizes_that_a_tension_test_needs(tmp_path: Path) -> None:
+    """Unless gauge length and section are stated, `labpipe check` says for which results."""
+    rows = "".join(f"{i / 10};{i / 10};{i / 5};{i / 100}\n" for i in range(20))
+    head = "Time;Crosshead separation;Load;Extensometer\n(s);(mm);(kN);(%)\n"
+    (tmp_path / "x.csv").write_text(head + rows, encoding="utf-8")
+    sheet = tmp_path / "test.yaml"
+    text = "test: P1\nprotocol: iso-527-tape\nfiles: {frame: x.csv}\nspecimen:\n"
+    text += "  {type: PET, spool: s, sample: '1', labels: {}SIZES}\n"
+    results = "elastic-modulus, tensile-strength, elongation-at-maximum-force, elongation-at-break"
+    sheet.write_text(text.replace("SIZES", ""), encoding="utf-8")
+    length, area = (x for x in check_paths([sheet]).faults if "specimen." in x)
+    assert f"specimen.gauge_length: expected the gauge length (for {results})" in length
+    assert f"specimen.section.area: expected the area of the cross-section (for {results})" in area
+    sizes = ", gauge_length: 50 mm, section: {width: 10 mm, thickness: 1 mm}"
+    sheet.write_text(text.replace("SIZES", sizes), encoding="utf-8")
+    assert not [x for x in check_paths([sheet]).faults if "specimen." in x]
+
+
 HARNESS = """\
 version: 1
 line:

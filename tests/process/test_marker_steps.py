@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.camera_steps import run_marker_step
+from labpipe.process.steps import Prepared, Take
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE

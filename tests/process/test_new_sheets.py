@@ -224,7 +224,9 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     ("protocol", "stated", "asked"),
     [
         ("iso-6892", {}, ("gauge_length", "section.area")),
-        ("iso-527-tape", {"length": "80 mm"}, ("section.area",)),
+        ("iso-527-tape", {"length": "80 mm"}, ("gauge_length", "section.area")),
+        ("iso-527-tape", {"gauge_length": "50 mm", "section.area": "10 mm^2"}, ()),
+        ("iso-527-tape", {"gauge_length": "50 mm", "width": "10 mm", "thickness": "1 mm"}, ()),
         ("iso-6892", {"gauge_length": "25 mm", "section.outer_diameter": "5 mm"}, ()),
         ("tensile", {}, ()),
     ],
@@ -241,7 +243,9 @@ def test_tension_tests_ask_for_gauge_length_and_section(
     sizes = data["specimen"]
     assert sizes.get("section", {}) == {
         **({"area": None} if "section.area" in asked else {}),
+        **({"area": "10 mm^2"} if "section.area" in stated else {}),
         **({"outer_diameter": "5 mm"} if "section.outer_diameter" in stated else {}),
+        **({"width": "10 mm", "thickness": "1 mm"} if "width" in stated else {}),
     }
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.process.calibrated_signals import Prepared, check_channels
 from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
@@ -22,6 +21,7 @@ from labpipe.process.sanity_checks import (
     find_cut_ends,
     list_certified_instruments,
 )
+from labpipe.process.steps import Prepared, check_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats

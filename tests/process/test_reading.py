@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError, ReadError
-from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.reading import join_exports, read_inputs, read_role
+from labpipe.process.steps import calibrate
 from labpipe.protocol.load import (
     load_test_sheet,
     parse_protocol,

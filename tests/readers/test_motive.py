@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
-from labpipe.readers.motive_rows import RowExport, parse_rows
+from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_takes import Header, derive_rate, parse_header, unique_names
 from labpipe.readers.recording_checks import track_notes
 from labpipe.records.quality import Severity
@@ -56,7 +56,7 @@ def tracks(recording: Recording) -> MarkerTracks:
     return recording.markers
 
 
-def notes(given: Recording | RowExport) -> dict[str, str]:
+def notes(given: Recording) -> dict[str, str]:
     return {note.code: note.message for note in given.notes}
 
 
@@ -327,8 +327,10 @@ def body(name: str = "Clamp", number: int = 1, lost: tuple[int, ...] = ()) -> Ro
     )
 
 
-def parse_file(file: Path) -> RowExport:
-    return parse_rows(file.read_text(), file)
+def parse_file(file: Path) -> tuple[Recording, MarkerTracks]:
+    recording = parse_rows(file.read_text(), file)
+    assert recording.markers is not None
+    return recording, recording.markers
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
@@ -339,41 +341,39 @@ def test_rows_that_were_written_are_read(
     clamp, grip = body(lost=tuple(lost)), body("Grip", 2)
     clamp.measured[hidden, 1] = np.nan
     file = tmp_path_factory.mktemp("rows") / "take.csv"
-    export = parse_file(write_row_style(file, TIMES, [clamp, grip], version=version))
-    assert export.version == version
-    assert export.tracks.names == tuple(
-        f"{b}-Marker {i}" for b in ("Clamp", "Grip") for i in (1, 2, 3)
-    )
-    for one, other in zip((clamp, grip), export.tracks.bodies, strict=True):
+    export, tracks = parse_file(write_row_style(file, TIMES, [clamp, grip], version=version))
+    assert export.program_version == version
+    assert tracks.names == tuple(f"{b}-Marker {i}" for b in ("Clamp", "Grip") for i in (1, 2, 3))
+    for one, other in zip((clamp, grip), tracks.bodies, strict=True):
         seen = one.tracked
         np.testing.assert_array_equal(other.position[seen], one.position[seen])
         np.testing.assert_array_equal(other.rotation[seen], one.rotation[seen])
         np.testing.assert_array_equal(other.error[seen], np.full(seen.sum(), 0.00025))
         assert np.isnan(other.position[~seen]).all()
     measured = np.where(clamp.tracked[:, None, None], clamp.measured, np.nan)
-    np.testing.assert_array_equal(export.tracks.positions[:, :3], measured)
-    np.testing.assert_array_equal(export.tracks.time, TIMES.round(8))
+    np.testing.assert_array_equal(tracks.positions[:, :3], measured)
+    np.testing.assert_array_equal(tracks.time, TIMES.round(8))
 
 
 def test_what_rows_say_of_themselves(tmp_path: Path) -> None:
     """A lost body may keep its last pose; the last line is cut off."""
     clamp = replace(body(lost=(5, 6)), keeps_pose=True)
     file = write_row_style(tmp_path / "take.csv", TIMES, [clamp], stated=99)
-    export = parse_file(file)
-    assert np.flatnonzero(np.isnan(export.tracks.bodies[0].position[:, 0])).tolist() == [5, 6]
-    assert export.about["frames_without_body"] == 0
-    export = parse_file(write_row_style(file, TIMES, [body(lost=(3, 4))], stated=99))
+    export, tracks = parse_file(file)
+    assert np.flatnonzero(np.isnan(tracks.bodies[0].position[:, 0])).tolist() == [5, 6]
+    assert export.metadata["frames_without_body"] == 0
+    export, tracks = parse_file(write_row_style(file, TIMES, [body(lost=(3, 4))], stated=99))
     file.write_bytes(file.read_bytes()[:-40])
-    assert export.about["title"] == "Synthetic Export Data"
-    assert export.about["frames_without_body"] == 2
-    assert export.about["visible_markers"] == {"least": 0, "most": 3}
+    assert export.metadata["title"] == "Synthetic Export Data"
+    assert export.metadata["frames_without_body"] == 2
+    assert export.metadata["visible_markers"] == {"least": 0, "most": 3}
     messages = notes(export)
     assert messages["rows_differ"] == "the header states 99 rows, the file holds 12"
     assert messages["frames_without_body"] == "2 of 12 frames hold no rigid body"
     assert messages["visible_markers"] == "0 to 3 markers are seen in a frame"
     assert messages["unit_assumed"].startswith("no unit is stated: positions are taken as metres")
-    cut = parse_file(file)
-    assert len(cut.tracks.time) == ROWS
+    cut, tracks = parse_file(file)
+    assert len(tracks.time) == ROWS
     assert notes(cut)["truncated"].endswith("is incomplete and was left out")
 
 
@@ -381,11 +381,12 @@ def test_a_point_of_no_body(tmp_path: Path) -> None:
     """It is a marker in version 1.1; in 1.0 it has no identity and is counted."""
     stray = DRAWN.normal(size=(ROWS, 3)).round(8)
     stray[2] = np.nan
-    export = parse_file(write_row_style(tmp_path / "take.csv", TIMES, [body()], stray=stray))
-    assert export.tracks.names[-1] == "Marker-99"
-    np.testing.assert_array_equal(export.tracks.positions[:, -1], stray)
+    take = write_row_style(tmp_path / "take.csv", TIMES, [body()], stray=stray)
+    _, tracks = parse_file(take)
+    assert tracks.names[-1] == "Marker-99"
+    np.testing.assert_array_equal(tracks.positions[:, -1], stray)
     file = write_row_style(tmp_path / "take.csv", TIMES, [body()], version="1.0", stray=stray)
-    assert notes(parse_file(file))["anonymous_markers"] == (
+    assert notes(parse_file(file)[0])["anonymous_markers"] == (
         "11 points without body and identity were left out"
     )
 

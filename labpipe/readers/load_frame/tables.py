@@ -52,7 +52,6 @@ class Header:
     specimens : the row above the names if it contains specimens, else empty
     first_line : number of the first line
     sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
-    width : number of cells of a row of a sheet; remarks may stand beside the table
     """
 
     names: _Cells
@@ -63,7 +62,6 @@ class Header:
     specimens: _Cells = ()
     first_line: int = 1
     sheet: str = ""
-    width: int = 0
 
 
 def find_header(
@@ -101,8 +99,8 @@ def find_header(
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ReadError.about("readers.no_table", path, place)
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-    above = [tuple(cell.strip() for cell in row) for row in map(rows.__getitem__, filled)]
-    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in above]
+    cells = [tuple(map(str.strip, rows[i])) for i in filled]
+    above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
 
     def place_above(row: int) -> str:
         number = first_line + (filled[max(len(filled) - row, 0)] if filled else 0)
@@ -121,22 +119,10 @@ def find_header(
             )
     names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
     above = above[:-n_rows]
-    has_specimens = card.names == "above units" and card.layout in (
-        "side by side",
-        "specimen above",
-    )
+    has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
-    return Header(
-        names,
-        units,
-        first,
-        above,
-        separator,
-        specimens,
-        first_line,
-        sheet=f"sheet '{sheet}'" if sheet else "",
-        width=len(rows[-1]) if sheet else 0,
-    )
+    where = f"sheet '{sheet}'" if sheet else ""
+    return Header(names, units, first, above, separator, specimens, first_line, where)
 
 
 def _split_rows(
@@ -269,6 +255,7 @@ MIN_TEST_ROWS = 10
 """Fewer samples are not a complete test."""
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
+_SPECIMEN_LAYOUTS = ("side by side", "specimen above")
 Channels = Sequence[ChannelChoice] | None
 
 
@@ -370,10 +357,9 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
 def _build_body(
     data: bytes, header: Header, card: Card, columns: Sequence[int], decimal: str
 ) -> Body:
-    names = unique_names(header.names)
     return Body(
         skip_lines(data, header.first),
-        [*names, *[""] * (header.width - len(names))],
+        unique_names(header.names),
         columns,
         header.first_line + header.first,
         header.separator,
@@ -562,7 +548,9 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         except ReadError as fault:
             faults.append(fault)
             continue
-        data, wanted = format_rows(sheets[name]).encode(), _wanted_columns(header, card, None, path)
+        wanted, width = _wanted_columns(header, card, None, path), len(header.names)
+        table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
+        data = format_rows(table_rows).encode()
         columns, notes = read_columns(_build_body(data, header, card, wanted, "."), path)
         specimen = next((cell for cell in header.specimens if cell), name)
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
@@ -579,9 +567,9 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         }
         names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
         notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
-    kept = tuple(table for name, table in tables.items() if name not in left_out)
+    tests = tuple(table for name, table in tables.items() if name not in left_out)
     return Export(
-        kept, about, tuple(notes), "\n".join(x for lines in heads.values() for x in lines)
+        tests, about, tuple(notes), "\n".join(x for lines in heads.values() for x in lines)
     )
 
 
