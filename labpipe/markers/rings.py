@@ -109,7 +109,10 @@ def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, comple
     if not len(complete):
         return np.asarray(middle, dtype=np.float64)
     if pattern.sum() >= 3:
-        nearest = _nearest(complete, frames)
+        later = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
+        earlier = np.maximum(later - 1, 0)
+        is_later = np.abs(complete[later] - frames) < np.abs(frames - complete[earlier])
+        nearest = np.where(is_later, complete[later], complete[earlier])
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         turn = _rotations(template, visible[frames] - middle[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
@@ -117,14 +120,6 @@ def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, comple
     offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
     carried = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
     return np.asarray(middle + carried, dtype=np.float64)
-
-
-def _nearest(complete: Ints, frames: Ints) -> Ints:
-    """Return the frame of `complete` nearest to each of `frames`."""
-    after = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
-    before = np.maximum(after - 1, 0)
-    late = np.abs(complete[after] - frames) < np.abs(frames - complete[before])
-    return np.asarray(np.where(late, complete[after], complete[before]), dtype=np.int64)
 
 
 def _rotations(before: Floats, after: Floats) -> Floats:
@@ -211,7 +206,10 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     at_rest = np.nanmean(markers[rest], axis=0)
     centre = at_rest.mean(axis=0)
     x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
-    section = _number_sections((at_rest - centre) @ x, min_distance)
+    along = (at_rest - centre) @ x
+    section: Ints = np.empty(len(along), dtype=np.int64)
+    order = np.argsort(along)
+    section[order] = np.append(0, np.cumsum(np.diff(along[order]) > min_distance))
     y = _direction_of_motion(markers - at_rest, section, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
@@ -221,13 +219,6 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
         columns=np.flatnonzero(is_measured),
         rotation_lab_to_specimen=rotation,
     )
-
-
-def _number_sections(along: Floats, min_distance: float) -> Ints:
-    order = np.argsort(along)
-    number: Ints = np.empty(len(along), dtype=np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > min_distance)])
-    return number
 
 
 def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:

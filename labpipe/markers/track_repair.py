@@ -85,7 +85,10 @@ def repair_tracks(
     """
     # In max_jump: a track that begins this close to another is its second image.
     double_share = 0.25
-    _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
+    for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
+        if not value > 0:
+            message = f"{name}={value}: expected a value above 0"
+            raise ValueError(message)
     measured, names = _copy_tracks(tracks, along), tuple(along)
     base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
     stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
@@ -109,13 +112,6 @@ def repair_tracks(
     _fill(positions, flags, base, tracks.time, holes)
     notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
     return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
-
-
-def _check(**limits: float) -> None:
-    for name, value in limits.items():
-        if not value > 0:
-            message = f"{name}={value}: expected a value above 0"
-            raise ValueError(message)
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:

@@ -22,7 +22,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.beam import compute_prop_force
+from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end
 from labpipe.signal.turning_points import estimate_noise_level

@@ -351,13 +351,10 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
 def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: float = 1.08) -> Axis:
     """Make the axis of force from zero, or the lowest force of some, to above all lines."""
     bottom, top = (
-        extreme(np.concatenate([values[np.isfinite(values)], np.zeros(1)]))
-        for extreme, values in (
-            (np.min, np.concatenate([np.zeros(0), *low])),
-            (np.max, np.concatenate([part.y for part in lines])),
-        )
+        np.concatenate([np.zeros(1), *arrays]) for arrays in (low, [part.y for part in lines])
     )
-    return Axis("Force", summary.FORCE, float(bottom), headroom * float(top))
+    lowest, highest = np.min(bottom[np.isfinite(bottom)]), np.max(top[np.isfinite(top)])
+    return Axis("Force", summary.FORCE, float(lowest), headroom * float(highest))
 
 
 def describe_agreement(group: summary.ValidationGroup) -> list[str]:

@@ -329,8 +329,8 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
 
     Returns
     -------
-    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the
-    dissertation), those of external curves, ``curves``, ``forces`` and ``notes``.
+    ``summary``, ``solutions``, ``fit``, ``agreement`` (Table 3.3 of the dissertation), that of
+    external curves, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
     curves = (row for comparison in report.comparisons for row in _external_records(comparison))
@@ -486,8 +486,10 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
     A message that several predictions repeat is listed once.
     """
     sources = [("calibration", report.calibration.notes)]
-    sources += [("prediction", x.prediction.notes) for x in report.groups if x.prediction]
-    sources += [(f"external curve '{x.curve.name}'", x.notes) for x in report.comparisons]
+    predictions = [group.prediction for group in report.groups if group.prediction]
+    sources += [("prediction", prediction.notes) for prediction in predictions]
+    for comparison in report.comparisons:
+        sources.append((f"external curve '{comparison.curve.name}'", comparison.notes))
     notes = {(of, note.message): note for of, several in sources for note in several}
     order = list(reversed(Severity))
     rows = [
@@ -506,7 +508,8 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
 
 def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
     """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
-    charts = [(f"{x.wire}, {write_length(x.length)}", _force_blocks(x)) for x in groups]
+    titles = (f"{group.wire}, {write_length(group.length)}" for group in groups)
+    charts = zip(titles, map(_force_blocks, groups), strict=True)
     heads = DEFLECTION.label("deflection"), FORCE.label("force")
     return tables.tabulate_curves("forces", charts, *heads)
 

@@ -269,11 +269,11 @@ def make_answer_table(title: str, answers: Iterable[Sequence[Value]]) -> Table:
 def count_values(pair: Pair) -> list[int]:
     """Count the values of the first number of a pair in its first and its second group."""
     name = pair.differences[0].name
-    numbers = (
-        next((number for number in group.numbers if number.name == name), None)
+    means = (
+        next((number.mean for number in group.numbers if number.name == name), None)
         for group in (pair.first, pair.second)
     )
-    return [0 if x is None or x.mean is None else x.mean.chosen.n for x in numbers]
+    return [0 if mean is None else mean.chosen.n for mean in means]
 
 
 def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
@@ -298,7 +298,8 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
 
 def _signed(number: str) -> str:
     """Write a plus before a positive difference."""
-    return number if number.startswith(("-", "\u2013", "0")) else f"+{number}"
+    is_zero = not number.strip("0.")
+    return number if is_zero or number.startswith(("-", "\u2013")) else f"+{number}"
 
 
 def describe_fields(difference: Difference) -> str:

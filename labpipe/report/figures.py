@@ -17,22 +17,21 @@ from labpipe.records.curve import (
     ClockFit,
     Curve,
     Direction,
-    FittedLine,
     Interval,
     MeasuredLaw,
 )
 from labpipe.records.estimates import UnavailableError
-from labpipe.records.result import TestResult
+from labpipe.records.result import Result, TestResult
 from labpipe.report import figure_page, wording
 from labpipe.report import plot_records as plots
-from labpipe.report.figure_page import DASHED, GREY
+from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
 from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line, thinned_line
 from labpipe.report.quality_figures import (
     make_budget_page,
     make_marker_quality_page,
     make_wire_shapes_page,
 )
-from labpipe.results.reduced_test import compute_loading_sign
+from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
 from labpipe.statistics.lots import FORCE_LIMIT, find_result
@@ -206,19 +205,19 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
         look: dict[str, Any] = {"look": "fitted_segment"}
         if fit.result in windows:  # the first colour is that of the curve
             look = {"look": "fit_window", "color": f"C{windows.index(fit.result) % 7 + 1}"}
-        y = fit.level + fit.slope * (x - fit.start)
-        yield line(x=x, y=y, label=_describe_slope(result, fit), **look)
+        y, number = fit.level + fit.slope * (x - fit.start), find_result(result.results, fit.result)
+        if number is None or number.value is None:
+            number = Result(fit.result, fit.slope, "N/m")
+        label = f"{wording.write_label(fit.result)}: {_describe_number(result, number)}"
+        yield line(x=x, y=y, label=label, **look)
 
 
-def _describe_slope(result: TestResult, fit: FittedLine) -> str:
-    """Write the name and the slope of a line, with the interval of the result, if any."""
-    stiffness = wording.find_unit(result.display, "stiffness")
-    fitted = find_result(result.results, fit.result)
-    slope, ends = fit.slope, None
-    if fitted is not None and fitted.unit == "N/m" and fitted.value is not None:
-        slope, ends = fitted.value, fitted.interval
-    number = wording.write_number(slope, ends, stiffness.factor).text
-    return f"{wording.write_label(fit.result)}: {number} {stiffness.unit}"
+def _describe_number(result: TestResult, number: Result) -> str:
+    """Write the value of a number with its interval and unit."""
+    scale = wording.find_display_unit(number.name, number.unit, result.display)
+    value = np.nan if number.value is None else number.value
+    text = wording.write_number(value, number.interval, scale.factor).text
+    return f"{text} {wording.typeset_unit(scale.unit)}"
 
 
 def _plot_events(result: TestResult) -> Iterator[Line]:
@@ -308,8 +307,9 @@ def make_stress_strain_page(result: TestResult) -> Page:
 
 
 def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:
-    """Yield the points of yield, proof and largest stress and of the break on the curve."""
-    values = {number.name: number.value for number in result.results if number.value is not None}
+    """Yield the points of proof, yield and largest stress and of the break, and the elongation."""
+    numbers = {number.name: number for number in result.results if number.value is not None}
+    values = {name: number.value or 0.0 for name, number in numbers.items()}
     points, sample = [], 0
     for name, offset in tension.offsets.items():
         if name in values:
@@ -321,32 +321,24 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
         ("tensile_strength", "Rm", tension.stress),
         ("elongation_at_break", "At", tension.strain),
     ):
-        if name in values:  # a value is that of one sample, after those of the values above
+        # a value is that of one sample, after those of the values above
+        if name in values and np.isfinite(array[sample:]).any():
             sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
             points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
     for number, (name, symbol, strain, stress) in enumerate(points, start=1):
-        label = _describe_tension_number(result, name, symbol)
-        yield line("tension_number", strain, stress, label=label, color=f"C{number % 8}")
+        label = f"{symbol} {_describe_number(result, numbers[name])}"
+        yield line("tension_number", strain, stress, label=label, color=f"C{number % N_COLOURS}")
     name = "elongation_at_maximum_force"
     if name in values:
-        label = _describe_tension_number(result, name, "Agt")
+        label = f"Agt {_describe_number(result, numbers[name])}"
         yield plots.position("elongation", values[name], label=label)
-
-
-def _describe_tension_number(result: TestResult, name: str, symbol: str) -> str:
-    """Write the symbol and the value of a number with its interval."""
-    number = find_result(result.results, name)
-    if number is None or number.value is None:
-        return symbol
-    scale = wording.find_display_unit(name, number.unit, result.display)
-    text = wording.write_number(number.value, number.interval, scale.factor).text
-    return f"{symbol} {text} {wording.typeset_unit(scale.unit)}"
 
 
 def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> Iterator[Line]:
     """Yield the elastic line over its window, and up to a stress with its lines of offsets."""
-    label = _describe_tension_number(result, "elastic_modulus", "E")
     window, run = tension.window, top / tension.modulus
+    number = Result("elastic_modulus", tension.modulus, "Pa")
+    label = f"E {_describe_number(result, find_result(result.results, number.name) or number)}"
     yield line("fit_window", window, tension.modulus * window, label=label, color="C0")
     yield line("elastic_line", [0.0, run], [0.0, top])
     for offset in tension.offsets.values():

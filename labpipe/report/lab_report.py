@@ -126,11 +126,8 @@ def render_page(
     """
     stems = page_facts.make_stems(group.name for group in campaign.groups)
     groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
-    report, script, samples = (
-        compute_report_id(campaign),
-        read_page_script(),
-        list_samples(campaign),
-    )
+    report, script = compute_report_id(campaign), read_page_script()
+    samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
     made = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
@@ -159,7 +156,7 @@ def render_page(
         test_facts=page_facts,
         make_group_plots=make_group_plots,
         has_bundles=any(sample.specimen.bundle is not None for sample in samples),
-        questions=list(_list_questions(campaign, {g.name: stem for stem, g in groups.items()})),
+        questions=list(_list_questions(campaign, groups)),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),
         **_make_first_screen(campaign, groups, tests),
     )
@@ -385,9 +382,10 @@ def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> 
     return " \u00b7 ".join(parts)
 
 
-def _list_questions(campaign: Campaign, stems: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field."""
     families = comparisons.find_families(campaign)
+    stems = {group.name: stem for stem, group in groups.items()}
     for field, of_field in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         pairs = list(of_field)
         tables, name = list(map(comparisons.make_pair_table, pairs)), comparisons.name_field(field)

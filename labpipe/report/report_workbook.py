@@ -85,8 +85,12 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     displays = {group.name: wording.find_display(group) for group in campaign.groups}
     single_field = [difference for difference in campaign.differences if difference.family]
     differences = [*single_field, *comparisons.list_multi_field_differences(campaign)]
+    records = [
+        _record_difference(difference, displays[difference.first]) for difference in differences
+    ]
     has_scaled = any(group.band_scaled is not None for group in campaign.groups)
-    yield _tabulate_some("lots", (_record_lot(g, g.lot) for g in campaign.groups if g.lot))
+    lots = (_record_lot(group, group.lot) for group in campaign.groups if group.lot)
+    yield _tabulate_some("lots", lots)
     yield _tabulate_some("answers", map(_record_answer, pairs))
     yield tabulate("key numbers", map(_record_key_numbers, by_protocol))
     yield tabulate("means", _list_means(campaign))
@@ -94,7 +98,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     yield tabulate("results", _list_results(campaign))
     yield _tabulate_curves(campaign, is_scaled=False)
     yield _tabulate_curves(campaign, is_scaled=True) if has_scaled else None
-    yield tabulate("comparisons", (_record_difference(x, displays[x.first]) for x in differences))
+    yield tabulate("comparisons", records)
     yield _tabulate_some("budgets", _list_budgets(campaign))
     yield _tabulate_some("slipping and sticking", _list_bounds(campaign))
     yield tabulate("needs a look", _list_issues(campaign))
@@ -180,45 +184,43 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
     """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
-            scale, mean = wording.find_number_unit(group, number), number.mean
-            head: Record = {
-                "group": group.name, "number": wording.write_label(number.name), "over": "all",
-                "unit": wording.typeset_unit(scale.unit),
-            }  # fmt: skip
-            if mean is None:
-                reason = "; ".join(map(join_reasons, number.left_out.values()))
-                yield {
-                    **head, **_mean_cells(None, scale), "reason": reason, "result": number.name
-                }  # fmt: skip
-                continue
-            within, between = (
-                make_number_cell(spread, mean.chosen.interval, scale.factor)
-                for spread in (mean.within, mean.between_spools)
-            )
-            of_all: Record = {
-                "mean over": "samples" if mean.is_pooled else "spool means",
-                "n samples": mean.over_samples.n,
-                "within spools": within,
-                "between spools": between,
-                "spools equal, p": make_number_cell(mean.spool_p),
-                "decision": str(mean.decision),
-            }
-            yield _record_mean(head, number, mean.chosen, scale, of_all)
-            for spool, of_spool in mean.spool_means.items() if len(mean.spool_means) > 1 else ():
-                spool_head = {**head, "over": f"spool {spool}"}
-                yield _record_mean(spool_head, number, of_spool, scale, dict.fromkeys(of_all))
+            chosen = None if number.mean is None else number.mean.chosen
+            means = {"all": chosen}
+            if number.mean is not None and len(number.mean.spool_means) > 1:
+                for spool, mean in number.mean.spool_means.items():
+                    means[f"spool {spool}"] = mean
+            for over, mean_over in means.items():
+                yield _record_mean(group, number, over, mean_over)
 
 
-def _record_mean(
-    head: Record, number: GroupNumber, mean: MeanInterval, scale: wording.Scale, more: Record
-) -> Record:
+def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterval | None) -> Record:
+    """Make the record of a mean; the columns on all samples are empty for a single spool."""
+    scale, nested = wording.find_number_unit(group, number), number.mean
+    record: Record = {
+        "group": group.name, "number": wording.write_label(number.name), "over": over,
+        "unit": wording.typeset_unit(scale.unit), **_mean_cells(mean, scale),
+    }  # fmt: skip
+    if mean is None or nested is None:
+        reason = "; ".join(map(join_reasons, number.left_out.values()))
+        return {**record, "reason": reason, "result": number.name}
+    within, between = (
+        make_number_cell(spread, mean.interval, scale.factor)
+        for spread in (nested.within, nested.between_spools)
+    )
+    of_all: Record = {
+        "mean over": "samples" if nested.is_pooled else "spool means",
+        "n samples": nested.over_samples.n,
+        "within spools": within,
+        "between spools": between,
+        "spools equal, p": make_number_cell(nested.spool_p),
+        "decision": str(nested.decision),
+    }
     return {
-        **head,
-        **_mean_cells(mean, scale),
+        **record,
         "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
-        **more,
+        **(of_all if over == "all" else dict.fromkeys(of_all)),
         "reason": str(mean.reason or ""),
         "result": number.name,
     }

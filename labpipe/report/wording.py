@@ -113,6 +113,8 @@ _RESULT_LABELS: Mapping[str, str] = {
     "stiffness_second": "Stiffness, second region",
     "modulus_thin_wall": "Modulus, thin wall",
     "modulus_annulus": "Modulus, annulus",
+    "proof_stress_0_2": "Proof stress, 0.2 %",
+    "proof_stress_1": "Proof stress, 1 %",
 }
 """Labels of the kinds of results, and of other names in the shipped protocols."""
 _QUANTITIES = {

@@ -303,19 +303,12 @@ def _lag_correction(
     variance = estimate_long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
     # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t): the correction is -tau.
-    reliability = max(0.1, 1.0 - _slope_noise(time, residuals) * float(covariance[0, 0]))
+    # The variance of `residuals`, a difference, is four times that of the noise of the mean cycle;
+    # a central difference over two steps h has 1 / (2 h^2) of the latter.
+    slope_noise = float(residuals @ residuals) / (8.0 * float(time[1] - time[0]) ** 2)
+    reliability = max(0.1, 1.0 - slope_noise * float(covariance[0, 0]))
     error = float(np.sqrt(variance * covariance[0, 0])) / reliability
     return Estimate(-float(solution[0]) / reliability, error, count)
-
-
-def _slope_noise(time: Floats, residuals: Floats) -> float:
-    """Return the sum of squares that noise adds to central differences of the mean cycle.
-
-    The variance of `residuals`, a difference, is four times that of the mean's noise; a central
-    difference over two steps h has 1 / (2 h^2) of the latter.
-    """
-    step = float(time[1] - time[0])
-    return float(residuals @ residuals) / (8.0 * step**2)
 
 
 def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:

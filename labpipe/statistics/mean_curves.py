@@ -68,13 +68,14 @@ def average_loading(
     level = shared.force.mean(axis=1)
     levels = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
     decision = compute_nested_mean(levels, limits)
-    if len(set(spools)) > 1:
-        why = decision.decision
-        notes.append(QualityNote.of("statistics.curve_pooling", "group", decision=why))
+    if len(levels) > 1:
+        note = QualityNote.of("statistics.curve_pooling", "group", decision=decision.decision)
+        notes.append(note)
     if decision.is_pooled:
         return reduce_band(compute_band(shared)), notes
-    band = compute_band(_spool_curves(shared, spools), members="spool means")
-    return reduce_band(band), notes
+    means = [shared.force[np.array(spools) == spool].mean(axis=0) for spool in levels]
+    of_spools = CommonCurves(shared.displacement, np.array(means))
+    return reduce_band(compute_band(of_spools, members="spool means")), notes
 
 
 def reduce_band(band: Band) -> Band:
@@ -106,13 +107,6 @@ def reduce_band(band: Band) -> Band:
         )
     band = replace(band, lower=lower, upper=upper, lower_all=empty, upper_all=empty)
     return replace(band, reason=reason)
-
-
-def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
-    """Return the mean curve of each spool."""
-    labels = np.array(spools)
-    means = [shared.force[labels == spool].mean(axis=0) for spool in dict.fromkeys(spools)]
-    return CommonCurves(shared.displacement, np.array(means))
 
 
 def average_scaled_loading(
@@ -296,21 +290,11 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
         reason = Reason.of("statistics.one_curve")
         return _make_curve_without_band(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    half, half_all = (
-        compute_t_quantile(n - 1) * error,
-        compute_simultaneous_quantile(curves.force) * error,
-    )
-    return Band(
-        curves.displacement,
-        mean,
-        mean - half,
-        mean + half,
-        mean - half_all,
-        mean + half_all,
-        n,
-        members,
-        None if n > 2 else Reason.of("statistics.two_curves", members=members),
-    )
+    half = compute_t_quantile(n - 1) * error
+    half_all = compute_simultaneous_quantile(curves.force) * error
+    few = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    ends = (mean - half, mean + half, mean - half_all, mean + half_all)
+    return Band(curves.displacement, mean, *ends, n, members, few)
 
 
 def _make_curve_without_band(

@@ -70,8 +70,9 @@ def compute_nested_mean(
     A test has little power for two or three spools, so the upper limit decides. Measured coverage
     of the chosen interval: docs/explanations/statistics.md.
     """
-    finite = {name: _finite(values) for name, values in spools.items()}
-    finite = {name: values for name, values in finite.items() if len(values)}
+    arrays = {name: np.asarray(values, dtype=np.float64) for name, values in spools.items()}
+    finite = {name: array[~np.isnan(array)] for name, array in arrays.items()}
+    finite = {name: array for name, array in finite.items() if len(array)}
     values = list(finite.values())
     over_samples = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
     means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
@@ -92,11 +93,6 @@ def compute_nested_mean(
         between_spools=scatter.between_spools,
         spool_p=p,
     )
-
-
-def _finite(values: Sequence[float] | Floats) -> Floats:
-    array = np.asarray(values, dtype=np.float64)
-    return array[~np.isnan(array)]
 
 
 def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
@@ -260,20 +256,16 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     variance_between = max(means - within / harmonic, 0.0)
     total = variance_between + within
     low = float(special.fdtri(len(spools) - 1, free, 1.0 - confidence))
+    share_upper = 1.0  # the share whose quantile of the mean square is the observed one
+    if within * low != 0.0:
+        excess = max(harmonic * means / (within * low) - 1.0, 0.0)
+        share_upper = excess / (excess + harmonic)
     return SpoolScatter(
         float(np.sqrt(within)),
         float(np.sqrt(variance_between)),
         variance_between / total if total > 0 else np.nan,
-        _share_at(harmonic * means, within * low, harmonic),
+        share_upper,
     )
-
-
-def _share_at(observed: float, expected: float, harmonic: float) -> float:
-    """Return the share between spools whose quantile of the mean square is the observed one."""
-    if expected == 0.0:
-        return 1.0
-    excess = observed / expected - 1.0
-    return max(excess, 0.0) / (max(excess, 0.0) + harmonic)
 
 
 def compute_spools_p(spools: Sequence[Floats]) -> float:

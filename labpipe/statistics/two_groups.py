@@ -12,7 +12,6 @@ from scipy import optimize, special
 from labpipe.messages import format_sentence
 from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, Difference, MeanInterval, NestedMean, Verdict
-from labpipe.records.result import Contribution
 from labpipe.statistics.means import (
     LEVEL,
     combine_changes,
@@ -74,7 +73,8 @@ def compute_contrast(
     is_log = first.is_log and second.is_log
     first_scale, second_scale = (first.middle, second.middle) if is_log else (1.0, 1.0)
     common = [
-        _over(mean.common, size) for mean, size in ((first, first_scale), (second, second_scale))
+        [replace(row, change=row.change / size) for row in mean.common]
+        for mean, size in ((first, first_scale), (second, second_scale))
     ]
     room = None
     if margin is not None:
@@ -91,12 +91,6 @@ def compute_contrast(
 
 def _error(mean: MeanInterval) -> float:
     return mean.deviation / sqrt(mean.n)
-
-
-def _over(common: Sequence[Contribution], size: float) -> tuple[Contribution, ...]:
-    return tuple(
-        replace(contribution, change=contribution.change / size) for contribution in common
-    )
 
 
 def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
@@ -189,11 +183,14 @@ def compare_means(
     With its own p-values and no verdict: see `judge_family`.
     """
     first_mean, second_mean = first[1].chosen, second[1].chosen
-    difference, contrast = (
-        subtract_means(first_mean, second_mean),
-        compute_contrast(first_mean, second_mean, margin),
-    )
+    difference = subtract_means(first_mean, second_mean)
+    contrast = compute_contrast(first_mean, second_mean, margin)
     nothing = float("nan")
+    caveats = []
+    if single := [name for name, mean in (first, second) if len(mean.spool_means) == 1]:
+        caveats.append(format_sentence("statistics.single_spool", groups=" and ".join(single)))
+    if causes := ", ".join(contribution.cause for contribution in difference.common):
+        caveats.append(format_sentence("statistics.shared_causes", causes=causes))
     return Difference(
         name=name,
         unit=unit,
@@ -204,7 +201,7 @@ def compare_means(
         contrast=contrast,
         p=nothing if contrast is None else compute_difference_p(contrast),
         p_equivalent=nothing if contrast is None else compute_equivalence_p(contrast),
-        caveats=(*_caveats([first, second]), *_shared(difference)),
+        caveats=tuple(caveats),
     )
 
 
@@ -319,19 +316,6 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
         if compute_half_width(more, outside) <= 0.5 * contrast.margin:
             return n
     return None
-
-
-def _shared(difference: MeanInterval) -> tuple[str, ...]:
-    """Return a caveat on causes common to both groups."""
-    causes = ", ".join(contribution.cause for contribution in difference.common)
-    return (format_sentence("statistics.shared_causes", causes=causes),) if causes else ()
-
-
-def _caveats(means: list[tuple[str, NestedMean]]) -> tuple[str, ...]:
-    """Return a caveat on groups with samples from one spool."""
-    single = [name for name, mean in means if len(mean.spool_means) == 1]
-    groups = " and ".join(single)
-    return (format_sentence("statistics.single_spool", groups=groups),) if single else ()
 
 
 @dataclass(frozen=True, slots=True)

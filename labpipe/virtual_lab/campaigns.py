@@ -165,7 +165,9 @@ class WireCampaign:
                 name=f"{wire.name}-{1e3 * length:03.0f}-{sample}",
                 sample=sample,
             )
-            yield _set_up(self, scenario, gain_error, random), 1000 * seed + counts.total()
+            test = _set_up(self, scenario, gain_error, random)
+            test = test if self.has_mishaps else replace(test, mishaps=NO_MISHAPS)
+            yield test, 1000 * seed + counts.total()
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +181,7 @@ class TapedCampaign:
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
-    speed : m/s, of the clamp
     cycles : of each test
-    has_mishaps : whether markers are lost or mislabelled
     """
 
     types: tuple[str, ...] = tuple(TAPED_TYPES)
@@ -189,9 +189,7 @@ class TapedCampaign:
     scatter: float = 0.04
     rate: float = 200.0
     fps: float = 25.0
-    speed: float = 1e-3
     cycles: int = 3
-    has_mishaps: bool = True
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
         """Yield the tests; see `Campaign`."""
@@ -204,7 +202,6 @@ class TapedCampaign:
                     build_taped_scenario(name, cycles=self.cycles, factor=factor),
                     name=f"{name}-{sample}",
                     sample=sample,
-                    speed=self.speed,
                 )
                 test_seed = 100_000 * seed + 100 * number + sample
                 yield _set_up(self, scenario, gain_error, random), test_seed
@@ -218,13 +215,12 @@ def _set_up(
 ) -> CantileverScenario:
     """Return a test with its own clocks, pose and mishaps."""
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
-    mishaps = MISHAPS[(scenario.sample - 1) % len(MISHAPS)] if campaign.has_mishaps else NO_MISHAPS
     return replace(
         scenario,
         clocks=Clocks(rate=campaign.rate, fps=campaign.fps, offset=offset, drift=drift),
         load_cell=replace(scenario.load_cell, gain_error=gain_error),
         pose=Pose(yaw=float(random.uniform(0.3, 0.9))),
-        mishaps=mishaps,
+        mishaps=MISHAPS[(scenario.sample - 1) % len(MISHAPS)],
     )
 
 
@@ -296,12 +292,18 @@ _SLIPS = {
 }
 _UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
 _TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e-3))
-"""Factor on the forces, and displacement at failure, m, of each tape."""
 
 
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
-    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance."""
+    """Tensile tests of corrugated tubes, twist tubes and tapes, and of a bar for the compliance.
+
+    Parameters
+    ----------
+    tapes : factor on the forces, and displacement at failure, m, of each tape
+    """
+
+    tapes: tuple[tuple[float, float], ...] = _TAPES
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
         """Yield the tests; see `Campaign`. Tests of a frame share the error of its load cell."""
@@ -310,7 +312,7 @@ class TensileCampaign:
         tests = [
             *_build_corrugated_tubes(small, random),
             *_build_twist_tubes(large, random),
-            *_build_tapes(large, random),
+            *_build_tapes(self.tapes, large, random),
             build_stiff_bar(gain_error=large),
         ]
         yield from ((test, 1000 * seed + number) for number, test in enumerate(tests, start=1))
@@ -348,8 +350,10 @@ def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterat
         yield replace(tube, export=replace(tube.export, part_at=part_at))
 
 
-def _build_tapes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
-    for number, (factor, fails_at) in enumerate(_TAPES, start=1):
+def _build_tapes(
+    tapes: Sequence[tuple[float, float]], gain_error: float, random: np.random.Generator
+) -> Iterator[TensileScenario]:
+    for number, (factor, fails_at) in enumerate(tapes, start=1):
         tape = build_pet_tape(
             str(number),
             factor=factor * _draw_factor(random, 0.01),

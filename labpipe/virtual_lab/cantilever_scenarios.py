@@ -468,20 +468,14 @@ class MechanicalPath:
         out = np.empty((len(progress), columns[0].shape[1]))
         starts = [segment.progress[0] for segment in self.segments[1:]]
         edges = [0, *np.searchsorted(progress, starts), len(progress)]
-        for segment, values, first, last in zip(
-            self.segments, columns, edges[:-1], edges[1:], strict=True
-        ):
-            if last > first:
-                out[first:last] = _interpolate(segment, values, progress[first:last])
+        parts = [slice(first, last) for first, last in pairwise(edges)]
+        for segment, values, part in zip(self.segments, columns, parts, strict=True):
+            if segment.is_still:
+                out[part] = values[0]
+            elif part.stop > part.start:
+                inside = np.clip(progress[part], segment.progress[0], segment.progress[-1])
+                out[part] = CubicSpline(segment.progress, values)(inside)
         return out
-
-
-def _interpolate(segment: Segment, values: Floats, progress: Floats) -> Floats:
-    if segment.is_still:
-        return np.tile(values[0], (len(progress), 1))
-    inside = np.clip(progress, segment.progress[0], segment.progress[-1])
-    values_at: Floats = CubicSpline(segment.progress, values)(inside)
-    return values_at
 
 
 @lru_cache(maxsize=32)

@@ -279,47 +279,24 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     """
     clock = record.clock
     saved = run.started + timedelta(seconds=round(float(clock[-1])))
-    no_limit = np.finfo(np.float64).max
-    channels = [
-        {
-            "Name": PORT,
-            "Type": np.int32(4),
-            "Data": _compact_integers(values)[None, :],
-            "Unit": "",
-            "Raster": "HostService",
-            "Device": "Platform",
-            "XIndex": np.int32(1),
-            "DownSampling": np.int32(1),
-            "Description": "",
-            "DisplayIdentifier": "",
-            "Path": path,
-            "Flags": np.int32(2),
-            "Min": -no_limit,
-            "Max": no_limit,
-            "MinWeak": -no_limit,
-            "MaxWeak": no_limit,
-        }
-        for path, values in sorted(record.signals.items())
-    ]
-    fields = [(name, object) for name in channels[0]]
+    limit = np.finfo(np.float64).max
+    one, two, data_type = np.int32(1), np.int32(2), np.int32(4)
+    raster = "HostService"
+    fields = "Name Type Data Unit Raster Device XIndex DownSampling Description DisplayIdentifier"
+    fields += " Path Flags Min Max MinWeak MaxWeak"
+    channels = []
+    for path, values in sorted(record.signals.items()):
+        data = _compact_integers(values)[None, :]
+        head = (PORT, data_type, data, "", raster, "Platform", one, one, "", "", path, two)
+        channels.append((*head, -limit, limit, -limit, limit))
     origin = (
         "Software revision: virtual_lab.sdf\r\nVariable description: virtual_lab.sdf\r\n"
         f"    Platform / Device: Platform [{run.note}]\r\nControlDesk version: 7.4"
     )
     content = {
-        "Info": {
-            "RevisionMajor": np.int32(2),
-            "RevisionMinor": np.int32(1),
-            "MeasurementID": np.int32(1),
-        },
-        "X": {
-            "Name": "",
-            "Type": np.int32(4),
-            "Data": clock[None, :],
-            "Unit": "",
-            "Raster": "HostService",
-        },
-        "Y": np.array([[tuple(channel.values()) for channel in channels]], dtype=fields),
+        "Info": {"RevisionMajor": two, "RevisionMinor": one, "MeasurementID": one},
+        "X": {"Name": "", "Type": data_type, "Data": clock[None, :], "Unit": "", "Raster": raster},
+        "Y": np.array([channels], dtype=[(field, object) for field in fields.split()]),
         "Description": {
             "General": {
                 "User": "labpipe virtual lab",
@@ -336,13 +313,13 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
             },
         },
     }
-    path = folder / "force.mat"
-    savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
+    file_path = folder / "force.mat"
+    savemat(file_path, {file_path.stem: content}, oned_as="row", long_field_names=True)
     # the text header states the time of saving, so that equal tests give equal files
     text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
-    with path.open("r+b") as file:
+    with file_path.open("r+b") as file:
         file.write(text.encode("ascii").ljust(116))
-    return (path.name,)
+    return (file_path.name,)
 
 
 def _compact_integers(values: Floats) -> NDArray[np.generic]:

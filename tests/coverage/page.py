@@ -165,11 +165,11 @@ def _noises(rows: Sequence[Row]) -> Iterator[str]:
         (_name(kind), *(_share(held.get((kind, noise), Held(0, 0))) for noise in NOISES))
         for kind in dict.fromkeys(kind for kind, _ in held)
     ]
-    return table("l" + "r" * len(NOISES), ("test", *NOISES), lines)
+    return table("l" + "r" * len(NOISES), ("held, %", *NOISES), lines)
 
 
 def _share(held: Held) -> str:
-    return f"{100.0 * held.share:.0f} % of {held.asked}" if held.asked else ""
+    return f"{100.0 * held.share:.0f}" if held.asked else ""
 
 
 def _faults(rows: Sequence[Row]) -> Iterator[str]:

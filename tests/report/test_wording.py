@@ -87,6 +87,7 @@ def test_words() -> None:
     assert write_heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
     assert write_heading("ratio", "1") == "Ratio"
     assert typeset_unit("N*mm^2") == "N\u00b7mm\u00b2"
+    assert write_label("proof_stress_0_2") == "Proof stress, 0.2 %"
     names = ("stiffness", "slip_drop.1", "clock_drift")
     assert [is_main(name) for name in names] == [True, False, False]
 

@@ -48,15 +48,14 @@ def deck_texts(table: WireTable) -> tuple[str, ...]:
     ValueError
         If the law cannot be put into a deck (see `thin`); the message names the deck.
     """
-    return tuple(_text(table, ending) for ending in DECKS)
-
-
-def _text(table: WireTable, ending: str) -> str:
-    try:
-        return DECKS[ending](table)
-    except ValueError as error:
-        message = f"its deck {ending} cannot be made: {error}"
-        raise ValueError(message) from error
+    texts = []
+    for ending, write in DECKS.items():
+        try:
+            texts.append(write(table))
+        except ValueError as error:
+            message = f"its deck {ending} cannot be made: {error}"
+            raise ValueError(message) from error
+    return tuple(texts)
 
 
 def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:

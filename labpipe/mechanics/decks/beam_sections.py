@@ -24,7 +24,7 @@ from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
     compute_solid_area,
     describe_deck_losses,
-    describe_isotropic_loss,
+    describe_turn_loss,
     fill_template,
     find_mass,
     list_facts,
@@ -81,7 +81,7 @@ def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) 
 
 def _describe_losses(table: WireTable, law: Thinned, rule: str, wide: int = 120) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
-    loss = describe_isotropic_loss(table, law.error, rule)
+    loss = describe_turn_loss(table, law.error, "isotropic", rule)
     form = release_elastically(table, float(law.moment[1] / law.curvature[1]))
     return describe_deck_losses(table, loss, "with its first slope", form, wide=wide)
 

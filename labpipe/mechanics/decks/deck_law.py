@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -339,40 +339,24 @@ def format_percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
 
 
-def describe_deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
+def describe_turn_loss(
+    table: WireTable, first: float, form: Literal["curve", "isotropic"], why: str
+) -> str:
     """Describe in one line the error of the form of law of a deck.
 
     Parameters
     ----------
+    table : law of the wire
     first : largest error on first loading, as a share of the moment
-    way_back : largest error on unloading, as a share of the moment at the reversal
-    turn : 1/m, curvature at that reversal
+    form : a curve without memory, or isotropic hardening
     why : what the program does on unloading
     """
+    turn = asdict(compute_table_turn(table))
     return (
         f"This deck: error on first loading up to {format_percent(first)} of the moment; on "
-        f"unloading from bends up to half of the range up to {format_percent(way_back)} of the "
-        f"moment by Masing's rule at the reversal (from {turn:.2g} 1/m): {why}."
+        f"unloading from bends up to half of the range up to {format_percent(turn[form])} of the "
+        f"moment by Masing's rule at the reversal (from {turn[f'{form}_at']:.2g} 1/m): {why}."
     )
-
-
-def describe_memoryless_loss(table: WireTable) -> str:
-    """Describe in one line the error of a curve without memory."""
-    turn = compute_table_turn(table)
-    return describe_deck_loss(0.0, turn.curve, turn.curve_at, "a curve has no memory")
-
-
-def describe_isotropic_loss(table: WireTable, first: float, why: str) -> str:
-    """Describe in one line the error of isotropic hardening.
-
-    Parameters
-    ----------
-    table : law of the wire
-    first : error of the deck's points on first loading, as a share of the moment
-    why : what the program does on unloading
-    """
-    turn = compute_table_turn(table)
-    return describe_deck_loss(first, turn.isotropic, turn.isotropic_at, why)
 
 
 def describe_deck_losses(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict
+from importlib.resources import files
 
 import numpy as np
 
@@ -13,7 +16,7 @@ from labpipe.mechanics.decks.deck_law import (
     collect_card_numbers,
     describe_deck_losses,
     describe_masing_losses,
-    describe_memoryless_loss,
+    describe_turn_loss,
     fill_template,
     find_mass,
     list_facts,
@@ -26,37 +29,9 @@ from labpipe.records.wire import WireTable
 SCHEMA = 2
 """Version of the JSON table."""
 
-
-COLUMNS = {
-    "curvature": "1/m",
-    "moment": "N*m",
-    "stick": "N*m",
-    "slip": "N*m",
-    "bending": "N*m",
-    "plastic": "N*m",
-    "insulation": "N*m",
-    "tangent_stiffness": "N*m^2",
-    "secant_stiffness": "N*m^2",
-    "lowest_moment": "N*m",
-    "highest_moment": "N*m",
-    "insulation_share": "1",
-    "is_doubtful": "1",
-}
+_UNITS = tomllib.loads((files("labpipe.mechanics.decks") / "units.toml").read_text("utf-8"))
+COLUMNS: Mapping[str, str] = _UNITS["columns"]
 """Columns of the CSV table, as the fields of `WireTable`, and their units."""
-
-_UNITS = {
-    "curvature": "1/m",
-    "moment": "N*m",
-    "stick_stiffness": "N*m^2",
-    "slip_stiffness": "N*m^2",
-    "axial_stiffness": "N",
-    "torsional_stiffness": "N*m^2",
-    "free_torsional_stiffness": "N*m^2",
-    "stretch_twist_coupling": "N*m",
-    "diameter": "m",
-    "length": "m",
-    "mass_per_length": "kg/m",
-}
 
 
 def write_lookup_csv(table: WireTable) -> str:
@@ -70,7 +45,7 @@ def write_lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    loss = describe_memoryless_loss(table)
+    loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
     form = release_without_memory(table)
     numbers = {name: getattr(table, name) for name in COLUMNS}
     numbers["is_doubtful"] = table.is_doubtful.astype(int)
@@ -104,7 +79,7 @@ def write_lookup_json(table: WireTable) -> str:
         "length": table.spec.length,
         "mass_per_length": find_mass(table),
     }
-    numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS}
+    numbers = {name: derived.get(name) or getattr(table, name) for name in _UNITS["lookup"]}
     document = {
         "schema": SCHEMA,
         "labpipe": __version__,
@@ -119,7 +94,7 @@ def write_lookup_json(table: WireTable) -> str:
         ),
         **numbers,
         "loss_card": collect_card_numbers(table),
-        "units": _UNITS,
+        "units": _UNITS["lookup"],
     }
     return json.dumps(document, indent=1) + "\n"
 
@@ -133,24 +108,6 @@ _MEANING = (
     "stop[j] is a vector"
 )
 _DAHL = "moment = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
-_SLIDER_UNITS = {
-    "stiffness": "N*m^2",
-    "stiffnesses": "N*m^2",
-    "slip_curvatures": "1/m",
-    "slip_moments": "N*m",
-    "slid": "1/m",
-    "limits": "N*m",
-    "spring_beside": "N*m^2",
-    "sliders_beside": "N*m^2",
-    "moment": "N*m",
-    "decay": "1/m",
-    "curvature": "1/m",
-    "mass_per_length": "kg/m",
-    "torsional_stiffness": "N*m^2",
-    "error": "1",
-    "isotropic_share": "1",
-    "sideways": "1",
-}
 
 
 def describe_missing_sliders(error: ValueError) -> str:
@@ -230,6 +187,6 @@ def write_sliders_json(table: WireTable) -> str:
         "loss_card": collect_card_numbers(table),
         "mass_per_length": find_mass(table),
         "torsional_stiffness": table.torsional_stiffness,
-        "units": _SLIDER_UNITS,
+        "units": _UNITS["sliders"],
     }
     return json.dumps(document, indent=1) + "\n"
