@@ -6,13 +6,11 @@ JSON Schema, descriptions and reference page derive from `KINDS`.
 
 from __future__ import annotations
 
-from labpipe.results.beam import BendingStiffness
+from labpipe.results.bending import BendingStiffness, MidSpan, MomentCurvature, TipTravel, Twist
 from labpipe.results.cycles import Energy, PeakDisplacement, PeakForce, ResidualDisplacement
-from labpipe.results.failures import EnergyToBreak, FailureResult, PeakForceDisplacement
-from labpipe.results.force_limit import ForceLimit
+from labpipe.results.failures import EnergyToBreak, FailureResult, ForceLimit, PeakForceDisplacement
 from labpipe.results.kinds import ClockResult, Kind
 from labpipe.results.kinks_and_plateaus import Kink, Plateau, TwoSegments
-from labpipe.results.shapes import MidSpan, MomentCurvature, TipTravel, Twist
 from labpipe.results.slack_and_slips import SlackResult, SlipResults
 from labpipe.results.stiffness import (
     ComplianceResult,

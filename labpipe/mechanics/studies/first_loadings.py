@@ -30,7 +30,7 @@ from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.records.wire import WireSpec
-from labpipe.results.beam import compute_prop_force
+from labpipe.results.bending import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
