@@ -102,13 +102,8 @@ class LoadingCurve(ArrayRecord):
 
     def cut(self, count: int) -> LoadingCurve:
         """Return the first points of the curve."""
-        cut = {
-            name: getattr(self, name)[..., :count]
-            for name in (
-                *("deflection", "tension", "across", "x", "tip_angle", "clamp_curvature"),
-                *("stiffness", "tension_change"),
-            )
-        }
+        names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
+        cut = {name: getattr(self, name)[..., :count] for name in names.split()}
         return replace(self, **cut, moment=self.moment[:count], whole=self)
 
     def count_loading(self) -> int:
