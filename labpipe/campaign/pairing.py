@@ -23,8 +23,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
-from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
@@ -155,12 +154,12 @@ def _list_by_folder(
         files = {name: place / name for name in names if _may_be_export(name)}
         for name in filter(has_control_characters, list(files)):
             unmatched[files.pop(name)] = _BAD_NAME
-        values = {} if pair.pattern is None else pair.pattern.match(place.name)
-        if values is None:
-            reason = f"the name of its folder does not fit {pair.name!r}"
+        values = {} if pair.name is None else pair.name.match(place.name)
+        if pair.name is not None and values is None:
+            reason = f"the name of its folder does not fit {pair.name.text!r}"
             unmatched |= dict.fromkeys(files.values(), reason)
         elif files or SHEET_NAME in names:
-            candidates.append(Candidate(place, files, values))
+            candidates.append(Candidate(place, files, values or {}))
     return CandidateListing(tuple(candidates), unmatched)
 
 
@@ -180,7 +179,7 @@ def _walk_test_folders(
 def _list_by_name(
     folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
-    top, patterns = folder / pair.source, pair.patterns
+    top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
     depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())

@@ -120,7 +120,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the function that loads a plan or harness file; None for a protocol."""
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import PLAN_NAME, CalibrationPlan
+    from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

@@ -48,7 +48,7 @@ from labpipe.mechanics.law.loss_card import (
     fit_wire_sliders,
 )
 from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
+from labpipe.mechanics.wire.bending_law import cyclic_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable

@@ -23,8 +23,12 @@ from labpipe.mechanics.law.sliders import (
     share_hardening,
     slide,
 )
-from labpipe.mechanics.wire.law_family import UNKNOWN_SHARE, find_chord_factor, make_strand_slider
-from labpipe.mechanics.wire.wire_table import build_wire
+from labpipe.mechanics.wire.wire_table import (
+    UNKNOWN_SHARE,
+    build_wire,
+    find_chord_factor,
+    make_strand_slider,
+)
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable

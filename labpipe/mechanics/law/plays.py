@@ -384,8 +384,8 @@ class LoadingTable:
         if reverses.any():
             half_change = 0.5 * (moment - rest)[reverses]
             half_curvature_change, rise = self.bend(half_change)
-            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
-            curvature[reverses], slope[reverses] = before + 2.0 * half_curvature_change, rise
+            turn = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
+            curvature[reverses], slope[reverses] = turn + 2.0 * half_curvature_change, rise
         return curvature, slope
 
     def bend_back(self, rest: Floats, peak: Floats, moment: Floats) -> CurvatureAndSlope:

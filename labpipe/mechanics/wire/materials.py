@@ -270,8 +270,8 @@ def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, F
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # sin(4 q) / 32 written out, for small angles and large
     slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
-    taken = slope - sine * cosine**3 / 3.0
-    return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
+    loss_share = slope - sine * cosine**3 / 3.0
+    return 1.0 - 16.0 / np.pi * loss_share @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
