@@ -707,7 +707,7 @@ class _Corner:
 
         Parameters
         ----------
-        seen, base : shape (2,), of the measured and of the smooth curve
+        change, base : shape (2,), of the measured and of the smooth curve
         noise : shape (2, replicates), effect of noise on it
 
         Notes

@@ -16,14 +16,17 @@ from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.bundle_friction import fit_friction
-from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
-from labpipe.mechanics.wire.bundle_packing import (
+from labpipe.mechanics.wire.bundle_layout import (
     WANTED_FRACTION,
     choose_bore,
     compute_bore,
     compute_packing_fraction,
     fits_bore,
+)
+from labpipe.mechanics.wire.bundle_model import (
+    compute_bounds_share,
+    compute_bundle_model,
+    fit_friction,
 )
 from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.messages import format_sentence

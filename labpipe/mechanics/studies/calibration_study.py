@@ -30,16 +30,19 @@ from labpipe.mechanics.studies.model_comparisons import (
 )
 from labpipe.mechanics.studies.study_files import write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.mechanics.wire.bending_law import LOOP_RANGE, cyclic_law
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    Settings,
+    Wire,
+    calibrate,
+    find_tested_curvature,
+)
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.cyclic_law import LOOP_RANGE, cyclic_law
-from labpipe.mechanics.wire.law_family import apply_values
 from labpipe.mechanics.wire.wire_table import (
+    apply_values,
     build_wire,
     find_linear_range,
     find_range,
-    mass_per_length,
     wire_table,
 )
 from labpipe.messages import format_sentence
@@ -271,7 +274,7 @@ def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
         wire = build_wire(spec)
     except ValueError as error:
         raise build_wire_error(wires, spec, "a wire that can be built", error) from error
-    weight = GRAVITY * mass_per_length(spec, wire.section)
+    weight = GRAVITY * wire.mass_per_length
     linear_range = find_linear_range(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 

@@ -44,7 +44,7 @@ from labpipe.mechanics.rod.rotations import (
 )
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.law_family import (
+from labpipe.mechanics.wire.wire_table import (
     ISOTROPIC_SHARE,
     LAW_FACTOR,
     MASS_FACTOR,
@@ -53,8 +53,8 @@ from labpipe.mechanics.wire.law_family import (
     LawFamily,
     apply_values,
     make_law_family,
+    wire_table,
 )
-from labpipe.mechanics.wire.wire_table import wire_table
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
     HOLDERS,

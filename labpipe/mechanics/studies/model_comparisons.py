@@ -12,17 +12,17 @@ from labpipe.errors import ReadError, UsageError
 from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
 from labpipe.mechanics.studies.wire_sheets import WireSheet
 from labpipe.mechanics.wire.bending_law import fit_play_law
-from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    Wire,
+    compute_calibrated_curve,
+    find_tested_curvature,
+    predict,
+)
 from labpipe.mechanics.wire.calibration.measured_curves import (
     DEEPEST,
     MeasuredCurve,
     compare_curves,
     compute_curve_errors,
-)
-from labpipe.mechanics.wire.calibration.prediction import (
-    compute_calibrated_curve,
-    find_tested_curvature,
-    predict,
 )
 from labpipe.mechanics.wire.cantilever import (
     StringRig,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
+from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_texts
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
     StatedCurve,
@@ -137,7 +137,7 @@ class ModelledWire:
     Parameters
     ----------
     table : its law
-    decks : texts for simulation programs, see `labpipe.mechanics.decks.deck_texts`
+    decks : texts for simulation programs, see `labpipe.mechanics.decks.make_deck_texts`
     """
 
     table: WireTable
@@ -207,7 +207,7 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
     """Return a wire with its decks, or the reason why it cannot be modelled."""
     try:
         table = wire_table(spec)
-        return ModelledWire(table, deck_texts(table))
+        return ModelledWire(table, make_deck_texts(table))
     except ValueError as error:
         return str(error)
 
@@ -225,7 +225,7 @@ def _list_wire_files(names: Iterable[str]) -> list[str]:
     """Return the paths of all files of some wires, relative to the folder of the results."""
     files: list[str] = []
     for name in names:
-        files += [path.as_posix() for path in deck_paths(name, Path())]
+        files += [path.as_posix() for path in list_deck_paths(name, Path())]
         stems = [f"{FIGURES_FOLDER}/{stem}" for stem in list_figure_names(name)]
         files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
     return files
