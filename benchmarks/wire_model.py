@@ -10,18 +10,22 @@ import numpy as np
 from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
-from labpipe.mechanics.wire.bending_law import compute_moment_curve, fit_play_law
+from labpipe.mechanics.wire.bending_law import (
+    Contacts,
+    compute_moment_curve,
+    fit_play_law,
+    make_contacts,
+)
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
     Layer,
     lay_up,
+    pack_strands,
     place_hexagon,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.packing import pack_strands
 
 RUNS = 9
 WALL = 0.3e-3

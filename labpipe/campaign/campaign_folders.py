@@ -55,7 +55,10 @@ def find_campaign(folder: Path) -> CampaignFolders:
     if not tops:
         raise UsageError.about("campaign.outside_campaigns", folder)
     name = start.relative_to(tops[0])
-    raw, processed = (_relative_to_cwd(tops[0].parent / top / name) for top in (RAW, PROCESSED))
+    current, paths = Path.cwd().resolve(), (tops[0].parent / top / name for top in (RAW, PROCESSED))
+    raw, processed = (
+        path.relative_to(current) if path.is_relative_to(current) else path for path in paths
+    )
     if (raw / SHEET_NAME).is_file():
         raise UsageError.about("campaign.no_campaign", folder, found="the folder of a single test")
     return CampaignFolders(name.as_posix(), raw, processed)
@@ -75,12 +78,6 @@ def find_campaign_name(folder: Path) -> str:
     with suppress(UsageError):
         return find_campaign(folder).name
     return ""
-
-
-def _relative_to_cwd(path: Path) -> Path:
-    """Return a path relative to the working folder if it is below it."""
-    current = Path.cwd().resolve()
-    return path.relative_to(current) if path.is_relative_to(current) else path
 
 
 @dataclass(slots=True)

@@ -406,7 +406,8 @@ def _process_all(
     while looks_without_worker < max_looks_without_worker:
         n_threads = sum(client.nthreads().values())
         looks_without_worker = 0 if n_threads else looks_without_worker + 1
-        for task in islice(tasks, max(0, 2 * n_threads - len(submitted))):
+        # a test that waits on a worker would be blamed for the death of that worker
+        for task in islice(tasks, max(0, n_threads - len(submitted))):
             future = client.submit(
                 process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
             )

@@ -23,8 +23,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.plans import PLAN_NAME, ByFolder, ByName, CampaignPlan
-from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
@@ -155,12 +154,12 @@ def _list_by_folder(
         files = {name: place / name for name in names if _may_be_export(name)}
         for name in filter(has_control_characters, list(files)):
             unmatched[files.pop(name)] = _BAD_NAME
-        values = {} if pair.pattern is None else pair.pattern.match(place.name)
-        if values is None:
-            reason = f"the name of its folder does not fit {pair.name!r}"
+        values = {} if pair.name is None else pair.name.match(place.name)
+        if pair.name is not None and values is None:
+            reason = f"the name of its folder does not fit {pair.name.text!r}"
             unmatched |= dict.fromkeys(files.values(), reason)
         elif files or SHEET_NAME in names:
-            candidates.append(Candidate(place, files, values))
+            candidates.append(Candidate(place, files, values or {}))
     return CandidateListing(tuple(candidates), unmatched)
 
 
@@ -180,7 +179,7 @@ def _walk_test_folders(
 def _list_by_name(
     folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
-    top, patterns = folder / pair.source, pair.patterns
+    top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
     depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())
@@ -270,8 +269,8 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if candidate.by_role:
-        roles = _list_planned_roles(plan, candidate)
+    if candidate.by_role and isinstance(plan.pair, ByName):
+        roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if absent := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=absent)
     copies = _copy_exports(candidate)
@@ -283,7 +282,11 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
-    sheet = write_inferred_sheet(add_plan_blocks(inferred, plan))
+    # facts of the plan that have no column
+    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
+    overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
+    planned = replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
+    sheet = write_inferred_sheet(planned)
     return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open)
 
 
@@ -312,25 +315,6 @@ def _differs(path: Path, copy: Path) -> bool:
         return False
     states = [(status.st_size, int(status.st_mtime)) for status in (path.stat(), copy.stat())]
     return states[0] != states[1]
-
-
-def add_plan_blocks(inferred: InferredTest, plan: CampaignPlan) -> InferredTest:
-    """Add the facts of the plan that have no column: labels, bundle, overrides.
-
-    Parameters
-    ----------
-    inferred : a test
-    plan : of the campaign
-    """
-    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
-    overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
-    return replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
-
-
-def _list_planned_roles(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
-    if plan.wait_for is not None:
-        return plan.wait_for
-    return list(plan.pair.exports) if isinstance(plan.pair, ByName) else list(candidate.files)
 
 
 def _find_missing_roles(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from math import floor, log10
@@ -468,7 +468,10 @@ def classify_results(protocol: Protocol) -> ResultKinds:
     ----------
     protocol : resolved; if it states the stroke, the rig sets results that depend on the stroke
     """
-    outputs = dict(_list_outputs(protocol))
+    outputs: dict[str, Output] = {}
+    for entry in protocol.results:
+        values = {field.name: getattr(entry, field.name) for field in fields(entry)}
+        outputs |= {output.name.format_map(values): output for output in entry.outputs}
     states_stroke = protocol.rig.stroke is not None
     return ResultKinds(
         frozenset(name for name, output in outputs.items() if output.can_be_negative),
@@ -476,12 +479,6 @@ def classify_results(protocol: Protocol) -> ResultKinds:
             stem for stem, output in outputs.items() if states_stroke and output.is_set_by_stroke
         ),
     )
-
-
-def _list_outputs(protocol: Protocol) -> Iterator[tuple[str, Output]]:
-    for entry in protocol.results:
-        values = {field.name: getattr(entry, field.name) for field in fields(entry)}
-        yield from ((output.name.format_map(values), output) for output in entry.outputs)
 
 
 def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:

@@ -54,8 +54,7 @@ from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Task
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.plans import PLAN_NAME
-from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 

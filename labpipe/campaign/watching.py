@@ -35,7 +35,7 @@ from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
 from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
-from labpipe.protocol.plans import PLAN_NAME, CampaignPlan
+from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
 
 _MODULES = (
     "labpipe.process.story",

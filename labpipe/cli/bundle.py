@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
 from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
-from labpipe.mechanics.wire.bundle_packing import WANTED_FRACTION
+from labpipe.mechanics.wire.bundle_layout import WANTED_FRACTION
 from labpipe.report.harness_figures import describe_friction, describe_stiffness
 from labpipe.units import parse_quantity
 

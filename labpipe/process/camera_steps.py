@@ -32,7 +32,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote, Severity, doubt_stretches
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
-from labpipe.results.reduced_test import SpanBend
+from labpipe.results.kinds import SpanBend
 from labpipe.signal.clock_alignment import make_clock_fit, match_peaks
 from labpipe.signal.turning_points import find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance

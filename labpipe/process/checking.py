@@ -29,8 +29,7 @@ from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import recognise_export
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
-from labpipe.results.beam import BendingStiffness
-from labpipe.results.shapes import MidSpan, Twist
+from labpipe.results.bending import BendingStiffness, MidSpan, Twist
 from labpipe.results.tension import TensionResult
 
 _YAML_SUFFIXES = (".yaml", ".yml")
@@ -121,7 +120,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
     """Select the function that loads a plan or harness file; None for a protocol."""
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import PLAN_NAME, CalibrationPlan
+    from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
     if path.name == PLAN_NAME:
         return load_campaign_plan

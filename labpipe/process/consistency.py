@@ -21,7 +21,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
-from labpipe.results.reduced_test import FailurePoint, compute_loading_sign
+from labpipe.results.kinds import FailurePoint, compute_loading_sign
 from labpipe.signal.rests_and_jumps import find_level_jumps
 from labpipe.signal.turning_points import estimate_noise_level
 

@@ -23,7 +23,7 @@ from labpipe.records.curve import Aligned, Curve, Direction, Series, Slip, SlipD
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.records.quality import Finding
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.curve_replicates import (
+from labpipe.results.curves import (
     add_slips_back,
     find_piece_starts,
     make_trace,
@@ -37,7 +37,7 @@ from labpipe.results.failures import (
     find_slow_loss,
     measure_earlier_loss,
 )
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, compute_loading_sign
+from labpipe.results.kinds import FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.slack_and_slips import (
     choose_slack_samples,
     count_samples_before,

@@ -25,7 +25,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote, doubt_stretches
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Filter, Signal, Signals
-from labpipe.results.reduced_test import SpanBend
+from labpipe.results.kinds import SpanBend
 from labpipe.signal.bad_samples import StuckRun, find_stuck_runs
 from labpipe.signal.corners import Corner
 from labpipe.signal.filters import (

@@ -42,10 +42,8 @@ from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.signals import Clocks
-from labpipe.results.beam import BendingStiffness
-from labpipe.results.kinds import Kind
-from labpipe.results.reduced_test import LoadString, ReducedTest, Setup
-from labpipe.results.shapes import MomentCurvature
+from labpipe.results.bending import BendingStiffness, MomentCurvature
+from labpipe.results.kinds import Kind, LoadString, ReducedTest, Setup
 from labpipe.uncertainty.intervals import Measured
 
 

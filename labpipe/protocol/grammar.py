@@ -607,10 +607,10 @@ def _check_larger(
     bound: LargerThan, text: QuantityText, value: float, info: ValidationInfo
 ) -> float:
     """Refuse a value that is not above that of an earlier field."""
-    least = info.data.get(bound.field)
-    if least is not None and value <= least:
-        least_text, found = text.format(least), text.format(value)
-        raise refused("protocol.not_larger", found=found, key=bound.key, least=least_text)
+    bound_value = info.data.get(bound.field)
+    if bound_value is not None and value <= bound_value:
+        bound_text, value_text = text.format(bound_value), text.format(value)
+        raise refused("protocol.not_larger", found=value_text, key=bound.key, least=bound_text)
     return value
 
 

@@ -166,14 +166,14 @@ class SectionBlock(Block):
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find several sources or none, missing keys, and keys of other sources."""
-        stated = [key for key in data if data[key] is not None]
-        kinds = [name for name in _SECTION_KEYS if name in stated]
+        stated_keys = [key for key in data if data[key] is not None]
+        kinds = [name for name in _SECTION_KEYS if name in stated_keys]
         if len(kinds) != 1:
-            found = " and ".join(map(repr, kinds)) or "none of them"
-            yield Fault.of("protocol.no_one_section", found=found)
+            kind_names = " and ".join(map(repr, kinds)) or "none of them"
+            yield Fault.of("protocol.no_one_section", found=kind_names)
             return
         kind, own_keys = kinds[0], _SECTION_KEYS[kinds[0]]
-        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated}):
+        for key in sorted(_REQUIRED_KEYS.keys() & {*own_keys} - {*stated_keys}):
             remedy = _REQUIRED_KEYS[key]
             yield Fault.of(
                 "protocol.no_section_key", missing=key, key=key, kind=kind, remedy=remedy
@@ -385,20 +385,22 @@ class HarnessFile(Block):
         """Refuse implausible numbers, late steps, and boundaries that the line cannot reach."""
         for checks in (
             (_find_implausible_sizes, _find_late_steps, _find_shared_places),
-            (_find_release_faults, _find_places_in_planes, _find_large_turns, _find_reach_faults),
+            (_find_release_faults, _find_places_in_planes, _find_large_turns, _find_large_curl),
         ):
             raise_faults(fault for check in checks for fault in check(self))
+        for number in sorted(range(len(self.lengths)), key=lambda i: (i > 0, self.lengths[i])):
+            path: KeyPath = ("sweep", "length", number - 1) if number else ()
+            raise_faults(_find_reach_faults(self, self.lengths[number], path))
         return self
 
 
 def _find_implausible_sizes(harness: HarnessFile) -> Iterator[Fault]:
-    blocks: dict[KeyPath, Block | None] = {
-        ("boundaries", number): boundary for number, boundary in enumerate(harness.boundaries)
-    }
-    blocks |= {("line",): harness.line, ("sweep",): harness.sweep}
-    for path, block in blocks.items():
-        if block is not None:
-            yield from find_implausible_sizes(block, path, harness.plausible, in_file=True)
+    yield from find_implausible_sizes(
+        {"line": harness.line, "boundaries": harness.boundaries, "sweep": harness.sweep},
+        (),
+        harness.plausible,
+        in_file=True,
+    )
 
 
 def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
@@ -417,80 +419,55 @@ def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
 def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
     """Find boundaries that hold the same place of the line, and a line that nothing holds."""
     names: dict[float, str] = {}
-    for number, boundary in enumerate(harness.boundaries):
-        if not isinstance(boundary, HOLDERS):
-            continue
-        if boundary.at in names:
-            yield Fault.of(
-                "protocol.place_taken",
-                ("boundaries", number, "at"),
-                found=_format_place(boundary.at),
-                other=names[boundary.at],
-            )
-        names.setdefault(boundary.at, boundary.name)
+    for number, holder in _list_holders(harness).items():
+        other = names.setdefault(holder.at, holder.name)
+        if other != holder.name:
+            path, place = ("boundaries", number, "at"), _format_place(holder.at)
+            yield Fault.of("protocol.place_taken", path, found=place, other=other)
     if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
+def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
+    """List the boundaries that hold the position of a place of the line, by number."""
+    boundaries = enumerate(harness.boundaries)
+    return {number: boundary for number, boundary in boundaries if isinstance(boundary, HOLDERS)}
+
+
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find releases before the line arrives, and the step from which nothing holds the line."""
-    releases: dict[int, int | None] = {}
-    for number, holder in enumerate(harness.boundaries):
-        if not isinstance(holder, HOLDERS):
-            continue
-        releases[number] = release = holder.release
-        arrivals = [p.step for p in holder.path] if isinstance(holder, Grip) else [holder.by]
-        arrival = arrivals[0] if arrivals else None
-        if release is not None and arrival is not None and release <= arrival:
-            yield Fault.of(
-                "protocol.early_release",
-                ("boundaries", number, "release"),
-                arrival=arrival,
-                name=holder.name,
-                found=release,
-            )
-    section = harness.line.section
+    holders, section = _list_holders(harness), harness.line.section
+    for number, holder in holders.items():
+        points = holder.path if isinstance(holder, Grip) else ()
+        arrival = points[0].step if points else getattr(holder, "by", None)
+        if arrival and holder.release and holder.release <= arrival:
+            path = ("boundaries", number, "release")
+            yield Fault.of("protocol.early_release", path, arrival=arrival, holder=holder)
+    releases = {number: holder.release or 0 for number, holder in holders.items()}
     has_weight = section.bending_stiffness is None or section.mass_per_length
     has_support = any(not isinstance(part, (*HOLDERS, Load)) for part in harness.boundaries)
-    steps = {number: step for number, step in releases.items() if step is not None}
-    if has_weight and any(harness.gravity) and not has_support and len(steps) == len(releases):
-        last = max(steps, key=lambda number: steps[number])
-        yield Fault.of("protocol.falls", ("boundaries", last, "release"), step=steps[last])
+    if has_weight and any(harness.gravity) and not has_support and all(releases.values()):
+        last = max(releases, key=lambda number: releases[number])
+        yield Fault.of("protocol.falls", ("boundaries", last, "release"), step=releases[last])
 
 
 def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
     """Find boundaries that hold the axis nearer to a plane than half the diameter."""
-    radius = 0.5 * (harness.line.section.diameter or 0.0)
+    radius = 0.5e3 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # the initial shape of a curled line is unknown
     planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
     for plane, place in product(planes, _list_places(harness, harness.line.length)):
-        heights = (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
-        is_low = heights.size and heights.min() < radius - 1e-9 * harness.line.length
-        if is_low and not place.string_length:
-            lowest, step = 1e3 * heights.min(), int(heights.argmin()) + first
+        heights = 1e3 * (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
+        lowest = min(heights, default=math.inf)
+        if not place.string_length and lowest < radius - 1e-6 * harness.line.length:
+            path, step = ("boundaries", place.number), int(heights.argmin()) + first
             yield Fault.of(
-                "protocol.in_plane",
-                ("boundaries", place.number),
-                radius=1e3 * radius,
-                plane=plane.name,
-                found=lowest,
-                step=step,
+                "protocol.in_plane", path, radius=radius, plane=plane, found=lowest, step=step
             )
 
 
 def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
-    """Find turns of 180 deg or more per step, which are ambiguous, and curls above 90 deg."""
-    line, max_curl = harness.line, 90.0  # per element, as elements are straight
-    element = max(harness.lengths) / line.elements
-    curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
-    if curl > max_curl:
-        yield Fault.of(
-            "protocol.curl",
-            ("line", "spool", "curvature"),
-            most=max_curl,
-            element=1e3 * element,
-            found=curl,
-        )
+    """Find turns of 180 deg or more per step, which are ambiguous."""
     for number, boundary in enumerate(harness.boundaries):
         turns: list[tuple[KeyPath, int, float | None]] = []
         if isinstance(boundary, Clip):
@@ -499,86 +476,55 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
             points = enumerate(boundary.path)
             turns = [(("path", i, "turn"), point.step, point.turn) for i, point in points]
         start, last_turn = 0, 0.0
-        for key, end, stated in turns:
-            turn = last_turn if stated is None else stated
+        for key, end, angle in turns:
+            turn, path = last_turn if angle is None else angle, ("boundaries", number, *key)
             per_step = math.degrees(abs(turn - last_turn)) / (end - start)
             if per_step >= 180.0:
-                yield Fault.of(
-                    "protocol.turn",
-                    ("boundaries", number, *key),
-                    found=per_step,
-                    start=start,
-                    end=end,
-                )
+                yield Fault.of("protocol.turn", path, found=per_step, start=start, end=end)
             start, last_turn = end, turn
 
 
-def _find_reach_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find boundaries out of reach of the shortest line that cannot reach them."""
-    paths: list[KeyPath] = [(), *(("sweep", "length", i) for i in range(len(harness.lengths) - 1))]
-    lines = list(zip(harness.lengths, paths, strict=True))
-    for length, path in [lines[0], *sorted(lines[1:])]:
-        faults = [
-            *_find_places_off_line(harness, length, path),
-            *_find_distant_places(harness, length, path),
-            *_find_distant_rings(harness, length, path),
-        ]
-        if faults:
-            yield from faults
-            return
+def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
+    """Find a curl of more than 90 deg per element: elements are straight."""
+    spool, path, max_curl = harness.line.spool, ("line", "spool", "curvature"), 90.0
+    element = 1e3 * max(harness.lengths) / harness.line.elements
+    curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
+    if curl > max_curl:
+        yield Fault.of("protocol.curl", path, most=max_curl, element=element, found=curl)
 
 
-def _find_places_off_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find places beyond the end of the line."""
+def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    """Find boundaries that a line of a length, m, cannot reach; `path` is that of the length."""
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
+            here, gap = path or ("boundaries", number, "at"), 1e3 * place
+            yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=gap)
+    for one, other in combinations(_list_places(harness, length), 2):
+        reach = 1e3 * (other.along - one.along + one.string_length + other.string_length)
+        rows = min(len(one.path), len(other.path))
+        distances = 1e3 * np.linalg.norm(one.path[:rows] - other.path[:rows], axis=1)
+        gap, step = distances.max(), distances.argmax()
+        if gap > reach * REACH_FACTOR:
+            here = path or ("boundaries", max(one.number, other.number))
             yield Fault.of(
-                "protocol.off_the_line",
-                path or ("boundaries", number, "at"),
-                length=1e3 * length,
-                found=1e3 * place,
+                "protocol.too_far", here, reach=reach, one=one, other=other, found=gap, step=step
             )
-
-
-def _find_distant_places(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find two boundaries that are farther apart than the line between them is long."""
-    for first, second in combinations(_list_places(harness, length), 2):
-        reach = second.along - first.along + first.string_length + second.string_length
-        rows = min(len(first.path), len(second.path))
-        distances = np.linalg.norm(first.path[:rows] - second.path[:rows], axis=1)
-        if distances.max() > reach * REACH_FACTOR:
-            place = path or ("boundaries", max(first.number, second.number))
-            found, step = 1e3 * distances.max(), distances.argmax()
-            yield Fault.of(
-                "protocol.too_far",
-                place,
-                found=found,
-                step=step,
-                reach=1e3 * reach,
-                one=first.name,
-                other=second.name,
-            )
+    yield from _find_distant_rings(harness, length, path)
 
 
 def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     """Find rings that neither an end of the line nor the line between two holders reaches."""
     fixed = [place for place in _list_places(harness, length) if not place.string_length]
-    available = np.diff([0.0, *(place.along for place in fixed), length])
+    available = 1e3 * np.diff([0.0, *(place.along for place in fixed), length])
     for number, ring in enumerate(harness.boundaries):
         if isinstance(ring, Ring) and fixed:
-            away = np.array([math.dist(ring.position, place.path[-1]) for place in fixed])
+            away = 1e3 * np.array([math.dist(ring.position, place.path[-1]) for place in fixed])
             needed = np.concatenate([away[:1], away[:-1] + away[1:], away[-1:]])
-            span = np.argmin(needed - available)
-            if needed[span] > available[span] * REACH_FACTOR:
-                place = path or ("boundaries", number)
-                yield Fault.of(
-                    "protocol.ring_too_far",
-                    place,
-                    ring=ring.name,
-                    reach=1e3 * available[span],
-                    found=1e3 * needed[span],
-                )
+            span, here = np.argmin(needed - available), path or ("boundaries", number)
+            reach, gap = available[span], needed[span]
+            if gap > reach * REACH_FACTOR:
+                yield Fault.of("protocol.ring_too_far", here, ring=ring, reach=reach, found=gap)
 
 
 class _HeldPlace(NamedTuple):

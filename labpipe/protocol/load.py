@@ -17,7 +17,13 @@ import yaml
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry, list_result_names
-from labpipe.protocol.sheet_grammar import COPY_REMEDY, SHEET_NAME, TestSheet
+from labpipe.protocol.sheet_grammar import (
+    COPY_REMEDY,
+    SHEET_NAME,
+    CalibrationPlan,
+    CampaignPlan,
+    TestSheet,
+)
 from labpipe.protocol.source import ROLES, find_implausible_sizes
 from labpipe.protocol.yaml_text import (
     Document,
@@ -36,7 +42,6 @@ from labpipe.units import parse_count
 
 if TYPE_CHECKING:
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.plans import CalibrationPlan, CampaignPlan
 
 _SUFFIXES = (".yaml", ".yml")
 _Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
@@ -210,8 +215,6 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     ProtocolError
         If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CalibrationPlan  # imported on use: most commands need none
-
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
@@ -231,8 +234,6 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     ProtocolError
         If it is invalid; the message has one line per fault.
     """
-    from labpipe.protocol.plans import CampaignPlan  # imported on use: most commands need none
-
     return validate_document(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 
@@ -296,10 +297,10 @@ def resolve(
     if isinstance(protocol_file, Fault):
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
-    plain, merged = parse_yaml(text, name), parse_yaml(text, name)
+    merged = parse_yaml(text, name)
+    # Read before the overrides: a test folder from elsewhere must not allow links itself.
+    follow_links |= str(get_block(merged.data).get(_FOLLOW_LINKS)).lower() == "true"
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
-    # A test folder from elsewhere must not allow links itself.
-    follow_links |= str(get_block(plain.data).get(_FOLLOW_LINKS)).lower() == "true"
     faults = [
         *_find_role_faults(sheet, merged.data),
         *_find_link_faults(sheet, sheet_path.parent, followed=follow_links),
@@ -307,7 +308,7 @@ def resolve(
     ]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
-        is_valid_alone = isinstance(Protocol.read(plain.data), Protocol)
+        is_valid_alone = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
         placed = [*merged.faults, *map(sheet_document.place, faults)]
         for fault in protocol:
             in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
@@ -463,13 +464,8 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     for key in overrides:
         path: KeyPath = ("overrides", key, "value")
         if key in own:
-            yield Fault.of(
-                "protocol.override_twice",
-                path,
-                key=key,
-                here=sheet.at(path),
-                there=sheet.at(own[key]),
-            )
+            here, there = sheet.at(path), sheet.at(own[key])
+            yield Fault.of("protocol.override_twice", path, key=key, here=here, there=there)
         elif key == _FOLLOW_LINKS:
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:

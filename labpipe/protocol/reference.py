@@ -26,9 +26,8 @@ from pydantic_core import core_schema
 from labpipe.messages import find_code, list_rooms, read_templates
 from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
-from labpipe.protocol.plans import CampaignPlan
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.sheet_grammar import CampaignPlan, TestSheet
 from labpipe.protocol.source import DIMENSION_KINDS, PLAUSIBLE_RANGES
 from labpipe.records.declarations import Limits, Needs, list_references
 from labpipe.records.quality import Severity
@@ -81,11 +80,8 @@ def _read_docstrings(block: type) -> dict[str, str]:
         [definition] = ast.parse(inspect.getsource(base)).body
         for field, text in pairwise(getattr(definition, "body", ())):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                name, doc = (
-                    ast.unparse(field.target),
-                    inspect.cleandoc(ast.literal_eval(text.value)),
-                )
-                texts[name] = doc.replace("\n", " ").removesuffix(".")
+                doc = inspect.cleandoc(ast.literal_eval(text.value)).replace("\n", " ")
+                texts[ast.unparse(field.target)] = doc.removesuffix(".")
     return texts
 
 
@@ -133,16 +129,12 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
         (origin, code, template)
         for origin, notes in tomllib.loads(text).items()
         for code, template in notes.items()
-    ] + [
-        (
-            template.get("origin", ORIGINS.get(room, "processing")),
-            find_code(f"{room}.{name}"),
-            template,
-        )
-        for room in list_rooms()
-        for name, template in read_templates(room).items()
-        if "meaning" in template
     ]
+    for room in list_rooms():
+        for name, template in read_templates(room).items():
+            if "meaning" in template:
+                origin = template.get("origin", ORIGINS.get(room, "processing"))
+                kinds.append((origin, find_code(f"{room}.{name}"), template))
     return tuple(
         NoteKind(origin, code, _parse_severities(entry), entry["meaning"], entry.get("doubts", ""))
         for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])
@@ -157,17 +149,12 @@ def _parse_severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]
 
 def format_tables() -> dict[str, str]:
     """Format all derived tables in Markdown, by name; notes have one table per origin."""
-    notes = list_note_kinds()
-    origins = dict.fromkeys(note.origin for note in notes)
-    written = {
-        origin: format_note_table([note for note in notes if note.origin == origin])
-        for origin in origins
-    }
-    return written | {
-        "results": format_result_table(KINDS),
-        "plausible": format_range_table(),
-        "limits": format_limit_table(),
-    }
+    notes: dict[str, list[NoteKind]] = {}
+    for note in list_note_kinds():
+        notes.setdefault(note.origin, []).append(note)
+    tables = {origin: format_note_table(kinds) for origin, kinds in notes.items()}
+    results, ranges, limits = format_result_table(KINDS), format_range_table(), format_limit_table()
+    return tables | {"results": results, "plausible": ranges, "limits": limits}
 
 
 def format_note_table(notes: Sequence[NoteKind]) -> str:
@@ -178,22 +165,19 @@ def format_note_table(notes: Sequence[NoteKind]) -> str:
     notes : if any makes a result doubtful, the table has a column for it
     """
     columns = 4 if any(note.doubts for note in notes) else 3
-    rows = [
-        (f"`{note.code}`", ", ".join(note.severities), note.meaning, note.doubts) for note in notes
-    ]
-    return _format_table(
-        [row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]]
-    )
+    rows = [("code", "severity", "meaning", "doubtful")]
+    rows += [(f"`{x.code}`", ", ".join(x.severities), x.meaning, x.doubts) for x in notes]
+    return _format_table([row[:columns] for row in rows])
 
 
 def format_range_table() -> str:
     """Format the table of plausible ranges: kind of dimension, its keys, and both ends."""
     rows = [("kind", "keys that are, or end with", "from", "to")]
     for kind, (_, lowest, highest) in PLAUSIBLE_RANGES.items():
-        keys = ", ".join(
-            f"`{key}`" for key, its_kind in DIMENSION_KINDS.items() if its_kind == kind
+        keys = [f"`{key}`" for key, key_kind in DIMENSION_KINDS.items() if key_kind == kind]
+        rows.append(
+            (f"`{kind}`", ", ".join(keys) or "other lengths of a specimen", lowest, highest)
         )
-        rows.append((f"`{kind}`", keys or "other lengths of a specimen", lowest, highest))
     return _format_table(rows)
 
 
@@ -216,12 +200,7 @@ def format_result_table(kinds: Iterable[type[Kind]]) -> str:
     kinds : the first line of each docstring has the meaning after a colon
     """
     rows = [
-        (
-            f"`{kind.result}`",
-            ", ".join(_list_numbers(kind)),
-            _read_meaning(kind),
-            ", ".join(_list_needs(kind)),
-        )
+        (f"`{kind.result}`", ", ".join(_list_numbers(kind)), _read_meaning(kind), _list_needs(kind))
         for kind in kinds
     ]
     return _format_table([("asked for by", "numbers", "meaning", "read from"), *rows])
@@ -242,7 +221,7 @@ def _read_meaning(kind: type[Kind]) -> str:
     return first.partition(": ")[2].replace("``", "`")
 
 
-def _list_needs(kind: Any) -> Iterable[str]:
+def _list_needs(kind: Any) -> str:
     """List the data of a test that a kind of result needs."""
     needs: Needs = kind.needs
     descriptions = {
@@ -253,7 +232,7 @@ def _list_needs(kind: Any) -> Iterable[str]:
         "a clamped end": needs.clamp,
         "the stiffness `of`": list_references(kind, "stiffness"),
     }
-    return [text for text, is_needed in descriptions.items() if is_needed]
+    return ", ".join(text for text, is_needed in descriptions.items() if is_needed)
 
 
 def _format_table(rows: Sequence[Sequence[str]]) -> str:

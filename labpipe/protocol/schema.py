@@ -82,7 +82,7 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.group import LotRule
 from labpipe.results import KINDS
-from labpipe.results.beam import BendingStiffness
+from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
 
 if TYPE_CHECKING:
@@ -473,19 +473,14 @@ class Protocol(Block):
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
         """Refuse implausible dimensions, and two uncertainties of one length."""
-        faults = [
-            fault
-            for key, block in (("specimen", self.specimen), ("rig", self.rig))
-            for fault in find_implausible_sizes(block, (key,), self.plausible)
-        ]
-        if self.markers is not None:
-            faults += find_implausible_sizes(self.markers, ("markers",), self.plausible)
-        stated = self.specimen.uncertainty or SizeUncertainties()
+        blocks = {"specimen": self.specimen, "rig": self.rig, "markers": self.markers}
+        faults = [*find_implausible_sizes(blocks, (), self.plausible)]
+        uncertainties = self.specimen.uncertainty or SizeUncertainties()
         for number, result in enumerate(self.results):
             if not isinstance(result, BendingStiffness):
                 continue
             key = "length" if result.support == "cantilever" else "span"
-            here, there = result.length_uncertainty, getattr(stated, key)
+            here, there = result.length_uncertainty, getattr(uncertainties, key)
             if here is not None and there is not None and here != there:
                 path = ("results", number, "length_uncertainty")
                 here_mm, there_mm = f"{1e3 * here:.6g} mm", f"{1e3 * there:.6g} mm"
@@ -515,6 +510,8 @@ _FIGURE_NEEDS = {
     "moment-curvature": ("a result 'moment-curvature'",),
     "marker-quality": (_MARKER_SOURCE,),
 }
+_FROM_SPEED = "travel-from-speed"
+_ALIGNMENTS = ("turning-points", "common-start", "stated")
 _CYCLE_SUFFIX = re.compile(r"\.\d+$")
 
 
@@ -527,45 +524,51 @@ class Outline:
 
     Attributes
     ----------
-    channels : role, path and block of the channels of sources, by name; several of one name
+    channels : name, role, path and block of the channels of sources
     steps, results : path, name in YAML and block of each entry
     source_channels, step_channels : names of the channels that sources give and that steps add
+    clocks, units : role whose clock a channel has, and its SI unit; None if they are unknown
     """
 
     def __init__(self, data: Values) -> None:
         self.data = data
-        self.channels = [*_list_channels(get_block(data, "sources"))]
+        self.has_clamp = self.block("markers").get("clamp") is not None
+        self.channels = [*_list_channels(self.block("sources"))]
         self.steps = _list_entries(data, "steps", "step")
         self.results = _list_entries(data, "results", "result")
         self.source_channels = [name for name, *_ in self.channels]
-        self.step_channels = [
-            name for _, kind, step in self.steps for name in self.list_added(kind, step)
-        ]
-        self.forces_of_travel = {
-            str(step.get("channel")): str(step.get("force"))
-            for _, kind, step in self.steps
-            if kind == "travel-from-speed"
-        }
+        self.step_channels = list[str]()
+        self.clocks: dict[str, str | None] = {}
+        self.units: dict[str, str | None] = {}
+        for name, role, _, block in reversed(self.channels):
+            self.clocks[name] = role
+            self.units[name] = SI_UNITS.get(str(block.get("quantity", name)))
+        for _, kind, step in self.steps:
+            clock = self.clocks.get(str(step.get("force"))) if kind == _FROM_SPEED else "markers"
+            for name in self.list_added(kind, step):
+                self.clocks.setdefault(name, clock)
+                self.units[name] = "m"
+                self.step_channels.append(name)
 
     def block(self, *path: str) -> Values:
         """Return the block at a path; an empty one if there is none."""
         return get_block(self.data, *path)
 
+    def list_added(self, kind: str, step: Values) -> tuple[str, ...]:
+        """List the channels that a step adds; ``specimen-frame`` without a clamp adds none."""
+        if kind not in STEPS or (kind == "specimen-frame" and not self.has_clamp):
+            return ()
+        return tuple(form.format_map({"channel": None, **step}) for form in STEPS[kind].makes)
+
     def list_provided(self) -> Iterator[str]:
         """List the needs of steps, results and figures that the protocol meets."""
         sources, curve = self.block("sources"), self.block("curve")
-        readers = [get_block(sources, role).get("reader") for role in sources]
-        names = {
-            name
-            for stated in readers
-            for name in (stated if isinstance(stated, list) else [stated])
-        }
+        readers = [str(get_block(sources, role).get("reader")) for role in sources]
         kinds = {kind for _, kind, _ in self.steps}
         conditions = {
-            _MARKER_SOURCE: "markers" in sources or names & MARKER_READERS,
-            _CLAMP: self.block("markers").get("clamp") is not None,
-            _ALIGNMENT: self.block("align").get("method", "none")
-            in ("turning-points", "common-start", "stated"),
+            _MARKER_SOURCE: "markers" in sources or MARKER_READERS & {*readers},
+            _CLAMP: self.has_clamp,
+            _ALIGNMENT: self.block("align").get("method") in _ALIGNMENTS,
             _SHAPE_STEP: kinds & {"fit-shape", "three-point-shape"},
         }
         yield from (need for need, is_met in conditions.items() if is_met)
@@ -573,28 +576,6 @@ class Outline:
         yield from (f"a block 'curve.{key}'" for key in curve if get_block(curve, key))
         yield from (f"the step {kind!r}" for kind in kinds)
         yield from (f"a result {kind!r}" for _, kind, _ in self.results)
-
-    def list_added(self, kind: str, step: Values) -> tuple[str, ...]:
-        """List the channels that a step adds; ``specimen-frame`` without a clamp adds none."""
-        has_clamp = self.block("markers").get("clamp") is not None
-        if kind not in STEPS or (kind == "specimen-frame" and not has_clamp):
-            return ()
-        return tuple(form.format_map({"channel": None, **step}) for form in STEPS[kind].makes)
-
-    def find_clock(self, channel: object) -> str | None:
-        """Return the role whose clock a channel has; None for an unknown channel."""
-        roles = {name: role for name, role, *_ in reversed(self.channels)}
-        name = str(channel)
-        name = name if name in roles else self.forces_of_travel.get(name, name)
-        return roles.get(name) or ("markers" if name in self.step_channels else None)
-
-    def find_unit(self, channel: object) -> str | None:
-        """Return the SI unit of a channel; None for an unknown channel or quantity."""
-        quantities = {
-            name: block.get("quantity", name) for name, _, _, block in reversed(self.channels)
-        }
-        quantities |= dict.fromkeys(self.step_channels, "travel")
-        return SI_UNITS.get(str(quantities.get(str(channel))))
 
 
 def _list_channels(sources: Values) -> Iterator[tuple[str, str, KeyPath, Values]]:
@@ -637,9 +618,12 @@ def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
 def _check_channels(outline: Outline) -> Faults:
     """Find two channels of one name; a step may replace the channel of an optional source."""
     owners = dict.fromkeys(outline.step_channels, "a step")
+    from_speed = {
+        str(step.get("channel")) for _, kind, step in outline.steps if kind == _FROM_SPEED
+    }
     for name, role, path, _ in outline.channels:
         is_optional = str(outline.block("sources", role).get("optional")).lower() == "true"
-        if not (name in outline.forces_of_travel and is_optional):
+        if not (name in from_speed and is_optional):
             if name in owners:
                 yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=owners[name])
             owners[name] = f"the source {role!r}"
@@ -673,7 +657,7 @@ def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if outline.block("branches"):
         users.append((("branches",), "branches", [_CURVE]))
-    clocks = {outline.find_clock(curve.get(key)) for key in ("force", "displacement")}
+    clocks = {outline.clocks.get(str(curve.get(key))) for key in ("force", "displacement")}
     if len(clocks - {None}) > 1:
         users.append((("align", "method") if align else ("curve",), "curve", [_ALIGNMENT]))
     return ((path, name, need) for path, name, needs in users for need in needs)
@@ -702,7 +686,7 @@ def _check_steps(outline: Outline) -> Faults:
                 yield Fault.of("protocol.step_before", place, step=name, needed=kind.after)
         for key in list_references(kind, "channel") if kind is not None else ("channel",):
             yield from _check_name(step, (*path, key), channels, outline.step_channels)
-        if name == "travel-from-speed":
+        if name == _FROM_SPEED:
             yield from _check_travel_from_speed(outline, step, place)
         span = str(step.get("span")).strip()
         if span.endswith("%") and not outline.block("branches"):
@@ -739,19 +723,14 @@ def _check_name(
 def _check_curve(outline: Outline) -> Faults:
     curve, align, branches = (outline.block(key) for key in ("curve", "align", "branches"))
     channels = outline.source_channels + outline.step_channels
-    if align.get("method") in ("turning-points", "common-start", "stated"):
+    if align.get("method") in _ALIGNMENTS:
         yield from _check_name(align, ("align", "channel"), outline.source_channels)
     for key, si_unit in (("force", "N"), ("displacement", "m")):
         yield from _check_name(curve, ("curve", key), channels)
-        other = outline.find_unit(curve.get(key))
+        name, path = curve.get(key), ("curve", key)
+        other = outline.units.get(str(name))
         if other not in (None, si_unit):
-            yield Fault.of(
-                "protocol.channel_unit",
-                ("curve", key),
-                unit=si_unit,
-                name=curve.get(key),
-                other=other,
-            )
+            yield Fault.of("protocol.channel_unit", path, unit=si_unit, name=name, other=other)
     for quantity in get_list(curve, "reverse"):
         name = curve.get(quantity) if isinstance(quantity, str) else None
         if name in outline.step_channels and name not in outline.source_channels:
@@ -761,16 +740,14 @@ def _check_curve(outline: Outline) -> Faults:
 
 def _check_results(outline: Outline) -> Faults:
     earlier, stiffnesses = set[str](), list[str]()
-    displacement = outline.block("curve").get("displacement")
+    displacement = str(outline.block("curve").get("displacement"))
     for path, kind_name, entry in outline.results:
         kind = RESULTS.get(kind_name)
         if kind is None:
             continue
         settings, place = {**list_defaults(kind), **entry}, (*path, "result")
-        if kind.needs.clamp and outline.find_clock(displacement) not in (None, "markers"):
-            yield Fault.of(
-                "protocol.clock_of_force", place, result=kind_name, found=str(displacement)
-            )
+        if kind.needs.clamp and outline.clocks.get(displacement) not in (None, "markers"):
+            yield Fault.of("protocol.clock_of_force", place, result=kind_name, found=displacement)
         for key in list_references(kind, "stiffness"):
             name = settings.get(key)
             if isinstance(name, str) and not stiffnesses:

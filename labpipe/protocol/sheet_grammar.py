@@ -1,31 +1,69 @@
-"""Test sheets (``test.yaml``): their keys, the bundle in them, and writing a commented sheet."""
+"""Test sheets (``test.yaml``) with their bundle, and the plans of calibrations and campaigns.
+
+A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
+pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
+year first, and ``*`` anything; other characters match themselves, in either case. Fields match as
+much as possible, from the left. A slash separates folders.
+"""
 
 from __future__ import annotations
 
 import difflib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
-from math import dist, pi, sqrt
-from typing import Annotated, Any, Literal, Self
+from functools import partial
+from math import pi, sqrt
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
+import numpy as np
 import yaml
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from labpipe.errors import Fault, UsageError, format_error
-from labpipe.protocol import grammar as values
-from labpipe.protocol.grammar import Block
+from labpipe.protocol.grammar import (
+    Block,
+    Day,
+    FileStem,
+    Remark,
+    ShortForm,
+    SingleLine,
+    Text,
+    build_path_validator,
+    build_row_validator,
+    parse_or_none,
+)
+from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.yaml_text import (
-    FaultsError,
     Values,
     describe_value,
+    find_repeated_names,
     get_block,
+    raise_faults,
     refused,
     suggest_word,
 )
-from labpipe.records.declarations import Length, LinearMass, Offset, Snake, WholeNumber
+from labpipe.records.declarations import (
+    Duration,
+    Length,
+    LinearMass,
+    Offset,
+    Quantity,
+    Snake,
+    WholeNumber,
+)
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 
@@ -81,13 +119,13 @@ def parse_wires(value: object) -> object:
 
 WiresByType = Annotated[
     dict[
-        values.SingleLine,
-        Annotated[SheetWires, values.ShortForm(_expand_number, {"type": "integer", "minimum": 1})],
+        SingleLine,
+        Annotated[SheetWires, ShortForm(_expand_number, {"type": "integer", "minimum": 1})],
     ],
     Field(min_length=1),
-    values.ShortForm(parse_wires, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    ShortForm(parse_wires, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
-WirePosition = Annotated[tuple[Offset, Offset], values.build_row_validator(2, "[0 mm, 1.2 mm]")]
+WirePosition = Annotated[tuple[Offset, Offset], build_row_validator(2, "[0 mm, 1.2 mm]")]
 
 
 class SheetBundle(Block):
@@ -100,27 +138,19 @@ class SheetBundle(Block):
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
     positions: tuple[WirePosition, ...] | None = None
     """[x, y] of every wire in the order of 'wires'; y is the direction of bending."""
-    tape: values.SingleLine = "none"
+    tape: SingleLine = "none"
     taping: Literal["none", "coarse", "half-lap"] = "none"
-    conduit: values.SingleLine = "none"
+    conduit: SingleLine = "none"
     conduit_bore: Length | None = None
     """Inner diameter of the conduit."""
 
     @property
     def record(self) -> Bundle:
         """Return the bundle as the other rooms use it; lengths in m."""
-        return Bundle(
-            wires=tuple(
-                BundleWire(wire_type, wires.number, wires.diameter)
-                for wire_type, wires in self.wires.items()
-            ),
-            arrangement=self.arrangement,
-            positions=self.positions or (),
-            tape=self.tape,
-            taping=self.taping,
-            conduit=self.conduit,
-            conduit_bore=self.conduit_bore,
-        )
+        types = self.wires.items()
+        wires = tuple(BundleWire(name, wires.number, wires.diameter) for name, wires in types)
+        settings = {key: value for key, value in self if key not in ("wires", "number")}
+        return Bundle(wires, **settings | {"positions": self.positions or ()})
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
@@ -137,69 +167,50 @@ class SheetBundle(Block):
     @model_validator(mode="after")
     def _check_wires(self) -> Self:
         """Refuse a number, an arrangement, positions and a bore that do not fit the wires."""
-        if faults := [*_find_number_faults(self), *_find_position_faults(self)]:
-            raise FaultsError(*faults)
+        position_faults = [] if self.positions is None else _find_position_faults(self.record)
+        raise_faults([*_find_number_faults(self), *position_faults])
         return self
 
 
-def _list_diameters(bundle: SheetBundle) -> list[tuple[str, float | None]]:
-    """List type and diameter (m) of every wire."""
-    wires = bundle.wires.items()
-    return [
-        (wire_type, of_type.diameter) for wire_type, of_type in wires for _ in range(of_type.number)
-    ]
-
-
-def _find_number_faults(bundle: SheetBundle) -> Iterator[Fault]:
-    wires = _list_diameters(bundle)
-    total, diameters = len(wires), [diameter for _, diameter in wires if diameter is not None]
-    if bundle.number not in (None, total):
-        parts = " + ".join(f"{of_type.number} {key}" for key, of_type in bundle.wires.items())
+def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
+    bundle, number = sheet_bundle.record, sheet_bundle.number
+    total, parts = bundle.number, bundle.composition
+    if number not in (None, total):
         yield Fault.of(
-            "protocol.number_of_wires", ("number",), total=total, parts=parts, found=bundle.number
+            "protocol.number_of_wires", ("number",), total=total, parts=parts, found=number
         )
     if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
         yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-    if bundle.conduit_bore is not None and len(diameters) == total:
-        densest = 1.0 if total == 1 else DENSEST_PACKING
-        smallest = sqrt(sum(diameter**2 for diameter in diameters) / densest)
-        if bundle.conduit_bore < smallest:
-            yield Fault.of(
-                "protocol.bore_too_small",
-                ("conduit_bore",),
-                least=1e3 * smallest,
-                found=1e3 * bundle.conduit_bore,
-            )
+    areas = [wire.number * wire.diameter**2 for wire in bundle.wires if wire.diameter is not None]
+    if bundle.conduit_bore is not None and len(areas) == len(bundle.wires):
+        min_bore = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
+        bore, path = 1e3 * bundle.conduit_bore, ("conduit_bore",)
+        if bore < min_bore:
+            yield Fault.of("protocol.bore_too_small", path, least=min_bore, found=bore)
 
 
-def _find_position_faults(bundle: SheetBundle) -> Iterator[Fault]:
+def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     """Find why the positions do not match the wires; of each wire, the first overlap."""
-    if bundle.positions is None:
-        return
-    wires, path = _list_diameters(bundle), ("positions",)
-    unknown = [repr(key) for key, of_type in bundle.wires.items() if of_type.diameter is None]
-    if len(bundle.positions) != len(wires):
-        yield Fault.of(
-            "protocol.number_of_places", path, total=len(wires), found=len(bundle.positions)
-        )
+    total, count, path = bundle.number, len(bundle.positions), ("positions",)
+    unknown = [repr(wire.type) for wire in bundle.wires if wire.diameter is None]
+    if count != total:
+        yield Fault.of("protocol.number_of_places", path, total=total, found=count)
         return
     if unknown:
         yield Fault.of("protocol.no_diameter", path, found=", ".join(unknown))
         return
-    circles = [
-        (f"wire {number} ({wire_type})", diameter or 0.0, position)
-        for number, ((wire_type, diameter), position) in enumerate(
-            zip(wires, bundle.positions, strict=True), start=1
-        )
-    ]
-    for index, (wire, diameter, position) in enumerate(circles):
-        for other, other_diameter, other_position in circles[:index]:
-            depth = (diameter + other_diameter) / 2 - dist(position, other_position)
-            if depth > OVERLAP_TOLERANCE * min(diameter, other_diameter):
-                yield Fault.of(
-                    "protocol.overlap", (*path, index), wire=wire, depth=1e3 * depth, other=other
-                )
-                break
+    wires = [wire for wire in bundle.wires for _ in range(wire.number)]
+    diameters = np.array([wire.diameter for wire in wires], dtype=float)
+    names = [f"wire {number} ({wire.type})" for number, wire in enumerate(wires, start=1)]
+    positions = np.array(bundle.positions)
+    distances = np.linalg.norm(positions[:, None] - positions, axis=2)
+    depths = np.add.outer(diameters, diameters) / 2 - distances
+    overlaps = np.tril(depths > OVERLAP_TOLERANCE * np.minimum.outer(diameters, diameters), -1)
+    for index in np.flatnonzero(overlaps.any(axis=1)):
+        other = int(overlaps[index].argmax())
+        wire, beside, depth = names[index], names[other], 1e3 * depths[index, other]
+        place = (*path, int(index))
+        yield Fault.of("protocol.overlap", place, wire=wire, depth=depth, other=beside)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -241,15 +252,18 @@ def _read_null_as_empty(value: object) -> object:
     return {} if value is None else value
 
 
+TextsByName = Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_empty)]
+
+
 class SheetSpecimen(Block):
     """The tested specimen: a sample from a spool, which belongs to a type of wire or tube."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Length]
 
-    type: values.SingleLine
-    spool: values.SingleLine
-    sample: values.SingleLine
+    type: SingleLine
+    spool: SingleLine
+    sample: SingleLine
     length: Length | None = None
     """Free length; overrides the protocol's."""
     mass_per_length: LinearMass | None = None
@@ -260,13 +274,9 @@ class SheetSpecimen(Block):
     """Standard uncertainties of sizes; override the protocol's."""
     bundle: SheetBundle | None = None
     """Composition of a harness bundle."""
-    labels: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = Field(
-        {}
-    )
+    labels: TextsByName = Field({})
     """Other properties of the specimen as text, by name."""
-    observed: Annotated[dict[Snake, values.SingleLine], BeforeValidator(_read_null_as_empty)] = (
-        Field({})
-    )
+    observed: TextsByName = Field({})
     """Answers to the questions of the protocol, by question."""
 
     @property
@@ -289,23 +299,15 @@ class SheetSpecimen(Block):
         for key, value in data.items():
             if key in keys:
                 continue
-            snake_key = re.sub(r"\W+", "_", key.casefold())
+            snake_key, path = re.sub(r"\W+", "_", key.casefold()), (key,)
             is_number = not isinstance(value, str) or re.fullmatch(_NUMBER_WITHOUT_UNIT, value)
             is_misspelt = difflib.get_close_matches(key, keys, 1, 0.8)
             if is_misspelt or re.fullmatch(_DIMENSION_NAME, key) is None:
-                remedy = (
-                    suggest_word(key, keys) if snake_key == key else f"Write it as {snake_key!r}."
-                )
-                yield Fault.of("protocol.no_dimension", (key,), at="key", key=key, remedy=remedy)
-            elif values.parse_or_none(value, "m") is None and not is_number:
-                yield Fault.of(
-                    "protocol.label_as_size",
-                    (key,),
-                    at="key",
-                    key=key,
-                    value=value,
-                    found=describe_value(value),
-                )
+                remedy = f"Write it as {snake_key!r}." if snake_key != key else ""
+                remedy = remedy or suggest_word(key, keys)
+                yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
+            elif parse_or_none(value, "m") is None and not is_number:
+                yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
         for key in {*get_block(data, "labels")} & {*keys}:
             yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
 
@@ -320,8 +322,8 @@ def _wrap_file_name(value: object) -> object:
 
 
 FileNames = Annotated[
-    tuple[Annotated[str, values.build_path_validator("the folder of the test", COPY_REMEDY)], ...],
-    values.ShortForm(_wrap_file_name, {"type": "string"}),
+    tuple[Annotated[str, build_path_validator("the folder of the test", COPY_REMEDY)], ...],
+    ShortForm(_wrap_file_name, {"type": "string"}),
     Field(min_length=1),
 ]
 
@@ -330,7 +332,7 @@ class Override(Block):
     """A value that replaces one of the protocol in this test, and the reason."""
 
     value: Any
-    because: values.Text
+    because: Text
 
 
 class TestSheet(Block):
@@ -338,12 +340,12 @@ class TestSheet(Block):
 
     __test__ = False  # pytest would collect a class of this name
 
-    test: values.FileStem
-    protocol: values.Text
+    test: FileStem
+    protocol: Text
     """Name of a protocol, or a path to one."""
     specimen: SheetSpecimen
-    date: values.Day | None = None
-    operator: values.Remark = ""
+    date: Day | None = None
+    operator: Remark = ""
     files: dict[Role, FileNames] = Field(min_length=1)
     """By role: a file, or the parts of one recording in order."""
     overrides: Annotated[dict[str, Override], BeforeValidator(_read_null_as_empty)] = Field({})
@@ -405,19 +407,367 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
 def _format_entry(key: str, value: object) -> str:
     """Format one key of the sheet with its comment."""
-    if key == "date" and isinstance(value, str):
-        value = date.fromisoformat(value)  # YAML would quote a text
     # PyYAML writes the rarer line breaks unescaped, and reads them back as blanks.
     plain = json.dumps(value, ensure_ascii=False, default=str)
     has_rare_breaks = any(mark in plain for mark in "\x85\u2028\u2029")
+    # YAML would quote a date that is a text.
+    data = date.fromisoformat(value) if key == "date" and isinstance(value, str) else value
     text = yaml.safe_dump(
-        {key: value}, sort_keys=False, allow_unicode=not has_rare_breaks, width=float("inf")
+        {key: json.loads(plain) if data is value else data},
+        sort_keys=False,
+        allow_unicode=not has_rare_breaks,
+        width=float("inf"),
     )
     text = _NULL_VALUE.sub(r"\1   # to be filled in", text)
     first_line, _, other_lines = text.partition("\n")
-    is_text_block = (
-        isinstance(value, str) and other_lines
-    )  # a comment would become part of the text
-    if value is None or key not in _COMMENTS or is_text_block:
+    # A comment would become part of a text of several lines.
+    if value is None or key not in _COMMENTS or (isinstance(value, str) and other_lines):
         return text
     return f"{first_line:<27} # {_COMMENTS[key]}\n{other_lines}"
+
+
+_COPY_CURVE = "Copy the curve into the folder of the plan and name it from there."
+
+
+def _parse_unit(si_unit: str, value: object) -> str:
+    if parse_or_none(f"1 {value}", si_unit) is None:
+        raise refused("protocol.no_unit_like", found=value, si_unit=si_unit)
+    return str(value)
+
+
+def _parse_sign(value: object) -> int:
+    if str(value) not in ("1", "+1", "-1"):
+        raise refused("protocol.no_sign", found=value)
+    return int(str(value))
+
+
+LengthUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "m")), Field(examples=["mm"])]
+ForceUnit = Annotated[str, BeforeValidator(partial(_parse_unit, "N")), Field(examples=["N"])]
+Sign = Annotated[Literal[1, -1], BeforeValidator(_parse_sign)]
+
+
+class _Column(Block):
+    """One of the two columns of a curve."""
+
+    column: Text | None = None
+    """Its name, or its number from 1; else 'deflection' or 'force'."""
+    sign: Sign = 1
+    """-1 if the values decrease in the direction of bending."""
+
+
+class DeflectionColumn(_Column):
+    """The deflection of the tip."""
+
+    unit: LengthUnit | None = None
+    """Needed if the heading has no unit."""
+
+
+class ForceColumn(_Column):
+    """The force at the tip."""
+
+    unit: ForceUnit | None = None
+    """Needed if the heading has no unit."""
+
+
+class Comparison(Block):
+    """An external curve: from finite elements, a digitised figure or another lab."""
+
+    name: Text
+    file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
+    """csv or xlsx in the folder of the plan, or below it."""
+    wire: Text
+    """Name of the wire in the wire sheet."""
+    length: Length
+    """Free length."""
+    load: Literal["as tested", "normal"] = "as tested"
+    """as tested: by the string of the tests; normal: normal to the undeformed axis, as in most
+    finite-element models."""
+    deflection: DeflectionColumn = DeflectionColumn()
+    force: ForceColumn = ForceColumn()
+    because: Text
+    """Origin of the curve."""
+
+
+Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
+Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
+Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
+Scatter = Annotated[float, Quantity("1", "%", "3 %", minimum=0.0, maximum=0.5)]
+Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
+
+
+class _Parameter(Block):
+    """How a calibration treats one parameter."""
+
+    enters: Literal["free", "fixed", "prior"] = "free"
+    """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
+    factor: Factor | None = None
+    """Of a prior: its 95 % interval is value / factor to value x factor."""
+    because: Remark = ""
+    """Origin of a prior or a fixed value."""
+
+    @classmethod
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find missing keys of a prior or fixed value, and a factor without a prior."""
+        enters, stated = data.get("enters", "free"), {key for key in data if data[key]}
+        needed = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
+        for key in needed.get(str(enters), ()):
+            if key not in stated:
+                yield Fault.of("protocol.no_key_of_parameter", key=key, enters=enters)
+        if enters in ("free", "fixed") and "factor" in stated:
+            yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
+
+
+class RadialFriction(_Parameter):
+    """Radial friction phi = F_rad (mu_s + mu_p)."""
+
+    value: Friction | None = None
+
+
+class InsulationModulus(_Parameter):
+    """Young's modulus of the insulation."""
+
+    value: Modulus | None = None
+
+
+class CopperScale(_Parameter):
+    """Factor on the strength of the copper."""
+
+    value: Scale | None = None
+
+
+class Parameters(Block):
+    """Parameters of a calibration."""
+
+    radial_friction: RadialFriction = RadialFriction()
+    insulation_modulus: InsulationModulus = InsulationModulus()
+    copper_scale: CopperScale = CopperScale()
+
+
+class CalibrationPlan(Block):
+    """Plan of a calibration: its parameters, tests and external curves."""
+
+    version: Version
+    wire: Text | None = None
+    """Specimen type whose tests are fitted; other types are predicted."""
+    parameters: Parameters = Parameters()
+    scatter: Scatter | None = None
+    """Standard deviation between samples, where it is known."""
+    points: Annotated[int, WholeNumber(20, 5000)] = 272
+    """Points of each curve."""
+    up_to: Length | None = None
+    """Largest deflection that is used."""
+    comparisons: tuple[Comparison, ...] = ()
+    """External curves to compare with tests and model."""
+
+    @field_validator("comparisons")
+    @classmethod
+    def _check_names(cls, comparisons: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
+        raise_faults(find_repeated_names([item.name for item in comparisons], "comparison"))
+        return comparisons
+
+
+TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
+"""Fields without a unit; others are dimensions with a unit, and ``labels.NAME``."""
+_PATTERN_PART = re.compile(r"\{(?P<field>[^{}]*)\}|(?P<any>\*)|(?P<literal>[^{}*]+)|[{}]")
+_DIMENSION_FIELD = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
+_LABEL_FIELD = re.compile(r"labels\.[a-z][a-z0-9_]*")
+_TEXT, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
+MAX_PATTERN_LENGTH = 300
+"""Largest number of characters of a pattern, and of a name to match."""
+
+
+class NamePattern(NamedTuple):
+    """A parsed name pattern.
+
+    Parameters
+    ----------
+    text : as written
+    units : unit of each field in order, empty for a text or a date
+    compiled : regular expression with a group per field
+    """
+
+    text: str
+    units: dict[str, str]
+    compiled: re.Pattern[str]
+
+    def match(self, name: str) -> dict[str, str] | None:
+        """Match a name with the pattern.
+
+        Parameters
+        ----------
+        name : of a file or folder, with slashes between folders
+
+        Returns
+        -------
+        Text by field, for numbers with their unit; None if the name does not match.
+
+        Examples
+        --------
+        >>> parse_name_pattern("{type}-{length mm}-{sample}_force.mat").match("A2-085-1_Force.MAT")
+        {'type': 'A2', 'length': '85 mm', 'sample': '1'}
+        """
+        match = self.compiled.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
+        if match is None:
+            return None
+        values = dict(zip(self.units, match.groups(), strict=True))
+        for field, unit in self.units.items():
+            if unit:
+                values[field] = f"{float(values[field].replace(',', '.')):g} {unit}"
+        if re.fullmatch(r"\d{8}", day := values.get("date", "")):
+            values["date"] = f"{day[:4]}-{day[4:6]}-{day[6:]}"
+        return values
+
+    def stem(self, name: str) -> str:
+        """Return the part of a name up to its last field, without folders.
+
+        Parameters
+        ----------
+        name : if it does not match the pattern, it is returned without folders
+
+        Examples
+        --------
+        >>> parse_name_pattern("in/{type}-{sample}_force.mat").stem("in/A2-1_force.mat")
+        'A2-1'
+        """
+        match = self.compiled.fullmatch(name)
+        return name[: match.end(len(self.units)) if match else None].rpartition("/")[2]
+
+
+def parse_name_pattern(text: str) -> NamePattern:
+    """Parse a name pattern.
+
+    Parameters
+    ----------
+    text : as written in a campaign YAML
+
+    Raises
+    ------
+    FaultsError
+        If it is invalid.
+    """
+    if len(text) > MAX_PATTERN_LENGTH:
+        raise refused("protocol.long_pattern", found=text, most=MAX_PATTERN_LENGTH)
+    units: dict[str, str] = {}
+
+    def to_expression(part: re.Match[str]) -> str:
+        if part["literal"]:
+            return re.escape(part["literal"])
+        if part["any"]:
+            return r"[^/\\]*"
+        name, unit = _parse_field("{" if part["field"] is None else part["field"])
+        if name in units:
+            return f"(?:\\{[*units].index(name) + 1})"
+        units[name] = unit
+        return f"({_NUMBER if unit else _DAY if name == 'date' else _TEXT})"
+
+    expression = _PATTERN_PART.sub(to_expression, text)
+    return NamePattern(text, units, re.compile(expression, re.IGNORECASE))
+
+
+def _parse_field(written: str) -> tuple[str, str]:
+    """Parse name and unit of the field between braces."""
+    name = written.strip()
+    if name in TEXT_FIELDS or _LABEL_FIELD.fullmatch(name):
+        return name, ""
+    match = _DIMENSION_FIELD.fullmatch(name)
+    if match is None or match[1] in TEXT_FIELDS:
+        fields = ", ".join(f"{{{field}}}" for field in TEXT_FIELDS)
+        raise refused("protocol.no_field", found=f"{{{written}}}", fields=fields)
+    if parse_or_none(f"1 {match[2]}", "m") is None:
+        raise refused("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
+    return match[1], match[2]
+
+
+PLAN_NAME = "campaign.yaml"
+_EXAMPLE = "{type}-{length mm}-{sample}_force.mat"
+
+Pattern = Annotated[
+    NamePattern,
+    PlainValidator(lambda value: parse_name_pattern(str(value))),
+    PlainSerializer(lambda pattern: pattern.text),
+    WithJsonSchema({"type": ["string", "number"], "examples": [_EXAMPLE]}),
+]
+
+
+class ByFolder(Block):
+    """Pairing by folder: one folder per test; labpipe infers the roles from the content."""
+
+    by: Literal["folder"] = "folder"
+    name: Pattern | None = None
+    """Of the folder of a test; else type-length-sample, such as A2-085-1."""
+
+
+class ByName(Block):
+    """Pairing by file name: labpipe copies each export into the folder of its test."""
+
+    by: Literal["name"]
+    source: Text = Field(".", alias="from")
+    """Folder of the exports, relative to that of the plan."""
+    exports: dict[Role, Pattern] = Field(min_length=1)
+    """By role: pattern of its name."""
+
+    @field_validator("exports")
+    @classmethod
+    def _check_fields(cls, exports: dict[Role, NamePattern]) -> dict[Role, NamePattern]:
+        """Refuse patterns with different fields, because exports are paired by their fields."""
+        fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in exports.items()}
+        first, expected = next(iter(fields.items()))
+        faults = [
+            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=names)
+            for role, names in fields.items()
+            if names and names != expected
+        ]
+        empty = [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
+        raise_faults(faults + empty)
+        return exports
+
+
+def _fill_in_pairing(value: object) -> object:
+    """Add the default `by: folder`."""
+    return {"by": "folder"} | dict(value) if isinstance(value, Mapping) else value
+
+
+def _remove_repeats(roles: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(roles))
+
+
+class CampaignPlan(Block):
+    """Plan of a campaign: which exports form a test, and when a watch starts a test."""
+
+    version: Version
+    about: Remark = ""
+    """Purpose of the campaign, in one line."""
+    protocol: Text | None = None
+    """Of every test; else the one that fits its exports best."""
+    pair: Annotated[
+        Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_fill_in_pairing)
+    ] = ByFolder()
+    specimen: dict[str, Any] = Field({})
+    """Shared properties of all specimens, as in a test.yaml."""
+    operator: Remark = ""
+    """Of every test."""
+    overrides: dict[str, Override] = Field({})
+    """Of every test, as in a test.yaml."""
+    wait_for: Annotated[tuple[Role, ...], AfterValidator(_remove_repeats)] | None = None
+    """Roles that a test needs before it starts; else those of the protocol."""
+    patience: Duration = 60.0
+    """Longest wait for an optional export."""
+    still_for: Duration = 1.0
+    """Time without changes after which a file is complete."""
+    look_every: Duration = 0.25
+    """Interval between two looks of a watch."""
+
+    @classmethod
+    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
+        """Find faults of the specimen and the overrides as in a test sheet."""
+        specimen = dict(get_block(data, "specimen"))
+        sheet = {
+            "test": "x",
+            "protocol": "x",
+            "specimen": {"type": "x", "spool": "x", "sample": "x"} | specimen,
+            "files": {"force": "x"},
+            "overrides": data.get("overrides") or {},
+        }
+        validated = TestSheet.read(sheet)
+        faults = validated if isinstance(validated, list) else []
+        return [fault for fault in faults if fault.path[:1] in {("specimen",), ("overrides",)}]

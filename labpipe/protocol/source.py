@@ -16,7 +16,6 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
 )
 
@@ -147,14 +146,14 @@ class PlausibleRange(Block):
     """Such as 2 kN."""
 
 
-def _complete_ranges(stated: object) -> Any:
+def _complete_ranges(data: object) -> Any:
     """Fill in the shipped ranges and ends of ranges that a file leaves out."""
-    if not isinstance(stated, Mapping):
-        return stated
+    if not isinstance(data, Mapping):
+        return data
     shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE_RANGES.items()}
     ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
-        for kind, ends in stated.items()
+        for kind, ends in data.items()
     }
     return shipped | ranges
 
@@ -191,30 +190,23 @@ def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange
     return ranges
 
 
-def _build_range_schema(low: str, high: str) -> dict[str, object]:
-    ends = {"from": {"type": "string", "default": low}, "to": {"type": "string", "default": high}}
-    return {"type": "object", "properties": ends, "additionalProperties": False}
+class StatedRange(Block):
+    """Ends of a plausible range; a missing end is that of the shipped range."""
+
+    start: Text | None = Field(None, alias="from")
+    stop: Text | None = Field(None, alias="to")
 
 
 Plausible: TypeAlias = Annotated[
     dict[_Kind, PlausibleRange],
-    BeforeValidator(_complete_ranges),
+    BeforeValidator(_complete_ranges, json_schema_input_type=dict[_Kind, StatedRange]),
     AfterValidator(_check_ranges),
     Field(validate_default=True),
-    WithJsonSchema(
-        {
-            "type": "object",
-            "properties": {
-                kind: _build_range_schema(*ends) for kind, (_, *ends) in PLAUSIBLE_RANGES.items()
-            },
-            "additionalProperties": False,
-        }
-    ),
 ]
 
 
 def find_implausible_sizes(
-    block: BaseModel,
+    data: object,
     path: KeyPath,
     ranges: Mapping[str, PlausibleRange],
     *,
@@ -225,13 +217,13 @@ def find_implausible_sizes(
 
     Parameters
     ----------
-    block : validated
-    path : of the block in its file
+    data : blocks, validated, or blocks by key
+    path : of the data in their file
     ranges : plausible ranges by kind of dimension
     others : names of further lengths, whose kind of dimension is ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet
     """
-    for place, size in _list_numbers(block, path):
+    for place, size in _list_numbers(data, path):
         key = next(str(part) for part in reversed(place) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
         kind = kind or ("other" if key in others else None)
@@ -455,25 +447,20 @@ class ChannelSource(_Channel):
 
     def _find_unit_faults(self, quantity: str, unit: str) -> Iterator[Fault]:
         """Find a unit or a calibration that does not give the SI unit of the quantity."""
-        si_unit, path = self.channel_unit, ("unit",)
+        si_unit, path, text = self.channel_unit, ("unit",), repr(unit)
         if si_unit is None:
-            yield Fault.of("protocol.no_unit", path, quantity="V", found=repr(unit))
-        elif remedy := suggest_unit(unit, si_unit):
+            yield Fault.of("protocol.no_unit", path, quantity="V", found=text)
+        elif hint := suggest_unit(unit, si_unit):
             yield Fault.of(
-                "protocol.wrong_unit",
-                path,
-                found=repr(unit),
-                quantity=quantity,
-                unit=si_unit,
-                remedy=remedy,
+                "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=text, hint=hint
             )
         elif self.calibration is not None:
             faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
             yield from _prefix(("calibration",), faults)
 
 
-class Source(_Channel):
-    """One export of a test, or several parts of one; its channel, or several."""
+class _Export(Block):
+    """Keys of an export."""
 
     reader: ReaderNames
     """Format of the export, or a list of possible formats."""
@@ -483,6 +470,11 @@ class Source(_Channel):
     """Of a load frame: the specimen or sheet, if an export has several."""
     optional: bool = False
     """Whether a test may lack it; steps and results that need it are then left out."""
+
+
+class Source(_Channel, _Export):
+    """One export of a test, or several parts of one; its channel, or several."""
+
     channels: dict[Snake, ChannelSource] | None = None
     _all_channels: dict[str, ChannelSource] = PrivateAttr({})
 
@@ -526,15 +518,9 @@ class Source(_Channel):
             yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
         valid = MARKER_READERS if has_markers else {*READERS} - MARKER_READERS
         if not {*self.reader} <= valid:
-            content = "marker tracks" if has_markers else "channels"
-            found = ", ".join(map(repr, self.reader))
-            yield Fault.of(
-                "protocol.wrong_reader",
-                ("reader",),
-                found=found,
-                content=content,
-                valid=list_nearest("", valid),
-            )
+            content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
+            found, here = ", ".join(map(repr, self.reader)), ("reader",)
+            yield Fault.of("protocol.wrong_reader", here, content=content, found=found, valid=names)
         elif has_markers:
             for key in ["channels"] * ("channels" in stated) or keys[:1]:
                 yield Fault.of("protocol.channel_of_markers", (key,), key=key)

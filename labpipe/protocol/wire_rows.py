@@ -18,7 +18,13 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
 from labpipe.protocol.grammar import NUMBER, WINDOWS_DEVICE_NAME, Block, suggest_number
-from labpipe.protocol.yaml_text import FaultsError, Values, build_choice_fault, refused
+from labpipe.protocol.yaml_text import (
+    FaultsError,
+    Values,
+    build_choice_fault,
+    raise_faults,
+    refused,
+)
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
@@ -98,8 +104,10 @@ class Column:
         value = math.fmod(float(part), self.period)
         return int(value) if self.is_integer else value
 
-    def to_si(self, value: float) -> float:
-        """Convert a number of the column to SI, to twelve digits: 1.4 mm is 0.0014 m exactly."""
+    def to_si(self, value: Any) -> Any:
+        """Convert a number or a list to SI, to twelve digits: 1.4 mm is 0.0014 m exactly."""
+        if isinstance(value, tuple):
+            return tuple(map(self.to_si, value))
         return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
@@ -108,15 +116,11 @@ class Column:
 
 def _parse_name(value: object) -> str:
     """Parse the name of a wire, which file names contain."""
-    max_length = 100
-    name = str(value)
+    name, max_length = str(value), 100
     if not name:
         raise FaultsError(Fault.of("protocol.blank_name"))
-    if (
-        _FORBIDDEN_IN_NAME.search(name)
-        or WINDOWS_DEVICE_NAME.fullmatch(name)
-        or len(name) > max_length
-    ):
+    is_forbidden = _FORBIDDEN_IN_NAME.search(name) or WINDOWS_DEVICE_NAME.fullmatch(name)
+    if is_forbidden or len(name) > max_length:
         raise refused("protocol.no_wire_name", found=value, most=max_length)
     return name
 
@@ -166,9 +170,9 @@ class WireRow(Block):
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find stress tables together with the numbers that they replace."""
         for table, numbers in _REPLACED_COLUMNS.items():
-            stated = [name for name in numbers if data.get(name)]
-            if data.get(table) and stated:
-                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(stated))
+            filled = [name for name in numbers if data.get(name)]
+            if data.get(table) and filled:
+                yield Fault.of("protocol.table_and_numbers", (table,), found=", ".join(filled))
 
     @model_validator(mode="before")
     @classmethod
@@ -179,18 +183,19 @@ class WireRow(Block):
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:
         """Report the first kind of faults; later checks need valid layers and a valid bore."""
-        if (
-            faults := [*_find_layer_faults(self)]
-            or [*_find_bore_faults(self)]
-            or [*_find_mass_faults(self)]
-        ):
-            raise FaultsError(*faults)
+        for find_faults in (_find_layer_faults, _find_bore_faults, _find_mass_faults):
+            raise_faults(find_faults(self))
         return self
 
     @property
     def has_mass(self) -> bool:
         """Return whether the row states the mass per length."""
         return self.mass_per_length_g_per_m is not None
+
+    @property
+    def bore(self) -> float:
+        """Return the inner diameter of the insulation, mm."""
+        return self.wire_diameter_mm - 2.0 * self.insulation_thickness_mm
 
     @property
     def strands_per_layer(self) -> tuple[int, ...]:
@@ -227,53 +232,49 @@ REQUIRED_CELLS: Final = tuple(n for n, field in WireRow.model_fields.items() if 
 """Columns without blank cells."""
 STRAND_SIZE_COLUMNS: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
 """Columns for the size of the strands; every sheet has at least one of them."""
-_STRAND_LAW_COLUMNS = ("conductor_modulus_gpa", "copper_k_mpa", "copper_n")
-_INSULATION_LAW_COLUMNS = ("insulation_modulus_mpa", "insulation_strain")
 _REPLACED_COLUMNS = {
-    "stress_table": _STRAND_LAW_COLUMNS,
-    "insulation_table": _INSULATION_LAW_COLUMNS,
+    "stress_table": ("conductor_modulus_gpa", "copper_k_mpa", "copper_n"),
+    "insulation_table": ("insulation_modulus_mpa", "insulation_strain"),
 }
 """Columns that a stress table replaces, by the column that names the table."""
 _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _REQUIRED_COLUMNS = (*REQUIRED_CELLS, "lay_angles_deg")
 MAX_AREA_DEVIATION = 0.02
 """Largest relative deviation of the conductor area from that of the strand diameters."""
-BORE_ROUNDING = 1e-3
-"""Relative tolerance of the bore for strands that fill it."""
+BORE_ROUNDING = 1.0 + 1e-3
+"""Tolerance of the bore for strands that fill it."""
 MAX_MASS_RATIO = 4.0 / 3.0
 """Largest ratio of the mass to that of strands and insulation: fillers, tin, gaps."""
 
 
 def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
-    """Find contradictions of strands, layers, lay angles and radii."""
-    counts = row.strands_per_layer
-    total, rings = sum(counts), len(counts) - int(counts[0] == 1)
-    parts = " + ".join(map(str, counts))
+    """Find contradictions of strands, layers, lay angles, radii and sizes."""
+    counts, radii = row.strands_per_layer, row.layer_radii_mm
+    total, layers, parts = sum(counts), len(counts), " + ".join(map(str, counts))
     if total != row.strands:
         by = "layer counts" if row.layer_counts else "lay angles"
         yield Fault.of("protocol.strands", ("strands",), row=row, total=total, by=by, parts=parts)
         return
-    if (angles := len(row.lay_angles_deg)) != rings:
+    rings, angles = layers - int(counts[0] == 1), len(row.lay_angles_deg)
+    if angles != rings:
         path = ("lay_angles_deg",)
         yield Fault.of("protocol.lay_angles", path, parts=parts, rings=rings, found=angles)
-    yield from _find_size_faults(row)
-    radii = row.layer_radii_mm
     if radii and row.layout != "compressed":
         yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
-    elif radii and (len(radii) != len(counts) or any(a >= b for a, b in pairwise(radii))):
-        found = ";".join(f"{radius:g}" for radius in radii)
-        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=len(counts), found=found)
+    elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
+        radius_texts = ";".join(f"{radius:g}" for radius in radii)
+        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=layers, found=radius_texts)
+    yield from _find_size_faults(row)
 
 
 def _find_size_faults(row: WireRow) -> Iterator[Fault]:
     """Find missing and contradictory diameters and areas of the strands."""
-    diameter, diameters = row.strand_diameter_mm, row.strand_diameters_mm
-    area, layers = row.conductor_area_mm2, len(row.strands_per_layer)
+    diameter, diameters, area = (getattr(row, name) for name in STRAND_SIZE_COLUMNS)
+    count, layers, path = len(diameters), len(row.strands_per_layer), ("strand_diameters_mm",)
     if diameter and diameters:
-        yield Fault.of("protocol.two_diameters", ("strand_diameters_mm",))
-    elif diameters and len(diameters) != layers:
-        path = ("strand_diameters_mm",)
-        yield Fault.of("protocol.strand_diameters", path, layers=layers, found=len(diameters))
+        yield Fault.of("protocol.two_diameters", path)
+    elif diameters and count != layers:
+        yield Fault.of("protocol.strand_diameters", path, layers=layers, found=count)
     elif not (diameter or diameters or area):
         yield Fault.of("protocol.no_size", ("strand_diameter_mm",))
     elif area and abs(area / row.copper_area - 1.0) > MAX_AREA_DEVIATION:
@@ -282,19 +283,16 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
     """Find strands that do not fit into the bore, and a bend radius below the wire's radius."""
-    bore = row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
-    if bore <= 0.0:
+    if (bore := row.bore) <= 0.0:
         yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
         return
-    size = next(name for name in STRAND_SIZE_COLUMNS if getattr(row, name))
-    widest, tightest = bore * (1.0 + BORE_ROUNDING), 2e3 / row.wire_diameter_mm
-    if max(row.strand_diameters) > widest:
-        thickest = max(row.strand_diameters)
-        yield Fault.of("protocol.thick_strand", (size,), row=row, bore=bore, found=thickest)
+    path = (next(name for name in STRAND_SIZE_COLUMNS if getattr(row, name)),)
+    widest, thickest, space = bore * BORE_ROUNDING, max(row.strand_diameters), math.pi / 4 * bore**2
+    if thickest > widest:
+        yield Fault.of("protocol.thick_strand", path, row=row, bore=bore, found=thickest)
     elif row.copper_area > math.pi / 4.0 * widest**2:
-        space = math.pi / 4.0 * bore**2
-        yield Fault.of("protocol.much_copper", (size,), row=row, bore=bore, space=space)
-    largest = row.largest_curvature_per_m
+        yield Fault.of("protocol.much_copper", path, row=row, bore=bore, space=space)
+    tightest, largest = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
     if largest is not None and largest >= tightest:
         path = ("largest_curvature_per_m",)
         yield Fault.of("protocol.tight_bend", path, tightest=tightest, found=largest)
@@ -302,19 +300,20 @@ def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
 
 def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that differs from that of strands and insulation by more than a third."""
-    stated = row.mass_per_length_g_per_m
-    if stated is None:
-        return
     angles = (0.0,) * int(row.strands_per_layer[0] == 1) + row.lay_angles_deg
     layers = zip(row.strands_per_layer, row.strand_diameters, angles, strict=True)
-    strands = sum(n * d**2 / math.cos(math.radians(angle)) for n, d, angle in layers)
-    outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
-    conductor = row.conductor_density_kg_per_m3 or _SPEC_DEFAULTS["conductor_density"]
-    insulation = row.insulation_density_kg_per_m3 or _SPEC_DEFAULTS["insulation_density"]
-    mass = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if not 1.0 / MAX_MASS_RATIO <= stated / mass <= MAX_MASS_RATIO:
+    squares = {
+        "conductor": sum(n * d**2 / math.cos(math.radians(angle)) for n, d, angle in layers),
+        "insulation": row.wire_diameter_mm**2 - row.bore**2,
+    }
+    densities = {
+        part: getattr(row, f"{part}_density_kg_per_m3") or _SPEC_DEFAULTS[f"{part}_density"]
+        for part in squares
+    }
+    mass = 1e-3 * math.pi / 4.0 * sum(densities[part] * squares[part] for part in squares)
+    row_mass = row.mass_per_length_g_per_m or mass
+    if not 1.0 / MAX_MASS_RATIO <= row_mass / mass <= MAX_MASS_RATIO:
         path = ("mass_per_length_g_per_m",)
-        densities = {"conductor": conductor, "insulation": insulation}
         yield Fault.of("protocol.mass", path, row=row, mass=mass, densities=densities)
 
 
@@ -339,30 +338,33 @@ def build_wire_spec(
     The wire; its `defaults` describe each default value, and mention blank cells, because these
     may be an oversight.
     """
-    values: dict[str, Any] = {"layer_counts": row.strands_per_layer, "stress_table": curve}
-    values["insulation_table"] = insulation
-    values["strand_diameters"] = tuple(
-        map(COLUMNS["strand_diameter_mm"].to_si, row.strand_diameters)
-    )
-    for name, column in COLUMNS.items():
-        value = getattr(row, name)
-        if isinstance(value, float) and name not in STRAND_SIZE_COLUMNS:
-            values[get_spec_field(name)] = column.to_si(value)
-    for name in ("lay_angles_deg", *(["layer_radii_mm"] if row.layer_radii_mm else [])):
-        values[get_spec_field(name)] = tuple(map(COLUMNS[name].to_si, getattr(row, name)))
+    cells = {name: getattr(row, name) for name in COLUMNS.keys() & row.model_fields_set}
+    cells |= {"lay_angles_deg": row.lay_angles_deg}
+    values = {
+        get_spec_field(name): COLUMNS[name].to_si(value)
+        for name, value in cells.items()
+        if name not in ("strands", *STRAND_SIZE_COLUMNS)
+    }
+    values |= {
+        "layer_counts": row.strands_per_layer,
+        "strand_diameters": COLUMNS["strand_diameters_mm"].to_si(row.strand_diameters),
+        "stress_table": curve,
+        "insulation_table": insulation,
+    }
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
     replaced = {
-        *(_STRAND_LAW_COLUMNS if curve else ()),
-        *(_INSULATION_LAW_COLUMNS if insulation else ()),
+        *(_REPLACED_COLUMNS["stress_table"] if curve else ()),
+        *(_REPLACED_COLUMNS["insulation_table"] if insulation else ()),
+        *(_DENSITIES if row.has_mass else ()),
     }
-    replaced |= {*(_DENSITIES if row.has_mass else ())}
+    fields_by_name = {name: get_spec_field(name) for name in WireRow.model_fields}
     defaults = {
-        get_spec_field(name): describe_default(name) + " (blank in this row)" * (name in blank)
-        for name in WireRow.model_fields
+        field: describe_default(name) + " (blank in this row)" * (name in blank)
+        for name, field in fields_by_name.items()
         if name not in replaced
-        and get_spec_field(name) not in values
-        and (get_spec_field(name) in _SPEC_DEFAULTS or name == "largest_curvature_per_m")
+        and field not in values
+        and (field in _SPEC_DEFAULTS or field == "largest_curvature")
     }
     return WireSpec(name=row.wire, **values, defaults=defaults, place=place)
 
@@ -410,16 +412,14 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     ------
     Index of the column (0 for a missing one) and the fault.
     """
-    names = [normalise_heading(heading) for heading in headings]
-    intended = set(names)
+    names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
+    meant = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    intended = {*meant}
     for number, name in enumerate(names):
-        if name not in WireRow.model_fields:
-            meant = next((x for x in COLUMNS if _has_other_unit(name, x)), "")
-            intended |= {meant, *difflib.get_close_matches(name, WireRow.model_fields, n=1)}
-            fault = build_choice_fault(
-                (), headings[number], WireRow.model_fields, "one of the columns"
-            )
-            remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}." if meant else fault.remedy
+        if name not in columns:
+            fault = build_choice_fault((), headings[number], columns, "one of the columns")
+            unit = COLUMNS[meant[number]].unit if meant[number] in COLUMNS else ""
+            remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
             yield number, Fault.of("protocol.column_again", column=name)
@@ -428,14 +428,6 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
             yield 0, Fault.of("protocol.no_column", column=name)
     if not intended & set(STRAND_SIZE_COLUMNS):
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
-
-
-def _has_other_unit(name: str, column: str) -> bool:
-    """Return whether a name is a column with another unit or none: wire_diameter_in."""
-    field = get_spec_field(column)
-    suffix = name.removeprefix(field)
-    is_suffix = re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", suffix) is not None
-    return field != column and suffix != name and is_suffix
 
 
 FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
@@ -463,45 +455,34 @@ def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, F
     -------
     Index of the point and its fault; None for a valid curve.
     """
-    previous, first_slope = (0.0, 0.0), 0.0
+    last_strain = last_stress = first_slope = 0.0
     for number, point in enumerate(points):
-        current = (point.strain, point.stress_mpa)
-        if number == 0 and not any(current):
+        strain, stress = point.strain, point.stress_mpa
+        if number == 0 and not (strain or stress):
             continue
-        if fault := _find_point_fault(previous, current, first_slope):
-            return number, fault
-        first_slope = first_slope or (current[1] - previous[1]) / (current[0] - previous[0])
-        previous = current
+        if strain <= last_strain:
+            return number, Fault.of("protocol.strain_falls", last=last_strain, found=strain)
+        slope = (stress - last_stress) / (strain - last_strain)
+        if slope < 0.0 or not (slope or first_slope):
+            return number, Fault.of("protocol.stress_falls", last=last_stress, found=stress)
+        first_slope = first_slope or slope
+        if slope > first_slope * (1.0 + 1e-6):
+            first, new_slope = first_slope / 1e3, slope / 1e3
+            return number, Fault.of("protocol.curve_stiffens", first=first, found=new_slope)
+        last_strain, last_stress = strain, stress
     low, high = FIRST_SLOPES[column]
     if not first_slope:
         return 0, Fault.of("protocol.no_curve")
     if low <= first_slope * 1e6 <= high:
         return None
-    first = next(number for number, point in enumerate(points) if point.strain)
-    return first, Fault.of(
+    loaded = int(points[0].strain == 0.0)
+    return loaded, Fault.of(
         "protocol.first_slope", low=low / 1e9, high=high / 1e9, found=first_slope / 1e3
     )
 
 
-def _find_point_fault(
-    previous: tuple[float, float], current: tuple[float, float], first_slope: float
-) -> Fault | None:
-    """Find the fault of a point after another one; both are of strain and stress (MPa)."""
-    slope_tolerance = 1e-6
-    strain_step, stress_step = current[0] - previous[0], current[1] - previous[1]
-    if strain_step <= 0.0:
-        return Fault.of("protocol.strain_falls", last=previous[0], found=current[0])
-    if stress_step < 0.0 or not (stress_step or first_slope):
-        return Fault.of("protocol.stress_falls", last=previous[1], found=current[1])
-    if first_slope and stress_step / strain_step > first_slope * (1.0 + slope_tolerance):
-        found = stress_step / strain_step / 1e3
-        return Fault.of("protocol.curve_stiffens", first=first_slope / 1e3, found=found)
-    return None
-
-
 def convert_points(points: Sequence[StressPoint]) -> Curve:
     """Convert points to strains and stresses (Pa), without a point at zero."""
-    column = StressPoint.model_fields["stress_mpa"].metadata[0]
     loaded = [point for point in points if point.strain > 0.0]
-    stresses = tuple(column.to_si(point.stress_mpa) for point in loaded)
+    stresses = tuple(float(f"{point.stress_mpa * 1e6:.12g}") for point in loaded)
     return tuple(point.strain for point in loaded), stresses

@@ -88,13 +88,15 @@ def build_choice_fault(
     ----------
     path : path of the word
     word : the invalid word
-    valid : the valid words
-    expected : phrase before the valid words, such as ``one of the channels``
+    valid : the valid valid_words
+    expected : phrase before the valid valid_words, such as ``one of the channels``
     remedy : for a word to which no valid one is similar
     """
-    words = sorted(set(valid))
-    remedy = suggest_word(str(word), words) or remedy
-    return Fault(path, f"{expected} {list_nearest(str(word), words)}", describe_value(word), remedy)
+    valid_words = sorted(set(valid))
+    remedy = suggest_word(str(word), valid_words) or remedy
+    return Fault(
+        path, f"{expected} {list_nearest(str(word), valid_words)}", describe_value(word), remedy
+    )
 
 
 def find_repeated_names(names: Sequence[str], noun: str) -> Iterator[Fault]:
@@ -124,8 +126,8 @@ class FaultsError(ValueError):
 
 def raise_faults(faults: Iterable[Fault]) -> None:
     """Raise the faults of a value, if there are any."""
-    if found := tuple(faults):
-        raise FaultsError(*found)
+    if collected := tuple(faults):
+        raise FaultsError(*collected)
 
 
 def refused(name: str, /, *, found: object, **facts: Any) -> FaultsError:
@@ -175,7 +177,7 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
     context = {
         key: re.findall(r"'([^']*)'", str(text)) for key, text in line.get("ctx", {}).items()
     }
-    found = line["input"]
+    value = line["input"]
     match line["type"]:
         case "missing" | "union_tag_not_found":
             key = context["discriminator"][0] if context else str(line["loc"][-1])
@@ -184,13 +186,13 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
             return replace(build_choice_fault(path, path[-1], keys, "one of the keys"), at="key")
         case "union_tag_invalid":
             key = context["discriminator"][0]
-            return build_choice_fault((*path, key), found[key], context["expected_tags"])
+            return build_choice_fault((*path, key), value[key], context["expected_tags"])
         case "literal_error":
-            fault = build_choice_fault(path, found, context["expected"])
+            fault = build_choice_fault(path, value, context["expected"])
             return replace(fault, at="key" if line["loc"][-1] == "[key]" else "value")
         case other:
-            remedy = "Fill it in." if found is None else ""
-            return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(found), remedy)
+            remedy = "Fill it in." if value is None else ""
+            return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(value), remedy)
 
 
 def _follow(data: Any, path: Iterable[int | str], *, skip: bool = False) -> KeyPath:
@@ -246,7 +248,8 @@ class LocatedBlock(dict[str, Any]):
 class LocatedList(list[Any]):
     """A list as written, with the locations of its items."""
 
-    locations: list[Location]
+    def __init__(self) -> None:
+        self.locations: list[Location] = []
 
 
 @dataclass(slots=True)
@@ -331,8 +334,8 @@ def read_text(path: Path) -> str:
         place, byte = f"byte {error.start}", error.object[error.start]
         raise ProtocolError.about("protocol.no_utf8", path, place, byte=byte) from error
     except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise ProtocolError.about("protocol.no_yaml_file", path, found=found) from error
+        reason = (error.strerror or str(error)).lower()
+        raise ProtocolError.about("protocol.no_yaml_file", path, found=reason) from error
 
 
 @lru_cache(maxsize=64)
@@ -379,33 +382,34 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
         line, column = start.count("\n") + 1, len(start) - start.rfind("\n")
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "too many levels"
     context = getattr(error, "context", None) or ""
-    place, found = f"line {line}, column {column}", f"{problem} {context}".strip()
-    return ProtocolError.about("protocol.no_yaml", file, place, found=found)
+    place, reason = f"line {line}, column {column}", f"{problem} {context}".strip()
+    return ProtocolError.about("protocol.no_yaml", file, place, found=reason)
 
 
 def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
     """Convert a node to plain values with the locations of its parts."""
-    file, mark = document.location.file, _find_mark(node)
-    if id(node) in converted:
-        raise build_error([_place_fault(file, mark, Fault.of("protocol.alias", path))])
-    if len(path) >= MAX_DEPTH:
-        raise build_error([_place_fault(file, mark, Fault.of("protocol.too_deep", most=MAX_DEPTH))])
+    file = document.location.file
+    if id(node) in converted or len(path) >= MAX_DEPTH:
+        alias, too_deep = (
+            Fault.of("protocol.alias", path),
+            Fault.of("protocol.too_deep", most=MAX_DEPTH),
+        )
+        fault = alias if id(node) in converted else too_deep
+        raise build_error([_place_fault(file, _find_mark(node), fault)])
     converted.add(id(node))
     if node.tag not in _PLAIN_TAGS:
         fault = Fault.of("protocol.tag", path, tag=node.tag)
-        document.faults.append(_place_fault(file, mark, fault))
+        document.faults.append(_place_fault(file, _find_mark(node), fault))
+    if isinstance(node, yaml.ScalarNode):
+        return node.value if node.style or node.value not in ("", "~", "null") else None
     if isinstance(node, yaml.MappingNode):
         return _convert_mapping(node, path, document, converted)
-    if isinstance(node, yaml.SequenceNode):
-        items = LocatedList(
-            _convert_node(item, (*path, number), document, converted)
-            for number, item in enumerate(node.value)
-        )
-        marks = map(_find_mark, node.value)
-        items.locations = [Location(file, i, mark, mark) for i, mark in enumerate(marks)]
-        return items
-    is_quoted = isinstance(node, yaml.ScalarNode) and node.style
-    return node.value if is_quoted or node.value not in ("", "~", "null") else None
+    items = LocatedList()
+    for number, item in enumerate(node.value):
+        mark = _find_mark(item)
+        items.locations.append(Location(file, number, mark, mark))
+        items.append(_convert_node(item, (*path, number), document, converted))
+    return items
 
 
 def _convert_mapping(
@@ -413,17 +417,17 @@ def _convert_mapping(
 ) -> LocatedBlock:
     file, block = document.location.file, LocatedBlock()
     for key, value in node.value:
-        name, mark, fault = key.value, _find_mark(key), None
+        name, mark = key.value, _find_mark(key)
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault.of("protocol.no_word_as_key", path, found=describe_value(name))
+            document.faults.append(_place_fault(file, mark, fault))
         elif name in block:
             line = block.locations[name].key[0]
             fault = Fault.of("protocol.key_again", (*path, name), key=name, line=line)
-        if fault is not None:
             document.faults.append(_place_fault(file, mark, fault))
-            continue
-        block.locations[name] = Location(file, name, mark, _find_mark(value))
-        block[name] = _convert_node(value, (*path, name), document, converted)
+        else:
+            block.locations[name] = Location(file, name, mark, _find_mark(value))
+            block[name] = _convert_node(value, (*path, name), document, converted)
     return block
 
 

@@ -31,7 +31,7 @@ from labpipe.report.quality_figures import (
     make_marker_quality_page,
     make_wire_shapes_page,
 )
-from labpipe.results.reduced_test import compute_loading_sign
+from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
 from labpipe.statistics.lots import FORCE_LIMIT, find_result

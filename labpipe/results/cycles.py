@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import ClassVar, Literal
@@ -14,24 +14,13 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, as_slice, divide
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Failure, UnavailableError, return_failure
+from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.records.signals import Stretch
-from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Kind
-from labpipe.results.least_squares import (
-    compute_polynomial_weights,
-    compute_slope,
-    compute_zero_crossing,
-    find_finite_samples,
-    fit_chosen_lines,
-    require_samples,
-)
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
-from labpipe.results.sample_noise import Quantity, SampleNoise
+from labpipe.results import curves, kinds
+from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
+from labpipe.uncertainty.extractors import Reading, Trace, read_part
 
 
 def integrate_energy(displacement: Floats, force: Floats) -> Floats:
@@ -127,9 +116,9 @@ def find_unloading_end(
     """
     max_zero_share = 0.02  # of the largest force, up to which a force may count as zero
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
-    finite = find_finite_samples(displacement, force)
+    finite = curves.find_finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
-    require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
+    curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     lowest_limit = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
     limit = limit if like is None else like.limit
@@ -145,8 +134,8 @@ def find_unloading_end(
     foot = slice(int(far[-1]) if len(far) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
-        zero_time = float(compute_zero_crossing(from_end[foot], -f[foot]))
-        slope = float(compute_slope(from_end[foot], f[foot]))
+        zero_time = float(curves.compute_zero_crossing(from_end[foot], -f[foot]))
+        slope = float(curves.compute_slope(from_end[foot], f[foot]))
     is_falling = not np.isnan(zero_time)
     zero = float(t[last]) + zero_time if is_falling else float(t[last])
     is_after_zero = t > zero + 0.2
@@ -173,9 +162,9 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     """Choose the samples around the zero of a force that continues below it."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
-    require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
+    curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
     samples, after = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
-    weights = compute_polynomial_weights(after, degree=2).T
+    weights = curves.compute_polynomial_weights(after, degree=2).T
 
     def of(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
@@ -195,7 +184,7 @@ def _is_resting(t: Floats, d: Floats, f: Floats, rest: Flags, limit: float) -> b
     if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[rest]).max() > 2.0 * limit:
         return False
     centred_time, values = t[rest] - t[rest].mean(), d[rest]
-    slope = float(compute_slope(centred_time, values))
+    slope = float(curves.compute_slope(centred_time, values))
     noise = values - values.mean() - slope * centred_time
     still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(d))
     return abs(slope) * float(np.ptp(centred_time)) <= still
@@ -222,14 +211,14 @@ def _extrapolate_to_zero(
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
     numbers = np.arange(stretch.start, stretch.stop)
     foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-    middle, level, slope = fit_chosen_lines(foot, time[stretch], f[:, stretch])
+    middle, level, slope = curves.fit_chosen_lines(foot, time[stretch], f[:, stretch])
     is_falling = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
     zeros = np.where(is_falling, middle - divide(level, slope), time[end])
     ends = [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
     part = slice(*np.searchsorted(time, ends))
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
-    middle, level, slope = fit_chosen_lines(is_before_zero, t, d[:, part])
+    middle, level, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, part])
     ended = (end >= 0) & (end < len(time) - 3)
     ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
     return np.where(ended, level + slope * (zeros - middle), np.nan).reshape(shape)
@@ -255,7 +244,7 @@ class PerCycle(Kind):
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
     loading, 1 its end, 2 the end of unloading."""
-    peak_of: ClassVar[Quantity | None] = None
+    peak_of: ClassVar[curves.Quantity | None] = None
     """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
@@ -269,10 +258,6 @@ class PerCycle(Kind):
         number : of the cycle, from 1
         """
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Return a function that chooses the samples of a cycle on a curve."""
-        return partial(self.choose, test, number=number)
-
     def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Return the number if it is measured from other samples than those of the curve."""
         del test, branches
@@ -282,23 +267,21 @@ class PerCycle(Kind):
         """Return further doubts about the number of a cycle: a sample missing at its peak."""
         return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure a number per cycle."""
-        if not test.cycles:
-            raise test.make_error(NO_LOADING)
-        results, rests_on = list[Result](), self.outputs[0].rests_on
-        for branches in test.cycles:
+        for branches in test.require(test.cycles or None):
             number, complete = branches[0].cycle, branches[: self.complete_branches]
-            decide, values = self.make_decider(test, number), self.measure_directly(test, branches)
+            decide = partial(self.choose, test, number=number)
+            values = self.measure_directly(test, branches)
             outcome = return_failure(test.measure_one)(decide, values)
-            doubts = find_cut_cycle(test, complete, rests_on) + self.list_doubts(test, branches)
+            doubts = find_cut_cycle(test, complete, self.outputs[0].rests_on)
+            doubts += self.list_doubts(test, branches)
             during, part = _find_time_interval(branches, self.reads), f".{number}"
-            results.append(self.make_result(test, outcome, during=during, doubts=doubts, part=part))
-        return Computed(tuple(results))
+            yield self.make_result(test, outcome, during=during, doubts=doubts, part=part)
 
 
 def _find_gap_at_peak(
-    test: ReducedTest, branches: list[Branch], quantity: Quantity
+    test: ReducedTest, branches: list[Branch], quantity: curves.Quantity
 ) -> tuple[Reason, ...]:
     """Return a doubt if a sample next to the largest one of a cycle is missing."""
     curve = test.required_curve
@@ -341,7 +324,7 @@ def find_cut_cycle(
     part, failure, curve = branches[-1], test.failure, test.required_curve
     if ends >= part.stop_time and part is not curve.branches[-1]:
         return ()
-    if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
+    if isinstance(failure, kinds.FailurePoint) and part.start <= failure.sample < part.stop:
         return ()  # it broke, so the record is complete
     if quantities == ("force",) and _is_past_peak(test, part):
         return ()
@@ -394,7 +377,7 @@ def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
     values : shape (n,), of the quantity
     """
     branch = curve.branches[0]
-    return compute_loading_sign(values[branch.start : branch.stop])
+    return kinds.compute_loading_sign(values[branch.start : branch.stop])
 
 
 def select_cycle(trace: Trace, number: int) -> list[Branch]:
@@ -458,7 +441,7 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
-    require_samples(len(force), min_loop_samples, " in the cycle")
+    curves.require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
     halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
     coarse = integrate_energy(displacement[halves], force[halves])
@@ -485,17 +468,9 @@ class ResidualDisplacement(PerCycle):
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the samples, with limit of zero force and kind of end of the measured curve."""
-        measured = return_failure(self._find_end)(make_trace(test), number)
-        like = None if isinstance(measured, Failure) else measured
-        return partial(self.choose, test, number=number, like=like)
-
-    def choose(
-        self, test: ReducedTest, trace: Trace, number: int, like: UnloadingEnd | None = None
-    ) -> Reading:
-        """Choose the samples at the end of the unloading branch."""
-        del test
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the samples at the end of the unloading branch, as on the measured curve."""
+        like = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
         ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
         return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
 
@@ -543,7 +518,7 @@ def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
 
 
 def choose_peak_sample(
-    test: ReducedTest, trace: Trace, number: int, quantity: Quantity = "force"
+    test: ReducedTest, trace: Trace, number: int, quantity: curves.Quantity = "force"
 ) -> Reading:
     """Choose the largest sample of a cycle in the direction of loading.
 
@@ -572,9 +547,9 @@ def choose_peak_sample(
         return (sense * (np.fmax.reduce(signed, axis=-1) + trace.steps_beyond * reach),)
 
     @cache
-    def samples() -> SampleNoise | None:
+    def samples() -> curves.SampleNoise | None:
         peak = stretch.start + int(np.nanargmax(signed_values))
-        return SampleNoise.around(test, trace, quantity, stretch, peak)
+        return curves.SampleNoise.around(test, trace, quantity, stretch, peak)
 
     def in_noise(drawn: Trace) -> tuple[Floats]:
         peak_samples = samples()

@@ -1,36 +1,37 @@
-"""Failure of a specimen, which is its final loss of force, and the energy up to the failure.
+"""Failure of a specimen, which is its final loss of force, and the peak force against its limit.
 
-Both are measured in the loading branch in which the specimen fails.
+Displacement and energy at the failure are measured in the loading branch in which the specimen
+fails. The limit is the smallest force that a standard or the lab allows for a conductor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from bisect import bisect
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import ClassVar
+from math import inf, isclose
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import Branch, Curve, Direction
-from labpipe.records.declarations import CURVE, Needs, Output
+from labpipe.records.curve import Branch, Curve, Direction, Interval
+from labpipe.records.declarations import CURVE, Area, Force, FromCard, Needs, Output, WholeNumber
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
 from labpipe.records.signals import Stretch
-from labpipe.results.cycles import (
-    PerCycle,
-    choose_work_samples,
-    estimate_rise_beyond_top,
-    find_cycle_samples,
-    find_loading_sign,
-)
-from labpipe.results.kinds import Computed, Kind
-from labpipe.results.least_squares import find_finite_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest
-from labpipe.results.sample_noise import Quantity, SampleNoise
+from labpipe.results import cycles
+from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
+from labpipe.results.cycles import PeakForce, PerCycle
+from labpipe.results.kinds import NO_LOADING, FailurePoint, Kind, Part, ReducedTest
+from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.units import parse_quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,18 +195,13 @@ class FailureResult(Kind):
             "force at the first sample of the final loss",
         )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure displacement and force at the last sample before the final loss of force."""
-        failure = test.require(test.failure)
+        during, doubts = _describe_failure(test)
         place, force = test.measure(partial(_choose_failure_samples, test))
-        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
         at_end = during[1], during[1]
-        return Computed(
-            (
-                self.make_result(test, place, during=at_end, doubts=doubts),
-                self.make_result(test, force, output=1, during=during, doubts=doubts),
-            )
-        )
+        yield self.make_result(test, place, during=at_end, doubts=doubts)
+        yield self.make_result(test, force, output=1, during=during, doubts=doubts)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
@@ -258,21 +254,16 @@ def _choose_by_force(
     find : returns the place among them for each row of forces, in the sense of loading
     breaks : whether the specimen breaks up to a step after that sample
     """
-    sense, draw_noise = (
-        find_loading_sign(trace, trace.force),
-        _make_noise_function(test, trace, sample),
-    )
+    sense = cycles.find_loading_sign(trace, trace.force)
+    draw_noise = _make_noise_function(test, trace, sample)
 
-    def numbers(trace: Trace) -> tuple[Floats, Floats]:
+    def numbers(trace: Trace) -> tuple[Floats, ...]:
         place, force = trace.displacement[..., finite], trace.force[..., finite]
         at = np.asarray(find(sense * force))[..., np.newaxis]
         place = place + np.gradient(place, axis=-1) * trace.steps_beyond * breaks
-        first, second = (
-            np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force)
-        )
-        return first, second
+        return tuple(np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force))
 
-    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
+    def in_noise(drawn: Trace) -> tuple[Floats, ...]:
         return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
 
     return Reading(numbers, 1, in_noise)
@@ -291,17 +282,16 @@ def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Return a function that draws noise of single samples of a quantity before a failure."""
+    loading = slice(find_loading_before(trace, sample).start, sample + 1)
+    select_noise = cache(
+        lambda quantity: SampleNoise.around(test, trace, quantity, loading, sample)
+    )
 
-    @cache
-    def select_noise(quantity: Quantity) -> SampleNoise | None:
-        loading = slice(find_loading_before(trace, sample).start, sample + 1)
-        return SampleNoise.around(test, trace, quantity, loading, sample)
-
-    def drawn(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
+    def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)
         return np.zeros(shape) if noise is None else noise.draw_deviations(shape)
 
-    return drawn
+    return draw
 
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
@@ -322,33 +312,34 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     if len(before) < 8:
         return 0.0
     loss = before[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
-    is_clear = find_loading_sign(curve, curve.force) * loss > 6.0 * estimate_fast_noise(before)
+    is_clear = cycles.find_loading_sign(curve, curve.force) * loss > 6.0 * estimate_fast_noise(
+        before
+    )
     return float(loss) if is_clear else 0.0
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
     """Return the change of the displacement in the step after a sample, m."""
-    ahead = trace.displacement[sample + 1 :]
-    ahead = ahead[~np.isnan(ahead)]
-    return max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
+    later = trace.displacement[sample + 1 :]
+    later = later[~np.isnan(later)]
+    return max(float(later[0] - trace.displacement[sample]), 0.0) if len(later) else 0.0
 
 
-def _find_time_to_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
-    """Return the time from the start of the loading of the failure to the failure, s."""
-    curve = test.required_curve
+def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
+    """Return the time from the start of its loading to the failure, s, and the doubts about it.
+
+    It is doubtful if it was not the first sudden loss of force.
+    """
+    failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
-    return float(curve.time[start]), float(curve.time[failure.sample])
+    doubts = (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
+    return (float(curve.time[start]), float(curve.time[failure.sample])), doubts
 
 
 def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """Return the last loading branch that begins at or before a sample, or else the first one."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [part for part in loading if part.start <= sample or part is loading[0]][-1]
-
-
-def _find_step_doubts(failure: FailurePoint) -> tuple[Reason, ...]:
-    """Return a doubt if the failure was not the first sudden loss of force."""
-    return (Reason.of("results.lost_in_steps"),) if failure.lost_before else ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -372,24 +363,18 @@ class PeakForceDisplacement(PerCycle):
 
         If the specimen breaks there, the peak lies up to a step after the sample.
         """
-        part = find_cycle_samples(trace, number)
+        part = cycles.find_cycle_samples(trace, number)
         finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
         place, force = (
-            find_loading_sign(trace, values) * values[finite]
+            cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
         top = int(_find_largest(force))
-        breaks = estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
-        reading = _choose_by_force(
-            test,
-            trace,
-            int(finite[top]),
-            finite,
-            _find_largest,
-            breaks=breaks,
-        )
+        breaks = cycles.estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+        sample = int(finite[top])
+        reading = _choose_by_force(test, trace, sample, finite, _find_largest, breaks=breaks)
         return replace(reading, n=len(finite))
 
 
@@ -407,12 +392,11 @@ class EnergyToBreak(Kind):
 
     method: ClassVar = "integral of force up to the failure, trapezoids"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Integrate the force up to the failure."""
-        failure = test.require(test.failure)
+        during, doubts = _describe_failure(test)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
-        doubts, during = _find_step_doubts(failure), _find_time_to_failure(test, failure)
-        return Computed((self.make_result(test, outcome, during=during, doubts=doubts),))
+        yield self.make_result(test, outcome, during=during, doubts=doubts)
 
 
 def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
@@ -420,11 +404,147 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     sample = trace.failed_at
     if sample is None:
         raise test.make_error(NO_LOADING)
-    work = choose_work_samples(trace, slice(find_loading_before(trace, sample).start, sample + 1))
+    loading = slice(find_loading_before(trace, sample).start, sample + 1)
+    work = cycles.choose_work_samples(trace, loading)
     step = _measure_next_step(trace, sample)
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        more = trace.steps_beyond * step * trace.force[..., sample]
-        return (np.asarray(work.numbers(trace)[0] + more, dtype=np.float64),)
+        last_step = trace.steps_beyond * step * trace.force[..., sample]
+        return (np.asarray(work.numbers(trace)[0] + last_step, dtype=np.float64),)
 
     return Reading(numbers, work.n)
+
+
+CONDUCTOR = "conductor"
+"""Label of the specimen that states the section of its conductor."""
+MAX_SECTION_DEVIATION = 0.005
+"""Relative difference of two sections that are the same row of a card."""
+_AWG = re.compile(r"awg\s*(\d+)|(\d+)\s*awg", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CardRow:
+    """Limits for one section of a conductor."""
+
+    awg: Annotated[int, WholeNumber(0, 60), "American wire gauge"]
+    section: Area
+    limits: Annotated[
+        dict[str, Force], "By column; a limit that the source does not give is absent"
+    ]
+
+    def __str__(self) -> str:
+        return f"AWG {self.awg} ({1e6 * self.section:.4g} mm^2)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitCard:
+    """Smallest forces by section and column, and where they are printed."""
+
+    source: Annotated[str, "Document that prints the limits"]
+    rows: tuple[CardRow, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return the names of the columns in the order of the rows."""
+        return tuple(dict.fromkeys(name for row in self.rows for name in row.limits))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceLimit(Kind):
+    """``force_limit`` (N) and ``peak_over_limit`` (1): largest force over the smallest allowed."""
+
+    result: ClassVar = "force-limit"
+    outputs: ClassVar = (
+        Output(FORCE_LIMIT, "N", "Smallest force allowed", ()),
+        Output(PEAK_OVER_LIMIT, "1", "Peak force over its limit", ("force", "observation")),
+    )
+    card: Annotated[
+        LimitCard | None, FromCard(), "A shipped card by its name, or one that is written out"
+    ] = None
+    column: Annotated[str, "Of the card"] = ""
+    at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None
+    conductor: Annotated[str, "Section that `at_least` holds for, such as AWG 20"] = ""
+
+    @staticmethod
+    def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
+        """Find a limit that is missing or stated twice, and a card without its column."""
+        if (data.get("card") is None) == (data.get("at_least") is None):
+            yield Fault.of("protocol.one_limit")
+        elif data.get("card") is not None and not data.get("column"):
+            yield Fault.of("protocol.no_card_column", ("card",))
+
+    def list_methods(self, test: ReducedTest) -> tuple[str, str]:
+        """Name the source of the limit."""
+        del test
+        source = "stated by the protocol"
+        if self.card is not None:
+            source = f"column {self.column} of a card: {self.card.source}"
+        return source, "largest force over the smallest force allowed"
+
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
+        """Divide the largest force by the limit for the conductor of the test sheet."""
+        limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
+        (of_limit, of_share), status = self.list_methods(test), Status.OK
+        peak = max(PeakForce().compute(test).results, key=lambda peak: peak.value or -inf)
+        doubts = test.collect_doubts(("observation",), None)
+        reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
+        if peak.value is None or reasons:
+            status = Status.FAILED if peak.value is None else Status.DOUBTFUL
+        share = replace(
+            peak,
+            name=PEAK_OVER_LIMIT,
+            value=None if peak.value is None else peak.value / limit,
+            unit="1",
+            interval=peak.interval
+            and Interval(peak.interval.lower / limit, peak.interval.upper / limit),
+            status=status,
+            reasons=reasons,
+            method=of_share,
+            estimate=None if peak.estimate is None else peak.estimate / limit,
+            budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
+        )
+        share = replace(share, remark=judge_sample(share).text)
+        yield Result(FORCE_LIMIT, limit, "N", method=of_limit, remark=section)
+        yield share
+
+    def _find_limit(self, conductor: str) -> tuple[float, str]:
+        """Return the limit for a conductor, N, and the section that it holds for."""
+        if self.at_least is not None:
+            if self.conductor and _read_section(self.conductor) != _read_section(conductor):
+                raise UnavailableError.of(
+                    "results.other_section", stated=self.conductor, found=conductor or "none"
+                )
+            return self.at_least, self.conductor
+        if self.card is None:
+            raise UnavailableError.of("results.no_limit_stated")
+        row = _find_row(self.card, conductor)
+        if self.column not in row.limits:
+            names = ", ".join(row.limits)
+            raise UnavailableError.of(
+                "results.limit_not_given", row=row, column=self.column, names=names
+            )
+        return row.limits[self.column], str(row)
+
+
+def _read_section(conductor: str) -> tuple[str, float]:
+    """Read a section such as ``AWG 20`` or ``0.519 mm^2``: its unit and number."""
+    if match := _AWG.fullmatch(conductor.strip()):
+        return "AWG", float(match[1] or match[2])
+    try:
+        return "mm^2", 1e6 * parse_quantity(conductor, "m^2")
+    except ValueError as error:
+        found = repr(conductor) if conductor else "none"
+        raise UnavailableError.of("results.no_conductor", found=found) from error
+
+
+def _find_row(card: LimitCard, conductor: str) -> CardRow:
+    """Return the row of a section; there is no interpolation between two rows."""
+    unit, number = _read_section(conductor)
+    sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
+    for size, row in sizes.items():
+        if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
+            return row
+    ordered = sorted(sizes)
+    place = bisect(ordered, number)
+    rows = " and ".join(str(sizes[size]) for size in ordered[max(place - 1, 0) : place + 1])
+    raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

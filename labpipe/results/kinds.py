@@ -1,4 +1,4 @@
-"""Define what a kind of result is: its settings, outputs and needs, and how it is measured.
+"""Define what a kind of result is, and the test that it is measured on.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
 class variables are its name, outputs and needs, and `measure` returns the numbers of a test.
@@ -9,23 +9,363 @@ Grammar, cross-checks, JSON Schema, descriptions and the reference page derive f
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.causes import FIT, SCALE_OF_FORCE, make_contribution
-from labpipe.records.curve import FittedLine, Interval, SlipDecision
-from labpipe.records.declarations import Needs, Output
+from labpipe.records.curve import (
+    Aligned,
+    Bending,
+    Branch,
+    Curve,
+    Direction,
+    FittedLine,
+    Interval,
+    Shape,
+    Slip,
+    SlipDecision,
+)
+from labpipe.records.declarations import LIMITS, Limits, Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_errors
-from labpipe.records.quality import Finding, Reason
+from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.records.signals import Stretch
-from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.uncertainty.intervals import Measured
+from labpipe.records.signals import Clocks, Signal, Signals, Stretch
+from labpipe.uncertainty.extractors import Decide
+from labpipe.uncertainty.intervals import Measured, measure_numbers
+from labpipe.uncertainty.replicates import Replicates
+
+if TYPE_CHECKING:
+    from labpipe.markers.three_point_axis import SpanShape
+    from labpipe.results.tension import Pull
+
+
+@dataclass(frozen=True, slots=True)
+class FailurePoint:
+    """The last sample before the final loss of force.
+
+    Parameters
+    ----------
+    sample : its number; the specimen broke between it and the next one
+    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+        specimen that failed in steps; else 0
+    slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
+        sudden loss
+    """
+
+    sample: int
+    lost_before: float = 0.0
+    slow_below: float | None = None
+
+
+NO_LOADING = Failure.of("results.no_cycle")
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanBend:
+    """The bent axis between two supports, from cameras.
+
+    Parameters
+    ----------
+    shape : in every frame
+    time : shape (frames,), s, on the clock of the cameras
+    rest : shape (frames,), frames before the loading
+    """
+
+    shape: SpanShape
+    time: Floats
+    rest: Flags
+
+
+@dataclass(frozen=True, slots=True)
+class LoadString:
+    """The string between specimen and load cell.
+
+    Parameters
+    ----------
+    length : m
+    counterweight : kg, at the tip
+    at_rest : whether it carried the counterweight before the test
+    """
+
+    length: float
+    counterweight: float
+    at_rest: Literal["by-data", "taut", "slack"]
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """Facts of protocol and test sheet on specimen and rig.
+
+    Parameters
+    ----------
+    sizes : m (the area m^2), stated ones of specimen and rig by the keys of the protocol: length,
+        span between the supports, and those of the cross-section
+    mass_per_length : kg/m; None if not stated
+    uncertainties : m (of the area m^2), standard uncertainties of sizes; others are exact
+    string : that loads the specimen, or None
+    has_markers : whether the specimen carries markers
+    centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
+    free_tip : whether the shape may bend up to its tip
+    compliance_stated : whether the protocol states the compliance of frame and grips
+    limits : of the lab
+    labels : of the test sheet, by name
+    """
+
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    mass_per_length: float | None = None
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
+    string: LoadString | None = None
+    has_markers: bool = False
+    centre_offset: float = 0.0
+    offset_uncertainty: float = 0.0
+    centre_uncertainty: float = 0.0
+    free_tip: bool = False
+    compliance_stated: bool = False
+    limits: Limits = LIMITS
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """A stiffness from which other results are computed.
+
+    Parameters
+    ----------
+    name : of its result
+    decide : chooses its samples on a curve
+    estimate : N/m
+    during : s, time interval of its samples
+    window : m, displacements between which it was measured
+    bends_with : m, range of displacement in which a slip affects it; None if no slip does
+    """
+
+    name: str
+    decide: Decide
+    estimate: Estimate
+    during: Stretch | None
+    window: tuple[float, float]
+    bends_with: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedTest:
+    """A test with all data for its results.
+
+    Parameters
+    ----------
+    signals, clocks : of the test
+    setup : facts on specimen and rig
+    aligned : the raw signals at the times of the displacement; None without a curve
+    curve : corrected, or None
+    replicates : of the curve, or None
+    unfiltered : the force of the curve, outliers bridged, before any filter
+    shape : of the specimen; None if no step fits one
+    span : the bent axis between two supports, or why there is none; None if not requested
+    bending : measured moment-curvature, or why there is none; None if not requested
+    failure : where the specimen broke; None if it did not, or if not requested
+    slips : the slip ledger
+    compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
+    slack : displacement before the specimen was taut, m; None if not requested
+    pull : stress and strain with the elastic line, or why there are none; None if not requested
+    cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
+    stiffnesses : by name, of earlier results
+    findings : so far
+    seed : of draws, from the recorded data
+    """
+
+    signals: Signals
+    clocks: Clocks = field(default_factory=Clocks)
+    setup: Setup = Setup()
+    aligned: Aligned | None = None
+    curve: Curve | None = None
+    replicates: Replicates | None = None
+    unfiltered: Signal | None = None
+    shape: Shape | None = None
+    span: SpanBend | Failure | None = None
+    bending: Bending | Failure | None = None
+    failure: FailurePoint | Failure | None = None
+    slips: tuple[Slip, ...] = ()
+    compliance: float = 0.0
+    slack: Measured | Failure | None = None
+    pull: Pull | Failure | None = None
+    cut_at: Mapping[str, float] = field(default_factory=dict)
+    stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
+    seed: bytes = b""
+
+    @property
+    def force(self) -> Signal:
+        """Return the force of the curve, filtered."""
+        return self.signals.filtered[self.signals.force]
+
+    @property
+    def displacement(self) -> Signal:
+        """Return the displacement of the curve, filtered."""
+        return self.signals.filtered[self.signals.displacement]
+
+    @property
+    def raw_force(self) -> Signal:
+        """Return the force of the curve, calibrated and zeroed but not filtered."""
+        return self.signals.raw[self.signals.force]
+
+    @property
+    def required_curve(self) -> Curve:
+        """Return the curve of a test with cycles.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        if self.curve is None:
+            raise ValueError(format_sentence("results.no_curve"))
+        return self.curve
+
+    def measure(
+        self, decide: Decide, values: Sequence[float] | None = None
+    ) -> tuple[Measured, ...]:
+        """Measure numbers of the curve with their uncertainty.
+
+        Parameters
+        ----------
+        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`
+
+        Raises
+        ------
+        UnavailableError
+            If there are no such numbers, or no curve.
+        """
+        return measure_numbers(self.require(self.replicates), decide, values)
+
+    def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
+        """Measure the first number of a reading, as `measure_numbers`."""
+        return self.measure(decide, values)[0]
+
+    def make_error(self, reason: Failure) -> UnavailableError:
+        """Return an error with the finding that blocked the test, or else with another reason."""
+        return UnavailableError(self.findings.blocked or reason)
+
+    def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
+        """Return a part of the test.
+
+        Parameters
+        ----------
+        part : of the test, or why there is none
+        missing : reason if it is None and nothing blocked the test
+
+        Raises
+        ------
+        UnavailableError
+            If there is none.
+        """
+        if isinstance(part, Failure):
+            raise UnavailableError(part)
+        if part is None:
+            raise self.make_error(missing)
+        return part
+
+    @property
+    def cycles(self) -> list[list[Branch]]:
+        """Return the branches of the curve by cycle."""
+        branches = self.curve.branches if self.curve else ()
+        numbers = sorted({branch.cycle for branch in branches})
+        return [[branch for branch in branches if branch.cycle == number] for number in numbers]
+
+    @property
+    def first_loading(self) -> Branch | None:
+        """Return the first loading branch of the curve, or None."""
+        branches = self.curve.branches if self.curve is not None else ()
+        return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
+
+    def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
+        """Find when the first loading went from one displacement to another.
+
+        Parameters
+        ----------
+        low, high : m
+
+        Returns
+        -------
+        s, on the clock of the curve: when it first reached `low`, and when it first exceeded
+        `high`, or its end. None without a curve or a branch.
+        """
+        curve = self.curve
+        if curve is None or not curve.branches:
+            return None
+        branch = curve.branches[0]
+        path = curve.displacement[branch.start : branch.stop]
+        reached, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
+        start = curve.time[branch.start + int(reached[0])] if len(reached) else branch.start_time
+        stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
+        return float(start), float(stop)
+
+    def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
+        """Return the doubts about a number that depends on quantities in a time interval.
+
+        Parameters
+        ----------
+        quantities : as for `Doubt`
+        during : s, on the clock of the curve; None for the whole record
+
+        Returns
+        -------
+        The first reason of each code and quantity whose time overlaps the interval, or the stretch
+        in which the quantity was zeroed.
+        """
+        reasons: dict[tuple[str, str], Reason] = {}
+        for quantity in quantities:
+            for doubt in self.findings.doubts:
+                if doubt.quantity == quantity and self._overlaps(doubt, during):
+                    reasons.setdefault((quantity, doubt.reason.code), doubt.reason)
+        return list(reasons.values())
+
+    def _overlaps(self, doubt: Doubt, during: Stretch | None) -> bool:
+        if doubt.during is None or during is None:
+            return True
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
+        signals, stretches = self.signals, [during]
+        name = {"force": signals.force, "displacement": signals.displacement}.get(
+            doubt.quantity, ""
+        )
+        if name in signals.zero_stretches or name in signals.moving_zero_stretches:
+            zero = signals.zero_stretches.get(name) or signals.moving_zero_stretches[name]
+            first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
+            stretches.append((first, last))
+        return any(start <= end and begin <= stop for begin, end in stretches)
+
+
+def compute_loading_sign(values: Floats) -> float:
+    """Find the sign in which a quantity changes in loading.
+
+    Parameters
+    ----------
+    values : shape (n,), over the first loading branch; NaN are ignored
+
+    Returns
+    -------
+    -1.0 if the quantity falls further below its first value than it rises above it, else 1.0. If
+    neither is more than twice the other, the sign of the largest absolute value.
+    """
+    finite = values[~np.isnan(values)]
+    if not len(finite):
+        return 1.0
+    first = median(finite[: max(1, len(finite) // 100)])
+    up, down = float(finite.max()) - first, first - float(finite.min())
+    if max(up, down) > 2.0 * min(up, down):
+        return 1.0 if up > down else -1.0
+    return 1.0 if finite.max() >= -finite.min() else -1.0
+
 
 Outcome: TypeAlias = Measured | Estimate | Failure
+Part: TypeAlias = Result | Stiffness | FittedLine | Finding
+"""What a kind of result measures: numbers, stiffnesses for later entries, lines for figures, and
+notes on the test."""
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
@@ -43,9 +383,9 @@ class Computed:
     """
 
     results: tuple[Result, ...]
-    stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
-    lines: tuple[FittedLine, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    stiffnesses: Mapping[str, Stiffness]
+    lines: tuple[FittedLine, ...]
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +403,8 @@ class Kind(ABC):
     methods: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def measure(self, test: ReducedTest) -> Computed:
-        """Measure the numbers of a test.
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
+        """Measure the numbers of a test, and yield them.
 
         Parameters
         ----------
@@ -89,24 +429,28 @@ class Kind(ABC):
         test : the test, with the stiffnesses of earlier entries
         """
         try:
-            return self.measure(test)
+            parts = list(self.measure(test))
         except UnavailableError as error:
-            parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
-            return Computed(
-                tuple(
-                    self.make_result(test, error.failure, output=place, part=part)
-                    for place, part in enumerate(parts)
-                )
-            )
+            endings = [
+                "" if output.first is None else f".{output.first}" for output in self.outputs
+            ]
+            parts = [
+                self.make_result(test, error.failure, output=place, part=ending)
+                for place, ending in enumerate(endings)
+            ]
+        return Computed(
+            results=tuple(part for part in parts if isinstance(part, Result)),
+            stiffnesses={part.name: part for part in parts if isinstance(part, Stiffness)},
+            lines=tuple(part for part in parts if isinstance(part, FittedLine)),
+            findings=tuple(part for part in parts if isinstance(part, Finding)),
+        )
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
-    ) -> tuple[Result, ...]:
+    ) -> Iterator[Result]:
         """Make the results of several outputs in order, from the `first`, as `make_result`."""
-        return tuple(
-            self.make_result(test, outcome, output=place, **common)
-            for place, outcome in enumerate(outcomes, start=first)
-        )
+        for place, outcome in enumerate(outcomes, start=first):
+            yield self.make_result(test, outcome, output=place, **common)
 
     def make_result(
         self,
@@ -143,18 +487,18 @@ class Kind(ABC):
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            found_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
-            why = [doubt for doubt in found_doubts if doubt.code in _CURVE_ERRORS]
-            reasons_in_order = (
-                [*why, outcome] if outcome.code in _EXPLAINED_FAILURES else [outcome, *why]
-            )
-            reasons, failed = tuple(dict.fromkeys(reasons_in_order)), Status.FAILED
+            test_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
+            curve_doubts = [doubt for doubt in test_doubts if doubt.code in _CURVE_ERRORS]
+            is_explained = outcome.code in _EXPLAINED_FAILURES
+            ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
+            reasons, failed = tuple(dict.fromkeys(ordered)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
         signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
-        own_doubts = outcome.doubts if isinstance(outcome, Measured) else ()
-        own = [reason for quantity, reason in own_doubts if quantity in ("", *declared.rests_on)]
-        found_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
-        reasons = tuple(dict.fromkeys([*found_doubts, *doubts, *own]))
+        by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
+        quantities = "", *declared.rests_on
+        noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
+        test_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
+        reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
         remarks = remark, added if drops and declared.is_raised_by_slips else ""
@@ -250,14 +594,12 @@ class ClockResult(Kind):
     needs: ClassVar = Needs(clocks=True)
     method: ClassVar = "method by which the clocks of force and motion were joined"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return offset and drift of force time against marker time."""
-        fit = test.clocks.force
-        if fit is None:
-            raise test.make_error(Failure.of("results.one_clock"))
+        fit = test.require(test.clocks.force, Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if np.isnan(fit.drift_interval.lower):
             drift = Failure.of("results.one_event")
-        return Computed(self.make_results(test, (offset, drift), method=fit.method))
+        yield from self.make_results(test, (offset, drift), method=fit.method)

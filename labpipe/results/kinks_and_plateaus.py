@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, ClassVar, NamedTuple
@@ -16,16 +16,9 @@ from labpipe.records.declarations import CURVE, Length, Output, Share, Stiffness
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import make_trace, select_first_loading
+from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
-from labpipe.results.kinds import Computed, Kind, find_marked_slips
-from labpipe.results.least_squares import (
-    CommonPath,
-    compute_slope,
-    find_finite_samples,
-    require_samples,
-)
-from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.results.kinds import Computed, Kind, Part, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
@@ -63,7 +56,7 @@ class Hinges:
     moved : on that scale, from the optimum over the places to the global optimum of that curve
     """
 
-    path: CommonPath
+    path: curves.CommonPath
     x: Floats
     places: Floats
     residual: float
@@ -90,9 +83,9 @@ class Hinges:
             increase over the stretch.
         """
         min_samples = 16
-        finite = find_finite_samples(displacement, force)
+        finite = curves.find_finite_samples(displacement, force)
         d = displacement[finite]
-        require_samples(len(d), min_samples)
+        curves.require_samples(len(d), min_samples)
         if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
             raise UnavailableError.of("results.not_increasing", begin=d[0], end=d[-1])
         order = finite[np.argsort(d, kind="stable")]
@@ -100,9 +93,9 @@ class Hinges:
         x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
         margin = min(8, max(_MIN_SEGMENT_SAMPLES, len(x) // 8)) - 1
         places = np.linspace(x[margin], x[-1 - margin], 300)
-        residuals = y - y.mean() - compute_slope(x, y) * (x - x.mean())
+        residuals = y - y.mean() - curves.compute_slope(x, y) * (x - x.mean())
         residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
-        hinges = cls(CommonPath.of(displacement, force, order), x, places, residual)
+        hinges = cls(curves.CommonPath.of(displacement, force, order), x, places, residual)
         best = hinges._find_global_break(residuals)
         return replace(hinges, moved=best - float(hinges._find_breaks(y[None])[0]))
 
@@ -189,9 +182,9 @@ class Hinges:
 
         residuals : shape (k,), N, about one straight line, so that their sums do not cancel
         """
-        x, least = self.x, _MIN_SEGMENT_SAMPLES
+        x, margin = self.x, _MIN_SEGMENT_SAMPLES
         columns = [np.ones_like(x), x, x * x, residuals, x * residuals]
-        below = np.cumsum(columns, axis=1)[:, least - 1 : len(x) - least]
+        below = np.cumsum(columns, axis=1)[:, margin - 1 : len(x) - margin]
         above = np.sum(columns, axis=1)[:, None] - below
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes, levels = [], []
@@ -199,8 +192,9 @@ class Hinges:
                 slopes.append((n * sxr - sx * sr) / (n * sxx - sx * sx))
                 levels.append((sr - slopes[-1] * sx) / n)
             meet = (levels[1] - levels[0]) / (slopes[0] - slopes[1])
-        in_gap = (meet >= x[least - 1 : len(x) - least]) & (meet <= x[least : len(x) - least + 1])
-        breaks = np.sort(np.concatenate([x[least - 1 : len(x) - least + 1], meet[in_gap]]))
+        inner = x[margin - 1 : len(x) - margin + 1]
+        in_gap = (meet >= inner[:-1]) & (meet <= inner[1:])
+        breaks = np.sort(np.concatenate([inner, meet[in_gap]]))
         return float(breaks[int(np.argmax(self._compute_gain(residuals[None], breaks)))])
 
 
@@ -314,7 +308,7 @@ class _TwoLines(Window):
         require : requires such a break of the curve, as `require_bend`
         """
         numbers, curve = test.measure(self.decide), test.require(test.replicates).smooth
-        _, hinges = self._choose_places(make_trace(test))
+        _, hinges = self._choose_places(curves.make_trace(test))
         measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
         reading = return_failure(self.decide)(curve)
         if isinstance(reading, Reading):
@@ -355,7 +349,7 @@ class _TwoLines(Window):
 
     def _choose_places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
-        stretch = select_first_loading(trace)
+        stretch = curves.select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
         stop = stretch.stop if window.stop is None else stretch.start + window.stop
         part = slice(stretch.start + window.start, stop)
@@ -384,7 +378,7 @@ class TwoSegments(_TwoLines):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit the best two segments that meet."""
         numbers, hinges = self.fit(test, require_bend)
         place, first, second, _ = numbers
@@ -393,23 +387,21 @@ class TwoSegments(_TwoLines):
             test.find_loading_interval(start, stop),
             find_marked_slips(test, hinges.ends),
         )
-        slopes = self.make_results(test, (first, second), during=during, doubts=doubts)
+        yield from self.make_results(test, (first, second), during=during, doubts=doubts)
         doubts += find_break_doubts(place.interval, hinges)
-        bend = self.make_result(test, place, output=2, during=during, doubts=doubts)
+        yield self.make_result(test, place, output=2, during=during, doubts=doubts)
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
-        stiffnesses = {
-            slope.name: Stiffness(
+        for number, window in enumerate(windows, start=1):
+            yield Stiffness(
+                self.outputs[number - 1].name,
                 partial(self.choose_one, number=number),
                 numbers[number].as_estimate,
                 during,
-                windows[number - 1],
+                window,
                 hinges.ends,  # a slip bends both lines
             )
-            for number, slope in enumerate(slopes, start=1)
-        }
-        first_name, second_name = stiffnesses
-        lines = _make_lines(numbers, hinges, (first_name, second_name))
-        return Computed((*slopes, bend), stiffnesses, lines)
+        names = self.outputs[0].name, self.outputs[1].name
+        yield from _make_lines(numbers, hinges, names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,15 +414,15 @@ class Kink(_TwoLines):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Find the decrease of the slope of the first loading."""
         numbers, hinges = self.fit(test, require_kink)
         place, _, _, level = numbers
         slips = find_marked_slips(test, hinges.ends)
         doubts = slips + find_break_doubts(place.interval, hinges)
         during = test.find_loading_interval(*hinges.ends)
-        results = self.make_results(test, (place, level), during=during, doubts=doubts)
-        return Computed(results, lines=_make_lines(numbers, hinges, ("before_kink", "behind_kink")))
+        yield from self.make_results(test, (place, level), during=during, doubts=doubts)
+        yield from _make_lines(numbers, hinges, ("before_kink", "behind_kink"))
 
 
 _TANGENTS_PER_LENGTH = 8
@@ -455,7 +447,7 @@ class Tangents:
     last : shape (m,), numbers of the samples of the first tangent
     """
 
-    path: CommonPath
+    path: curves.CommonPath
     length: float
     places: Floats
     rows: Floats
@@ -488,7 +480,7 @@ class Tangents:
         that the curvature of the curve is not taken for noise. A stretch contains the samples from
         when the curve first reached its start to when it first reached its end.
         """
-        samples = find_finite_samples(displacement, force)
+        samples = curves.find_finite_samples(displacement, force)
         d = displacement[samples]
         if not len(d) or np.ptp(d) < 2.0 * length:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
@@ -496,13 +488,13 @@ class Tangents:
         low, high = float(d.min()) + 0.5 * length, float(d.max()) - 0.5 * length
         places = np.arange(high, low, -length / _TANGENTS_PER_LENGTH)
         inside, levels, slopes, counts = _weigh_parabolas(d, places, length)
-        require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
+        curves.require_samples(int(counts[0]), _MIN_TANGENT_SAMPLES)
         is_known = np.isfinite(levels[:, 0])
         if not is_known[0]:
             raise UnavailableError.of("results.displacement_jumps")
         usable = slice(int(np.argmin([*is_known, False])))
         rows, first = _expand(inside, slopes, len(d))[usable], _expand(inside, levels, len(d))[0]
-        path = CommonPath.of(displacement, force, samples)
+        path = curves.CommonPath.of(displacement, force, samples)
         return cls(path, length, places[usable], rows, first, inside[0][inside[0] < len(d)])
 
     @property
@@ -715,7 +707,7 @@ class _Corner:
 
         Parameters
         ----------
-        seen, base : shape (2,), of the measured and of the smooth curve
+        change, base : shape (2,), of the measured and of the smooth curve
         noise : shape (2, replicates), effect of noise on it
 
         Notes
@@ -759,20 +751,20 @@ class Plateau(Kind):
         is_available = computed.results[0].value is not None
         return computed if is_available else replace(computed, results=computed.results[:1])
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
-        initial, findings = test.stiffnesses.get(self.of), list[Finding]()
-        if initial is None:
-            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
+        missing = Failure.of("results.no_stiffness", name=self.of)
+        initial = test.require(test.stiffnesses.get(self.of), missing)
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         first, during = test.cycles[0][:1], test.find_loading_interval()
         slips, gap = find_marked_slips(test, initial.bends_with), _find_gap_at_end(test, first[0])
         doubts = slips or find_cut_cycle(test, first, CURVE) or gap
         end = self.make_result(test, outcome, during=during, doubts=doubts)
-        onset, trace = self._measure_onset(test, initial, end), make_trace(test)
+        yield end
+        onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
         if onset is None and end.interval is not None:
-            note = Finding.of(
+            yield Finding.of(
                 "results.no_plateau",
                 test.signals.force,
                 over=1e3 * self.over,
@@ -783,17 +775,15 @@ class Plateau(Kind):
                 slope_below=1e2 * self.slope_below,
                 reached=1e3 * float(np.nanmax(d)),
             )
-            findings.append(note)
         method = (
             f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
             f"{self.of} up to the end of first loading"
         )
         common = {"method": method, "during": during, "doubts": slips or gap}
-        results = (end, *self.make_results(test, onset or (), first=1, **common))
+        yield from self.make_results(test, onset or (), first=1, **common)
         start, stop = tangents.ends
         slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)
-        line = FittedLine("slope_at_end", slope, level, start, stop)
-        return Computed(results, lines=(line,), findings=tuple(findings))
+        yield FittedLine("slope_at_end", slope, level, start, stop)
 
     def _choose_tangents(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading]:
         """Return the tangents of the first loading, and the slope at its start."""
@@ -853,7 +843,7 @@ class Plateau(Kind):
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
             by = corner.in_noise(self._measure_corners(trace, choice))
-            return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
+            return tuple(value + shift for value, shift in zip(plain(trace), by, strict=True))
 
         return Reading(numbers, len(tangents.last), in_noise)
 
@@ -904,19 +894,19 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
         replicates = test.require(test.replicates)
-        more = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
+        inputs = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
         decide = partial(self._decide_onset, initial=initial.decide)
         try:
             decide(replicates.measured)
             decide = partial(decide, corner=self._estimate_corner(replicates, initial.decide))
-            return measure_numbers(replace(replicates, inputs=more), decide)
+            return measure_numbers(replace(replicates, inputs=inputs), decide)
         except UnavailableError:
             return None
 
 
 def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
     """Return displacement and force of the first loading."""
-    stretch = select_first_loading(trace)
+    stretch = curves.select_first_loading(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 

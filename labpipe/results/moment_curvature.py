@@ -26,7 +26,8 @@ from labpipe.records.arrays import Flags, Floats, Ints, average_blocks, median
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
-from labpipe.results.beam import compute_prop_force
+from labpipe.results.bending import compute_prop_force
+from labpipe.results.kinds import ReducedTest
 from labpipe.results.measured_law import (
     BendingErrors,
     BendingTest,
@@ -34,7 +35,6 @@ from labpipe.results.measured_law import (
     evaluate_curves,
     measure_bending,
 )
-from labpipe.results.reduced_test import ReducedTest
 from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import ClassVar
@@ -17,14 +17,8 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import select_first_loading, shift_displacement_by
-from labpipe.results.kinds import Computed, Kind, compute_scale_error
-from labpipe.results.least_squares import (
-    compute_zero_crossing,
-    find_finite_samples,
-    require_samples,
-)
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results import curves
+from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
 from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
@@ -56,8 +50,7 @@ class LoadDrop:
     middle : of the most probable drop, in samples; the mean over drops that fit equally well
     drop, drop_interval : N
     earliest, latest : samples between which it lies, from all possible drops over whole samples
-    slope_before, slope_behind : N/m
-    slope_error : N/m, standard error of their difference
+    continues : whether the force rises after it at about the same slope, or more
     """
 
     start: int
@@ -67,9 +60,7 @@ class LoadDrop:
     drop_interval: Interval
     earliest: int
     latest: int
-    slope_before: float
-    slope_behind: float
-    slope_error: float
+    continues: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +78,11 @@ class PullCurve:
     f: Floats
     longest: int
     blurred: int
+
+    @property
+    def false_alarm_rate(self) -> float:
+        """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
+        return 1e-3 / (len(self.f) * (self.longest + 1))
 
     def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
         """Return the curve with drops added back, interpolated between start and stop."""
@@ -132,107 +128,136 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
     side_lengths = ((25, 3), (15, 2), (10, 1))
-    factor = _estimate_correlation(pull.f)
-    drops = (_fit_drop_in_window(pull, place, side, factor) for side in side_lengths)
-    return next((drop for drop in drops if drop is not None), None)
-
-
-def _fit_drop_in_window(
-    pull: PullCurve, place: int, reach: tuple[int, int], factor: float
-) -> LoadDrop | None:
-    """Fit a polynomial and a drop with every pair of start and stop near a place."""
-    # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
-    # squared with one degree of freedom, 95 %.
-    max_excess_variances = 3.84
-    (side, degree), longest = reach, pull.longest
-    low, high = max(0, place - longest - side), min(len(pull.f), place + longest + side + 1)
-    if place - low < _MIN_SIDE_SAMPLES or high - place < _MIN_SIDE_SAMPLES + 1:
-        return None
-    window = _Window(low, high, degree, factor)
-    drops = _candidate_drops(window, place, longest)
-    costs, variance, without = _compute_costs(pull, window, drops)
-    # All drops between the same two samples have the same cost.
-    best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
-    if best[1] > longest:
-        return None  # longer than a slip may be
-    allowed = drops[costs <= costs.min() + max_excess_variances * variance]
-    is_whole = np.all(drops % 1.0 == 0.0, axis=1)
-    whole = drops[is_whole & (costs <= costs[is_whole].min() + max_excess_variances * variance)]
-    explained = without - float(costs.min())
-    if explained <= 0.0:
-        return None  # a step of a converter
-    t = float(np.sqrt(explained / variance)) if variance > 0.0 else np.inf
-    if not stdtr(window.freedom, -t) <= _compute_false_alarm_rate(pull):
-        return None
-    drop = _measure_drop(pull, window, (best, allowed, whole))
-    return drop if drop is not None and _exceeds_other_steps(pull, window, drop) else None
-
-
-def _candidate_drops(window: _Window, place: int, longest: int) -> Floats:
-    """Return starts and lengths of possible drops near a place, in samples."""
-    start_step = 0.25  # samples
-    first, last = max(window.low + 4, place - longest), min(window.high - 5, place + longest)
-    begins = np.arange(first, last, start_step)
-    lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
-    drops = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
-    candidates: Floats = drops[drops.sum(axis=1) <= window.high - 5]
-    return candidates
+    factor, longest = _estimate_correlation(pull.f), pull.longest
+    for side, degree in side_lengths:
+        low, high = max(0, place - longest - side), min(len(pull.f), place + longest + side + 1)
+        if place - low >= _MIN_SIDE_SAMPLES and high - place > _MIN_SIDE_SAMPLES:
+            drop = _Window(pull, low, high, degree, factor).fit_drop(place)
+            if drop is not None:
+                return drop
+    return None
 
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """Samples [low, high), with degree of the polynomial and lag-one correlation."""
+    """Samples [low, high) of a curve, with degree of the polynomial and lag-one correlation."""
 
+    pull: PullCurve
     low: int
     high: int
     degree: int
     factor: float
 
-    @property
-    def freedom(self) -> int:
-        return max(self.high - self.low - self.degree - 4, 1)
+    def fit_drop(self, place: int) -> LoadDrop | None:
+        """Fit a polynomial and a drop with every pair of start and length near a place."""
+        # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
+        # squared with one degree of freedom, 95 %.
+        max_excess_variances = 3.84
+        start_step = 0.25  # samples
+        pull, longest = self.pull, self.pull.longest
+        first, last = max(self.low + 4, place - longest), min(self.high - 5, place + longest)
+        lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
+        starts = np.arange(first, last, start_step)
+        drops = np.array(np.meshgrid(starts, lengths)).reshape(2, -1).T
+        drops = drops[drops.sum(axis=1) <= self.high - 5]
+        costs, without = self._compute_costs(drops)
+        lowest, freedom = float(costs.min()), max(self.high - self.low - self.degree - 4, 1)
+        variance = lowest / freedom
+        # All drops between the same two samples have the same cost.
+        best = drops[costs <= lowest + 1e-9 * variance].mean(axis=0)
+        # It may be longer than a slip, or a step of a converter.
+        if best[1] > longest or without <= lowest:
+            return None
+        t = float(np.sqrt((without - lowest) / variance)) if variance > 0.0 else np.inf
+        if not stdtr(freedom, -t) <= pull.false_alarm_rate:
+            return None
+        is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
+        whole = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
+        drop = self._measure_drop(best, drops[costs <= lowest + excess], whole)
+        return drop if drop is not None and self._exceeds_other_steps(drop) else None
 
+    def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
+        """Return whitened sums of squares of linear drops, and the sum without a drop."""
+        rows = np.arange(self.low, self.high)
+        ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
+        lines = np.column_stack(_make_powers(self.pull.d[rows], self.degree))
+        f = self.pull.f[rows]
+        base, ramps, target = map(self._whiten, (lines, ramps, f - f[0]))
+        base = np.linalg.qr(base)[0]
+        ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
+        power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
+        without = float(target @ target)
+        return without - np.minimum(target @ ramps, 0.0) ** 2 / power, without
 
-def _compute_false_alarm_rate(pull: PullCurve) -> float:
-    """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
-    return 1e-3 / (len(pull.f) * (pull.longest + 1))
+    def _whiten(self, values: Floats) -> Floats:
+        return values[1:] - self.factor * values[:-1]
 
+    def _measure_drop(self, best: Floats, allowed: Floats, whole: Floats) -> LoadDrop | None:
+        """Measure the most probable drop, with allowance for all possible ones."""
+        pull, low, high = self.pull, self.low, self.high
+        start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
+        first = int(np.floor(allowed[:, 0].min())) + 1 - pull.blurred
+        last = int(np.ceil(allowed.sum(axis=1).max())) + pull.blurred
+        if min(first - 1 - low, high - last) < 4:
+            return None
+        rows, f = np.arange(low, high), pull.f[low:high]
+        behind, powers = (rows >= stop).astype(np.float64), _make_powers(pull.d[rows], self.degree)
+        # A sample that may be inside has its own level, else the loss would be too small.
+        inside = np.eye(len(rows))[:, first - low : last - low]
+        design = np.column_stack([behind, *powers, inside])
+        outside = [
+            stretch
+            for part in (pull.f[:low], pull.f[high:])
+            for stretch in cut_smooth_stretches(part, width=_STRETCH_SAMPLES)
+        ]
+        drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
+        steps = np.diff(pull.f[max(first - 1, low) : last + 1])
+        # Where the force rises everywhere, only its slope changes.
+        is_lost = drop.interval is not None and drop.interval.upper < 0.0
+        if drop.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
+            return None
+        lines = np.column_stack([*powers[:2], behind, powers[1] * behind, inside])
+        slopes = fit_linear(lines, f)
+        before, change = (float(slopes.coefficients[number]) for number in (1, 3))
+        error = float(np.sqrt(slopes.covariance[3, 3]))
+        return LoadDrop(
+            start=start,
+            stop=stop,
+            middle=float(best[0] + 0.5 * best[1]),
+            drop=-drop.value,
+            drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
+            earliest=int(whole[:, 0].min()),
+            latest=int(whole.sum(axis=1).max()),
+            continues=before + change + 2.0 * error >= 0.3 * before,
+        )
 
-def _exceeds_other_steps(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
-    """Test a drop against the same step at all other places, by its robust deviation."""
-    kernel = _make_step_kernel(window, drop)
-    own_step = -float(kernel @ pull.f[window.low : window.high])
-    elsewhere = np.convolve(pull.add_back([drop]).f, kernel[::-1], mode="valid")
-    spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
-    freedom = int(
-        MAD_FREEDOM_SHARE * len(elsewhere) / _count_places_per_freedom(kernel, window.factor)
-    )
-    return bool(stdtr(max(freedom, 1), -own_step / spread) <= _compute_false_alarm_rate(pull))
+    def _exceeds_other_steps(self, drop: LoadDrop) -> bool:
+        """Test a drop against the same step at all other places, by its robust deviation."""
+        kernel, pull = self.make_step_kernel(drop), self.pull
+        own_step = -float(kernel @ pull.f[self.low : self.high])
+        elsewhere = np.convolve(pull.add_back([drop]).f, kernel[::-1], mode="valid")
+        spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
+        # Adjacent places are correlated: so many of them count as one degree of freedom.
+        lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
+        alike = np.correlate(kernel, kernel, mode="full")
+        alike = np.convolve(alike, self.factor**lags, mode="same")
+        places = float(np.sum((alike / alike.max()) ** 2))
+        freedom = max(int(MAD_FREEDOM_SHARE * len(elsewhere) / places), 1)
+        return bool(stdtr(freedom, -own_step / spread) <= pull.false_alarm_rate)
 
-
-def _make_step_kernel(window: _Window, drop: LoadDrop) -> Floats:
-    """Return the weights of the samples of a window in its generalised least-squares step."""
-    rows = np.arange(window.low, window.high)
-    ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
-    design = np.column_stack([*_make_powers(rows.astype(np.float64), window.degree), ramp])
-    weights = np.linalg.pinv(design[1:] - window.factor * design[:-1])[-1]
-    kernel: Floats = np.append(0.0, weights) - window.factor * np.append(weights, 0.0)
-    return kernel
+    def make_step_kernel(self, drop: LoadDrop) -> Floats:
+        """Return the weights of the samples in the generalised least-squares step of a drop."""
+        rows = np.arange(self.low, self.high, dtype=np.float64)
+        ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
+        design = np.column_stack([*_make_powers(rows, self.degree), ramp])
+        weights = np.linalg.pinv(self._whiten(design))[-1]
+        kernel: Floats = np.append(0.0, weights) - self.factor * np.append(weights, 0.0)
+        return kernel
 
 
 def _make_powers(x: Floats, degree: int) -> list[Floats]:
     scaled = (x - x.mean()) / (float(np.ptp(x)) or 1.0)
     return [scaled**power for power in range(degree + 1)]
-
-
-def _count_places_per_freedom(kernel: Floats, factor: float) -> float:
-    """Return the adjacent places that count as one degree of freedom of a variance.
-
-    The sum of squared correlations of autoregressive noise after the kernel.
-    """
-    lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
-    alike = np.convolve(np.correlate(kernel, kernel, mode="full"), factor**lags, mode="same")
-    return float(np.sum((alike / alike.max()) ** 2))
 
 
 def _estimate_correlation(f: Floats) -> float:
@@ -266,66 +291,6 @@ def _expected_correlations(width: int) -> tuple[Floats, Floats]:
         residuals = half - (half @ basis) @ basis.T
         expected.append(float(np.trace(residuals, offset=1) / np.trace(residuals)))
     return factors, np.array(expected)
-
-
-def _compute_costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, float, float]:
-    """Return whitened sums of squares of linear drops, their variance, and the sum without drop."""
-    rows = np.arange(window.low, window.high)
-    f, factor = pull.f[rows], window.factor
-    ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
-    lines = np.column_stack(_make_powers(pull.d[rows], window.degree))
-    base, ramps, target = (line[1:] - factor * line[:-1] for line in (lines, ramps, f - f[0]))
-    base = np.linalg.qr(base)[0]
-    ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
-    power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
-    without = float(target @ target)
-    squares: Floats = without - np.minimum(target @ ramps, 0.0) ** 2 / power
-    return squares, float(squares.min()) / window.freedom, without
-
-
-def _measure_drop(
-    pull: PullCurve, window: _Window, drops: tuple[Floats, Floats, Floats]
-) -> LoadDrop | None:
-    (best, allowed, whole_drops), blurred = drops, pull.blurred
-    start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
-    first = int(np.floor(allowed[:, 0].min())) + 1 - blurred
-    last = int(np.ceil(allowed.sum(axis=1).max())) + blurred
-    if min(first - 1 - window.low, window.high - last) < 4:
-        return None
-    rows = np.arange(window.low, window.high)
-    after = (rows >= stop).astype(np.float64)
-    d, f = pull.d, pull.f[rows]
-    x = d[rows] - 0.5 * (d[start] + d[stop])
-    x = x / (float(np.ptp(x)) or 1.0)
-    powers = [x**power for power in range(window.degree + 1)]
-    # A sample that may be inside has its own level, else the loss would be too small.
-    inside = np.eye(len(rows))[:, first - window.low : last - window.low]
-    design = np.column_stack([after, *powers, inside])
-    outside = [
-        stretch
-        for part in (pull.f[: window.low], pull.f[window.high :])
-        for stretch in cut_smooth_stretches(part, width=_STRETCH_SAMPLES)
-    ]
-    drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
-    if drop.interval is None or drop.interval.upper >= 0.0:
-        return None
-    around_it = slice(max(first - 1, window.low), last + 1)
-    if float(np.diff(pull.f[around_it]).min(initial=0.0)) >= 0.0:
-        return None  # the force rises everywhere: only its slope changes
-    slope_fit = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
-    before, change = float(slope_fit.coefficients[1]), float(slope_fit.coefficients[3])
-    return LoadDrop(
-        start=start,
-        stop=stop,
-        middle=float(best[0] + 0.5 * best[1]),
-        drop=-drop.value,
-        drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-        earliest=int(whole_drops[:, 0].min()),
-        latest=int(whole_drops.sum(axis=1).max()),
-        slope_before=before,
-        slope_behind=before + change,
-        slope_error=float(np.sqrt(slope_fit.covariance[3, 3])),
-    )
 
 
 _MIN_SEARCHED_SAMPLES = 64
@@ -385,15 +350,20 @@ def find_slips(
     size, longest_samples = _choose_block_size(displacement[finite])
     starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
     d, f = (average_between(values[finite], starts) for values in (displacement, force))
-    drops = _confirm_drops(PullCurve(d, f, longest_samples, int(size > 1)), min_drop)
-    accepted_drops = [
-        drop
-        for drop in drops
-        if drop.drop >= min_drop
-        and _force_continues(f, drop)
-        and drop.drop <= largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
-    ]
-    return tuple(_make_ledger_entry(d, finite, drop, size, decision) for drop in accepted_drops)
+    pull = PullCurve(d, f, longest_samples, int(size > 1))
+    slips = list[Slip]()
+    for drop in _confirm_drops(pull, min_drop):
+        largest = largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
+        is_held = f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max()
+        if not (min_drop <= drop.drop <= largest and drop.continues and is_held):
+            continue
+        low, high = float(d[drop.earliest]), float(d[drop.latest])
+        middle, half = 0.5 * (low + high), 0.475 * (high - low)
+        place = float(np.interp(drop.middle, np.arange(len(d)), d))
+        interval = Interval(min(middle - half, place), max(middle + half, place))
+        start, stop = finite[[drop.start * size + size - 1, drop.stop * size]].tolist()
+        slips.append(Slip(place, drop.drop, interval, drop.drop_interval, decision, start, stop))
+    return tuple(slips)
 
 
 def _choose_block_size(d: Floats) -> tuple[int, int]:
@@ -476,8 +446,15 @@ def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
     best = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
         return best
+    from scipy.ndimage import median_filter
+
+    sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     for window in (scale for scale in window_lengths if 8 * scale <= len(f)):
-        size = _measure_drop_sizes(f, window)
+        # The loss from the window up to a sample to the one after it, without trend.
+        ends = np.arange(window, len(f) - window + 1)
+        inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
+        size = np.zeros(len(f))
+        size[ends - 1] = inner - median_filter(inner, 8 * window + 1, mode="nearest")
         spread = max(MAD_FACTOR * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
         # Adjacent windows share samples, which reduces the degrees of freedom.
         freedom = int(MAD_FREEDOM_SHARE * len(f) / window)
@@ -485,43 +462,6 @@ def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
         best = np.maximum(best, np.where(size >= 0.5 * min_drop, distinct, 0.0))
     best[:_MIN_SIDE_SAMPLES], best[len(f) - _MIN_SIDE_SAMPLES :] = 0.0, 0.0
     return best
-
-
-def _measure_drop_sizes(f: Floats, window: int) -> Floats:
-    """Return the drop from the window up to a sample to the one after it, without trend."""
-    sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
-    ends = np.arange(window, len(f) - window + 1)
-    inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
-    from scipy.ndimage import median_filter
-
-    inner = inner - median_filter(inner, 8 * window + 1, mode="nearest")
-    sizes = np.zeros(len(f))
-    sizes[ends - 1] = inner
-    return sizes
-
-
-def _force_continues(f: Floats, drop: LoadDrop) -> bool:
-    """Return whether the force recovers the share and rises at about the same slope."""
-    rises = drop.slope_behind + 2.0 * drop.slope_error >= 0.3 * drop.slope_before
-    is_held = bool(f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max())
-    return rises and is_held
-
-
-def _make_ledger_entry(
-    d: Floats, samples: Ints, drop: LoadDrop, size: int, decision: SlipDecision
-) -> Slip:
-    low, high = float(d[drop.earliest]), float(d[drop.latest])
-    middle, half = 0.5 * (low + high), 0.475 * (high - low)
-    position = float(np.interp(drop.middle, np.arange(len(d)), d))
-    return Slip(
-        position=position,
-        drop=drop.drop,
-        position_interval=Interval(min(middle - half, position), max(middle + half, position)),
-        drop_interval=drop.drop_interval,
-        decision=decision,
-        start=int(samples[drop.start * size + size - 1]),
-        stop=int(samples[drop.stop * size]),
-    )
 
 
 def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
@@ -543,32 +483,27 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return position and drop of each slip of the ledger."""
-        numbers = []
+        error, doubts = 0.0, tuple[Reason, ...]()
+        if isinstance(test.slack, Measured):
+            error, doubts = test.slack.error, list_slack_doubts(test.slack)
         for count, slip in enumerate(test.slips, start=1):
-            method = f"two parallel lines around a sudden fall of the force; {slip.decision}"
-            time, position, drop = (
-                test.required_curve.time,
-                slip.position_interval,
-                slip.drop_interval,
-            )
+            time = test.required_curve.time
+            position, lost = slip.position_interval, slip.drop_interval
             place = Estimate(slip.position, position.standard_error, 1, position)
-            unconfirmed = Estimate(slip.drop, drop.standard_error, 1, drop)
-            during = (float(time[slip.start]), float(time[slip.stop]))
-            part, scale = f".{count}", compute_scale_error(test, unconfirmed)
+            drop = Estimate(slip.drop, lost.standard_error, 1, lost)
             travelled = test.displacement.relative_error * abs(place.value)
-            slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
-            doubts = list_slack_doubts(test.slack) if isinstance(test.slack, Measured) else ()
-            numbers += [
-                self.make_result(
-                    test, place, slack, method=method, during=during, doubts=doubts, part=part
-                ),
-                self.make_result(
-                    test, unconfirmed, scale, output=1, method=method, during=during, part=part
-                ),
-            ]
-        return Computed(tuple(numbers))
+            slack = {SLACK: error, SCALE_OF_DISPLACEMENT: travelled}
+            make_result = partial(
+                self.make_result,
+                test,
+                method=f"two parallel lines around a sudden fall of the force; {slip.decision}",
+                during=(float(time[slip.start]), float(time[slip.stop])),
+                part=f".{count}",
+            )
+            yield make_result(place, slack, doubts=doubts)
+            yield make_result(drop, compute_scale_error(test, drop), output=1)
 
 
 def find_linear_region(
@@ -585,7 +520,7 @@ def find_linear_region(
     Returns
     -------
     The samples. The slack is the zero of the line through them:
-    `labpipe.results.least_squares.compute_zero_crossing`.
+    `labpipe.results.curves.compute_zero_crossing`.
 
     Raises
     ------
@@ -605,13 +540,13 @@ def find_linear_region(
     >>> d = np.linspace(0.0, 0.02, 401)
     >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
     >>> region = find_linear_region(d, force, start_share=0.1, stop_share=0.3)
-    >>> round(1e3 * float(compute_zero_crossing(d[region], force[region])), 9)
+    >>> round(1e3 * float(curves.compute_zero_crossing(d[region], force[region])), 9)
     2.0
     """
     min_region_samples = 8
-    finite = find_finite_samples(displacement, force)
+    finite = curves.find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    require_samples(len(d), min_region_samples, "")
+    curves.require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
     first, last = (
         _find_rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
@@ -620,9 +555,9 @@ def find_linear_region(
         raise UnavailableError.of(
             "results.begins_above", begin=f[0], share=start_share, largest=f[top]
         )
-    require_samples(max(last - first, 0), min_region_samples, " in the linear region")
+    curves.require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
-    if np.isnan(compute_zero_crossing(d[region], f[region])):
+    if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
     return as_slice(finite[region])
 
@@ -653,14 +588,14 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
     UnavailableError
         As `find_linear_region`.
     """
-    stretch = select_first_loading(trace)
+    stretch = curves.select_first_loading(trace)
     region = find_linear_region(
         trace.displacement[stretch],
         trace.force[stretch],
         start_share=start_share,
         stop_share=stop_share,
     )
-    slack = read_part(compute_zero_crossing, (stretch, region))
+    slack = read_part(curves.compute_zero_crossing, (stretch, region))
     return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
@@ -680,12 +615,8 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     effect on the curve, so that an error of the zero of the displacement cancels. Doubts about the
     slack become doubts about that input.
     """
-    without_inputs = measure_numbers(replace(replicates, inputs=()), slack)
-    draws = np.where(
-        np.isnan(without_inputs[0].deviations),
-        np.nanmean(without_inputs[0].deviations),
-        without_inputs[0].deviations,
-    )
+    draws = measure_numbers(replace(replicates, inputs=()), slack)[0].deviations
+    draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
     error = float(np.std(draws))
     inputs = tuple(
         _add_slack_effect(replicate, replicates.smooth, slack) for replicate in replicates.inputs
@@ -693,7 +624,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    moved = partial(shift_displacement_by, by=-error)
+    moved = partial(curves.shift_displacement_by, by=-error)
     of_slack = Input(SLACK, moved, draws=draws / error, doubts=list_slack_doubts(measured_slack))
     return corrected.shift_displacement(-measured_slack.value, of_slack)
 
@@ -707,7 +638,9 @@ def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return shift_displacement_by(quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more)
+        return curves.shift_displacement_by(
+            quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more
+        )
 
     return replace(quantity, perturb=moved)
 
@@ -722,7 +655,7 @@ class SlackResult(Kind):
 
     method: ClassVar = "toe compensation, ASTM D638 annex A1"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return the displacement at which the line of the linear region meets zero force."""
         slack, during = return_failure(test.require)(test.slack), test.find_loading_interval()
-        return Computed((self.make_result(test, slack, during=during),))
+        yield self.make_result(test, slack, during=during)

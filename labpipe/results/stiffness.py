@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
@@ -25,38 +25,12 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
-from labpipe.results.curve_replicates import make_trace, select_first_loading
-from labpipe.results.cycles import (
-    FOOT_LIMIT_FACTOR,
-    PerCycle,
-    choose_peak_sample,
-    cut_branch,
-    find_cut_cycle,
-    find_last_flagged,
-    find_loading_sign,
-    require_unloading,
-    select_cycle,
-)
-from labpipe.results.kinds import (
-    Computed,
-    Kind,
-    Outcome,
-    find_machine_compliance,
-    find_marked_slips,
-)
-from labpipe.results.least_squares import (
-    compute_polynomial_weights,
-    compute_slope,
-    compute_zero_crossing,
-    find_finite_samples,
-    fit_chosen_lines,
-    require_samples,
-    require_travel,
-)
-from labpipe.results.reduced_test import NO_LOADING, ReducedTest, Stiffness
+from labpipe.results import curves, cycles, kinds
+from labpipe.results.cycles import PerCycle
+from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine_numbers, read_part
+from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers, read_part
 from labpipe.uncertainty.intervals import Measured
 
 _MIN_FOOT_SAMPLES = 8
@@ -95,16 +69,16 @@ class ForceOnset:
         shape, (x, f) = f.shape[:-1], (rows.reshape(-1, f.shape[-1]) for rows in (x, f))
         limit = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
         numbers, count = np.arange(f.shape[1]), f.shape[1]
-        first = find_last_flagged((f <= limit) & (numbers < self.top)) + 1
+        first = cycles.find_last_flagged((f <= limit) & (numbers < self.top)) + 1
         low = int(first.min())
         numbers = numbers[low:]
-        beyond = (f[:, low:] > FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
+        beyond = (f[:, low:] > cycles.FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
         last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
         last = np.maximum(last, first + self.min_samples)
         part = slice(low, min(int(last.max()), count))
         numbers = numbers[: part.stop - low]
         foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
-        middle, level, slope = fit_chosen_lines(foot, x[:, part], f[:, part])
+        middle, level, slope = curves.fit_chosen_lines(foot, x[:, part], f[:, part])
         zero = middle - level / np.where(slope > 0.0, slope, np.nan)
         return zero.reshape(shape), first.reshape(shape)
 
@@ -168,8 +142,8 @@ def find_force_onset(
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
     max_extrapolation = 0.02  # share of the branch
-    finite = find_finite_samples(displacement, force)
-    require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
+    finite = curves.find_finite_samples(displacement, force)
+    curves.require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
     limit = noise_deviations * float(estimate_fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
@@ -296,10 +270,10 @@ def choose_window(
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    samples = find_finite_samples(displacement, force)
+    samples = curves.find_finite_samples(displacement, force)
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
-    require_samples(fit.n, _MIN_WINDOW_SAMPLES)
-    require_travel(displacement[fit.window])
+    curves.require_samples(fit.n, _MIN_WINDOW_SAMPLES)
+    curves.require_travel(displacement[fit.window])
     return fit
 
 
@@ -323,7 +297,7 @@ def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats
     if len(begin) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., part.start])
     samples = as_slice(begin)
-    weights = compute_polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
+    weights = curves.compute_polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
@@ -378,7 +352,7 @@ def choose_loading_window(
     force: Floats,
     *,
     length: float,
-    like: LoadingSlope | None = None,
+    limit: float | None = None,
     steps: int = 1,
 ) -> LoadingSlope:
     """Choose the samples for the stiffness of a loading branch.
@@ -387,7 +361,7 @@ def choose_loading_window(
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
     length : m, the length after the take-up
-    like : the choice on the measured branch, for a curve without noise
+    limit : N, up to which a force counts as zero, for a curve without noise
     steps : number of parts into which each sampling step has been divided
 
     Returns
@@ -406,11 +380,10 @@ def choose_loading_window(
     noise. If steps are divided, the branch does not count as taut before the machine moves, because
     samples at rest with a force above the noise would shift the line.
     """
-    limit = None if like is None else like.onset.limit
     onset = find_force_onset(displacement, force, limit=limit, steps=steps)
     begins, first_sample = onset.compute(displacement, force)
     start, first = float(begins), int(first_sample)
-    if like is not None and not np.isnan(onset.find(displacement, force)[0]):
+    if limit is not None and not np.isnan(onset.find(displacement, force)[0]):
         zero_time = float(onset.find(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
@@ -425,7 +398,9 @@ def _find_start_of_motion(time: Floats, displacement: Floats, start: float, leng
     """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
     lead = displacement - start
     part = np.flatnonzero((lead >= _START_SHARE * length) & (lead <= _STEADY_SHARE * length))
-    start_time = float(compute_zero_crossing(time[part], lead[part])) if len(part) > 1 else np.nan
+    start_time = (
+        float(curves.compute_zero_crossing(time[part], lead[part])) if len(part) > 1 else np.nan
+    )
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
@@ -454,7 +429,7 @@ def choose_unloading_window(
     """
     at_turn, branch = choose_turn_samples(trace, part), slice(part.start, part.stop)
     start = float(at_turn(trace.displacement))
-    time, d, f = cut_branch(trace, part)
+    time, d, f = cycles.cut_branch(trace, part)
     slope = choose_window(time, d, f, sense * (start - d), low=0.1 * length, high=length)
     lead = float(d[slope.window].mean()) - start
 
@@ -486,7 +461,7 @@ def find_compliance_window(
         ``too_few_samples``, ``no_travel`` if the force is constant, ``not_reached`` if it does not
         reach `stop`.
     """
-    finite = find_finite_samples(displacement, force)
+    finite = curves.find_finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
         largest = float(f.max()) if len(f) else 0.0
@@ -494,8 +469,8 @@ def find_compliance_window(
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
-    require_samples(len(inside), MIN_LINE_SAMPLES)
-    require_travel(force[inside], "force")
+    curves.require_samples(len(inside), MIN_LINE_SAMPLES)
+    curves.require_travel(force[inside], "force")
     return as_slice(inside)
 
 
@@ -515,8 +490,8 @@ class UnloadingStiffness(PerCycle):
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
-        part = require_unloading(select_cycle(trace, number))
-        sense = find_loading_sign(trace, trace.displacement)
+        part = cycles.require_unloading(cycles.select_cycle(trace, number))
+        sense = cycles.find_loading_sign(trace, trace.displacement)
         slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
         return Reading(read_part(slope, slice(None)), n)
 
@@ -532,40 +507,27 @@ class LoadingStiffness(PerCycle):
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
-    def make_decider(self, test: ReducedTest, number: int) -> Decide:
-        """Choose the samples after the onset, with the limit of the measured curve."""
-        return partial(self.choose, test, number=number, like=self._fit_measured(test, number))
-
-    def choose(
-        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
-    ) -> Reading:
-        """Choose the samples after the onset of the force."""
-        del test
-        part = select_cycle(trace, number)[0]
-        parts, branch = cut_branch(trace, part), slice(part.start, part.stop)
-        fit = choose_loading_window(*parts, length=self.over, like=like, steps=trace.steps)
+    def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
+        """Choose the samples after the onset of the force, with the limit of the measured curve."""
+        part = cycles.select_cycle(trace, number)[0]
+        parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
+        limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
+        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=trace.steps)
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
-    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Return the number of the measured curve, taut from the first sample above noise."""
-        fit = self._fit_measured(test, branches[0].cycle)
-        _, d, f = cut_branch(make_trace(test), branches[0])
-        return None if fit is None else [float(fit.compute(d, f))]
-
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return a doubt if more than 10 % of the samples are at the start of the window."""
-        fit = self._fit_measured(test, branches[0].cycle)
-        if fit is None or fit.share_of_start <= 0.1:
+        fit = return_failure(self._fit_measured)(test, branches[0].cycle)
+        if isinstance(fit, Failure) or fit.share_of_start <= 0.1:
             return ()
         share, limit = fit.share_of_start, fit.onset.limit
         return (Reason.of("results.rest_in_window", share=share, limit=limit),)
 
-    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
-        curve = make_trace(test)
-        parts = cut_branch(curve, select_cycle(curve, number)[0])
-        fit = return_failure(choose_loading_window)(*parts, length=self.over)
-        return None if isinstance(fit, Failure) else fit
+    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope:
+        curve = curves.make_trace(test)
+        parts = cycles.cut_branch(curve, cycles.select_cycle(curve, number)[0])
+        return choose_loading_window(*parts, length=self.over)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -580,48 +542,39 @@ class Hardening(Kind):
         "slope over {over_mm:g} mm from the onset of the force / that of cycle 1, scale cancelled"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the ratio of each later cycle to the first one; the scale cancels."""
-        if not test.cycles:
-            raise test.make_error(NO_LOADING)
-        first, *later_cycles = test.cycles
+        first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
-        before = stiffness.make_decider(test, 1)
-        base = return_failure(test.measure_one)(before)
-        plain, doubts = stiffness.measure_directly(test, first), stiffness.list_doubts(test, first)
+        base = return_failure(test.measure_one)(partial(stiffness.choose, test, number=1))
+        doubts = stiffness.list_doubts(test, first)
 
-        def decide_first(trace: Trace) -> Reading:
-            reading = return_failure(before)(trace)
+        def choose_first(trace: Trace) -> Reading:
+            reading = return_failure(stiffness.choose)(test, trace, 1)
             if isinstance(reading, Failure):
                 raise UnavailableError.of("results.no_first_stiffness", why=reading.message)
             return reading
 
         @return_failure
-        def measure_ratio(later: list[Branch]) -> Measured:
-            after, own = stiffness.make_decider(test, later[0].cycle), None
-            decide = combine_numbers(
-                lambda _, after, first: divide(after, first), after, decide_first
+        def measure_ratio(number: int) -> Measured:
+            choose = partial(stiffness.choose, test, number=number)
+            ratio = test.measure_one(
+                combine_numbers(lambda _, later, first: divide(later, first), choose, choose_first)
             )
-            if plain and (own := stiffness.measure_directly(test, later)):
-                own = [own[0] / plain[0]]
-            ratio, first_stiffness = test.measure_one(decide, own), test.require(base)
+            first_stiffness = test.require(base)
             if first_stiffness.value <= 3.0 * first_stiffness.error:
                 value = first_stiffness.value
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
             return ratio
 
-        return Computed(
-            tuple(
-                self.make_result(
-                    test,
-                    measure_ratio(later),
-                    doubts=doubts + stiffness.list_doubts(test, later),
-                    during=(first[0].start_time, later[0].stop_time),
-                    part=f".{later[0].cycle}",
-                )
-                for later in later_cycles
+        for later in later_cycles:
+            yield self.make_result(
+                test,
+                measure_ratio(later[0].cycle),
+                doubts=doubts + stiffness.list_doubts(test, later),
+                during=(first[0].start_time, later[0].stop_time),
+                part=f".{later[0].cycle}",
             )
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -658,7 +611,7 @@ class Window(Kind):
 def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
-    branch, (time, path, force) = slice(part.start, part.stop), cut_branch(trace, part)
+    branch, (time, path, force) = slice(part.start, part.stop), cycles.cut_branch(trace, part)
     fit = choose_window(time, path, force, path, low=low, high=high)
     middle = path[fit.window].mean()
 
@@ -679,14 +632,14 @@ class InitialStiffness(Window):
         "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope between two displacements, with time as instrument."""
         window = self.start, self.stop
         decide = partial(_choose_secant_window, low=self.start, high=self.stop)
         outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
         number = self.make_result(test, outcome, during=during)
-        stiffness = Stiffness(decide, outcome.as_estimate, during, window)
-        return Computed((number,), {number.name: stiffness})
+        yield number
+        yield Stiffness(number.name, decide, outcome.as_estimate, during, window)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -705,24 +658,26 @@ class LineStiffness(InitialStiffness):
         """Return the method: time is the instrument if the test has a shape."""
         return (self.method if test.shape is None else InitialStiffness.method,)
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
-            return super(LineStiffness, self).measure(test)
-        slope, curve = test.measure_one(self.decide), make_trace(test)
+            yield from super(LineStiffness, self).measure(test)
+            return
+        slope, curve = test.measure_one(self.decide), curves.make_trace(test)
         window = self.samples(curve)
         d = curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
-        during, doubts = test.find_loading_interval(low, high), find_marked_slips(test, (low, high))
+        during, doubts = (
+            test.find_loading_interval(low, high),
+            kinds.find_marked_slips(test, (low, high)),
+        )
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
-        number = self.make_result(test, slope, during=during, doubts=doubts)
-        stiffness = Stiffness(
-            self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
-        )
-        line = FittedLine(self.name, slope.value, level, low, high)
-        return Computed((number,), {self.name: stiffness}, (line,))
+        yield self.make_result(test, slope, during=during, doubts=doubts)
+        window_ends, estimate = (max(low, 0.0), high), slope.as_estimate
+        yield Stiffness(self.name, self.decide, estimate, during, window_ends, (low, high))
+        yield FittedLine(self.name, slope.value, level, low, high)
 
     def samples(self, trace: Trace) -> Ints:
         """Return the samples in the window of the first loading, up to the failure.
@@ -731,7 +686,7 @@ class LineStiffness(InitialStiffness):
         ----------
         trace : one curve
         """
-        stretch = select_first_loading(trace)
+        stretch = curves.select_first_loading(trace)
         window = self.inside(trace.displacement[stretch])
         part = np.arange(stretch.start, stretch.stop)[window]
         is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
@@ -745,10 +700,10 @@ class LineStiffness(InitialStiffness):
         trace : one curve
         """
         samples = self.samples(trace)
-        require_samples(len(samples), MIN_LINE_SAMPLES)
-        require_travel(trace.displacement[samples])
+        curves.require_samples(len(samples), MIN_LINE_SAMPLES)
+        curves.require_travel(trace.displacement[samples])
         return Reading(
-            read_part(compute_slope, as_slice(samples)), len(samples), ends_at_samples=True
+            read_part(curves.compute_slope, as_slice(samples)), len(samples), ends_at_samples=True
         )
 
 
@@ -759,7 +714,7 @@ class FromStiffness(Kind):
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
     @abstractmethod
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the number of a test from its stiffness."""
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
@@ -767,16 +722,15 @@ class FromStiffness(Kind):
         del test, stiffness
         return {}
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number from the stiffness."""
-        stiffness = test.stiffnesses.get(self.of)
-        if stiffness is None:
-            raise test.make_error(Failure.of("results.no_stiffness", name=self.of))
+        missing = Failure.of("results.no_stiffness", name=self.of)
+        stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_number)(test, stiffness)
         context = {"during": stiffness.during, **self.find_context(test, stiffness)}
-        slips = find_marked_slips(test, stiffness.bends_with)
+        slips = kinds.find_marked_slips(test, stiffness.bends_with)
         context["doubts"] = slips + context.get("doubts", ())
-        return Computed((self.make_result(test, outcome, **context),))
+        yield self.make_result(test, outcome, **context)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -794,13 +748,13 @@ class NormalisedStiffness(FromStiffness):
         """Return the time up to the last peak, and a doubt if the record ends before it."""
         loading, during = test.cycles[-1][:1], stiffness.during
         during = during and (during[0], max(during[1], loading[0].stop_time))
-        return {"during": during, "doubts": find_cut_cycle(test, loading)}
+        return {"during": during, "doubts": cycles.find_cut_cycle(test, loading)}
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace = make_trace(test)
+        trace = curves.make_trace(test)
         peaks = {
-            number: return_failure(choose_peak_sample)(test, trace, number)
+            number: return_failure(cycles.choose_peak_sample)(test, trace, number)
             for number in range(1, len(test.cycles) + 1)
         }
         values = {
@@ -812,7 +766,7 @@ class NormalisedStiffness(FromStiffness):
             test.require(peaks[1])
 
         def choose_peak(trace: Trace) -> Reading:
-            return choose_peak_sample(test, trace, values[max(values)])
+            return cycles.choose_peak_sample(test, trace, values[max(values)])
 
         peak = test.measure_one(choose_peak)
         if peak.value <= 3.0 * peak.error:
@@ -837,7 +791,7 @@ class Modulus(FromStiffness):
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> Outcome:
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
@@ -851,7 +805,7 @@ class Modulus(FromStiffness):
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
-        return {"doubts": find_machine_compliance(test, stiffness.estimate.value)}
+        return {"doubts": kinds.find_machine_compliance(test, stiffness.estimate.value)}
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
@@ -910,10 +864,10 @@ class ComplianceResult(Kind):
         "displacement against force from {start:g} N to {stop:g} N, the bar assumed rigid"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit displacement against force, with a rigid bar."""
         compliance = test.measure_one(self.decide)
-        return Computed((self.make_result(test, compliance, during=test.find_loading_interval()),))
+        yield self.make_result(test, compliance, during=test.find_loading_interval())
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.
@@ -922,10 +876,10 @@ class ComplianceResult(Kind):
         ----------
         trace : one curve
         """
-        stretch = select_first_loading(trace)
+        stretch = curves.select_first_loading(trace)
         d, f = trace.displacement[stretch], trace.force[stretch]
         window = find_compliance_window(d, f, start=self.start, stop=self.stop)
-        compliance = read_part(lambda d, f: compute_slope(f, d), (stretch, window))
+        compliance = read_part(lambda d, f: curves.compute_slope(f, d), (stretch, window))
         if (slope := float(compliance(trace)[0])) <= 0.0:
             raise UnavailableError.of("results.not_positive", slope=slope)
         return Reading(compliance, len(d[window]), ends_at_samples=True)

@@ -25,10 +25,9 @@ from labpipe.records.declarations import Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.results.curve_replicates import make_trace
-from labpipe.results.kinds import Computed, Kind, find_machine_compliance
-from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import NO_LOADING, FailurePoint, ReducedTest, compute_loading_sign
+from labpipe.results import kinds
+from labpipe.results.curves import make_trace, require_samples
+from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Trace
@@ -145,14 +144,16 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     trace = make_trace(test)
     part = _select_new_strains(trace)
     if len(part) < 2:
-        raise test.make_error(NO_LOADING)
+        raise test.make_error(kinds.NO_LOADING)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
-    stress = compute_loading_sign(force) * force / compute_area(sizes)
+    stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
-    strain = compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
+    strain = (
+        kinds.compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
+    )
     pull = Pull(
         time=trace.time[part],
         strain=strain,
@@ -162,20 +163,24 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         noise=_noise(stress),
         strain_noise=_noise(strain),
     )
-    line = return_failure(_add_elastic_line)(pull, choice)
-    return replace(pull, without_line=line) if isinstance(line, Failure) else line
-
-
-def _add_elastic_line(pull: Pull, choice: ElasticWindow) -> Pull:
-    window = _choose_elastic_part(pull.strain, pull.stress, choice)
-    x, y = _few_samples(pull.strain[window], pull.stress[window])
-    require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
-    fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+    try:
+        window = _choose_elastic_part(strain, stress, choice)
+        x, y = _few_samples(strain[window], stress[window])
+        require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
+        fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+        if fit.coefficients[1] <= 0.0:
+            raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
+    except UnavailableError as error:
+        return replace(pull, without_line=error.failure)
     slope, level = fit.estimate(1), float(fit.coefficients[0])
-    if slope.value <= 0.0:
-        raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
-    pull = replace(pull, slope_estimate=slope, slope=slope.value, window=window)
-    return replace(pull, centre=float(x.mean()), level=level)
+    return replace(
+        pull,
+        window=window,
+        slope_estimate=slope,
+        slope=slope.value,
+        centre=float(x.mean()),
+        level=level,
+    )
 
 
 def _select_new_strains(trace: Trace) -> Ints:
@@ -190,7 +195,7 @@ def _select_new_strains(trace: Trace) -> Ints:
             continue
         loading = np.arange(branch.start, min(branch.stop, end))
         displacement = trace.displacement[loading]
-        displacement = compute_loading_sign(displacement) * displacement
+        displacement = kinds.compute_loading_sign(displacement) * displacement
         is_new = np.fmax.accumulate(displacement) > farthest
         samples.append(loading[int(np.argmax(is_new)) :] if is_new.any() else loading[:0])
         farthest = max(farthest, float(np.fmax.reduce(displacement)))
@@ -308,24 +313,22 @@ class TensionResult(Kind):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the numbers of a pull, in the order of the outputs."""
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure each number, also with every input changed by its standard uncertainty."""
         pull = test.require(test.pull)
         if pull.without_line is not None and self.needs_line:
             raise UnavailableError(pull.without_line)
-        numbers = enumerate(self.list_numbers(test, pull))
-        return Computed(
-            tuple(self._measure_number(test, pull, number, output) for output, number in numbers)
-        )
+        for output, number in enumerate(self.list_numbers(test, pull)):
+            yield self._measure_number(test, pull, number, output)
 
     def _measure_number(
         self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
     ) -> Result:
-        value, errors = number.compute(pull), dict[str, float]()
+        value, errors, doubts = number.compute(pull), dict[str, float](), number.doubts
         for cause, changed in _change_inputs(test, pull):
             change = number.compute(changed) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
-        outcome, doubts = Estimate(value, 0.0, pull.slope_estimate.n), number.doubts
+        outcome = Estimate(value, 0.0, pull.slope_estimate.n)
         if number.compute is _slope:
             outcome = pull.slope_estimate
         elif number.has_line:
@@ -333,15 +336,10 @@ class TensionResult(Kind):
             outcome = replace(outcome, error=abs(number.compute(steeper) - value))
         if number.has_line:
             doubts = (*_list_line_doubts(test, pull, number.compute), *doubts)
-        start, stop = (float(pull.time[min(end, len(pull.time) - 1)]) for end in number.during)
-        return self.make_result(
-            test,
-            outcome,
-            {**errors, **number.errors},
-            output=output,
-            during=(start, stop),
-            doubts=doubts,
-        )
+        start, stop = pull.time[np.minimum(number.during, len(pull.time) - 1)].tolist()
+        errors |= number.errors
+        during = start, stop
+        return self.make_result(test, outcome, errors, output=output, during=during, doubts=doubts)
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
@@ -400,7 +398,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = find_gauge_length(sizes)
     if "gauge_length" not in sizes:
-        yield from find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
+        yield from kinds.find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
     elif travel is not None:
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
@@ -425,8 +423,8 @@ def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
     if not is_jump.any():
         return ()
     place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
-    facts = float(steps[place]), 1e-6 * float(pull.stress[place])
-    return (Reason.of("results.strain_jumps", jump=facts[0], stress=facts[1]),)
+    stress = 1e-6 * float(pull.stress[place])
+    return (Reason.of("results.strain_jumps", jump=float(steps[place]), stress=stress),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -450,21 +448,17 @@ class ElasticModulus(TensionResult):
         window, doubts = pull.window, _jump_of_strain(pull, pull.window.stop)
         return [TensionNumber(_slope, (window.start, window.stop), doubts=doubts)]
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and return the line for figures."""
-        computed, pull, sizes = (
-            super(ElasticModulus, self).measure(test),
-            test.pull,
-            test.setup.sizes,
-        )
-        if not isinstance(pull, Pull):
-            return computed
-        window = test.required_curve.displacement[_select_new_strains(make_trace(test))]
-        low, high = (float(end(window[pull.window])) for end in (np.nanmin, np.nanmax))
+        yield from super(ElasticModulus, self).measure(test)
+        pull = test.require(test.pull)
+        path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
+        low, high = (float(end(path)) for end in (np.nanmin, np.nanmax))
         strain = float(np.nanmin(pull.strain[pull.window]))
-        level = compute_area(sizes) * (pull.level + pull.slope * (strain - pull.centre))
-        slope = pull.slope * compute_area(sizes) / find_gauge_length(sizes)
-        return replace(computed, lines=(FittedLine("elastic_modulus", slope, level, low, high),))
+        area, length = compute_area(test.setup.sizes), find_gauge_length(test.setup.sizes)
+        level = area * (pull.level + pull.slope * (strain - pull.centre))
+        slope = pull.slope * area / length
+        yield FittedLine("elastic_modulus", slope, level, low, high)
 
 
 def _slope(pull: Pull) -> float:
@@ -528,14 +522,14 @@ class YieldStress(TensionResult):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the stress at the first fall, and the lowest stress while it yields."""
         del test
-
-        def select(pull: Pull, sample: int) -> float:
-            return float(pull.stress[sample])
-
         return [
-            TensionNumber(partial(select, sample=sample), (sample, sample), has_line=False)
+            TensionNumber(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
             for sample in _yield_samples(pull)
         ]
+
+
+def _read_stress(pull: Pull, sample: int) -> float:
+    return float(pull.stress[sample])
 
 
 def _yield_samples(pull: Pull) -> tuple[int, int]:
@@ -588,14 +582,14 @@ class TensileStrength(TensionResult):
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the largest stress."""
-        during, doubts = (0, pull.peak), _ends_at_peak(test, pull)
-        strength = lambda pull: float(np.nanmax(pull.stress))  # noqa: E731
+        strength, during = partial(_read_stress, sample=pull.peak), (0, pull.peak)
+        doubts = _ends_at_peak(test, pull)
         return [TensionNumber(strength, during, has_line=False, doubts=doubts)]
 
 
 def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Return a doubt if the record ends without a break: the force may rise again."""
-    if isinstance(test.failure, FailurePoint):
+    if isinstance(test.failure, kinds.FailurePoint):
         return ()
     stress = pull.stress[~np.isnan(pull.stress)]
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)

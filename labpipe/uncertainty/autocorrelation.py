@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, pi
 
 import numpy as np
 from scipy.fft import dct
-from scipy.special import factorial
 
 from labpipe.records.arrays import Floats
 
@@ -171,7 +169,7 @@ class SpectrumLikelihood:
         """
         spent, count = basis.shape
         terms = min(count, n_cosines)
-        cosines = transform_to_cosines(np.vstack([basis, values]), terms)
+        cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
         return cls.from_cosines(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
 
     @classmethod
@@ -232,53 +230,6 @@ class SpectrumPosterior:
         logs -= 0.5 * freedom * np.log(np.maximum(squares, np.finfo(float).tiny))
         chances = prior * np.exp(logs - logs[prior > 0.0].max())
         return cls(chances / chances.sum(), squares / freedom, freedom)
-
-
-def transform_to_cosines(rows: Floats, terms: int) -> Floats:
-    """Return the lowest coefficients of a discrete cosine transform.
-
-    Parameters
-    ----------
-    rows : shape (p, n), without NaN
-    terms : number of cosines, at most n; the first one is constant
-
-    Returns
-    -------
-    shape (p, terms), the first columns of the orthonormal transform of type 2.
-
-    Notes
-    -----
-    Long records are cut into blocks so short that the phase of the fastest cosine stays within half
-    a radian of that in the middle. In a block each cosine is its power series, so only the first
-    moments of the block are needed: O(n) for any n. The whole transform takes four times as long
-    for 400 000 samples, and forty times if the number of samples is a prime.
-
-    Examples
-    --------
-    >>> transform_to_cosines(np.full((1, 4), 3.0), 2).round(12)
-    array([[6., 0.]])
-    """
-    # Samples per block.
-    long_block = 128
-    count, blocks = rows.shape[1], ceil(pi * terms)
-    if count <= long_block * blocks:
-        return np.asarray(dct(rows, norm="ortho")[:, :terms])
-    size = ceil(count / blocks)
-    cut = np.pad(rows, ((0, 0), (0, -count % size))).reshape(len(rows), -1, size)
-    inside = (np.arange(size) - 0.5 * (size - 1)) / size
-    # Enough powers that sine and cosine of half a radian are exact.
-    orders = np.arange(16)
-    moments = cut @ np.vander(inside, len(orders), increasing=True)
-    cosine = np.arange(terms)
-    # Integer quarter turns over n, so that phases of many turns lose no digits.
-    quarters = np.outer(2 * np.arange(cut.shape[1]) + 1, cosine * size) % (4 * count)
-    middles = np.exp(0.5j * pi / count * quarters)
-    series = (1j * pi / count * size * cosine[:, None]) ** orders / factorial(orders)
-    turned = np.tensordot(moments, middles, axes=(1, 0))
-    waves: Floats = np.einsum("wmk,km->wk", turned, series).real
-    waves *= np.sqrt(2.0 / count)
-    waves[:, 0] *= np.sqrt(0.5)
-    return waves
 
 
 def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:

@@ -29,6 +29,7 @@ class Trace:
     sizes : m (an area m^2), of specimen and rig, by key of the protocol
     steps_beyond : time from the last sample before a failure or turn to it, in sampling steps
     steps : number of parts of each original sampling step
+    is_smooth : whether it has no noise: limits by the noise are then those of the measured curve
     """
 
     time: Floats
@@ -39,6 +40,7 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     steps_beyond: float = 0.0
     steps: int = 1
+    is_smooth: bool = False
 
     def refine(self, times: int, *, has_corners: bool = False) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.

@@ -332,5 +332,7 @@ def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Co
     for cause, change in parts:
         before, by = changes.get(cause, 0.0), float(change[row])
         changes[cause] = hypot(before, by) if before else by
-    least = 1e-9 * max(map(abs, changes.values()))
-    return tuple(make_contribution(cause, by) for cause, by in changes.items() if abs(by) > least)
+    smallest = 1e-9 * max(map(abs, changes.values()))
+    return tuple(
+        make_contribution(cause, by) for cause, by in changes.items() if abs(by) > smallest
+    )

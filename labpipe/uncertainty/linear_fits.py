@@ -162,13 +162,13 @@ def _half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -
     deviations = np.sqrt(np.maximum(variances, 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)
     half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(noise.chances @ np.log(safe))
-    least = 0.1 * half
+    smallest = 0.1 * half
     counted = noise.chances > min_chance
     chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
     for _ in range(12):
         share, slope = _coverage(half, safe, offsets, noise.freedom)
         step = (0.95 - chances @ share) / (chances @ slope)
-        half = np.maximum(half + step, least)
+        half = np.maximum(half + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)

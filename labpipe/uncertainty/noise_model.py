@@ -8,7 +8,7 @@ also draws the noise process by its probability.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress, product
 from math import ceil
@@ -61,6 +61,7 @@ class _Processes:
     lowest : rad per sample, below which flicker noise is constant
     """
 
+    lowest: float
     factor: Floats
     floor: Floats
     is_mirrored: Floats
@@ -68,17 +69,14 @@ class _Processes:
     time: Floats
     steep: Floats
     crossing: Floats
-    lowest: float
 
-    def spectra(self, angle: Floats) -> Floats:
-        """Return the power at angles per sample (k,), 1 at zero: shape (g, k)."""
-        slow = compute_autoregressive_spectra(self.factor, angle)
-        flickers = self.steep > 0.0
-        power = -0.5 * self.steep[flickers, None]
-        slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
-        mixed = self.floor[:, None] + (1.0 - self.floor[:, None]) * slow
-        spectra: Floats = np.where(self.is_mirrored[:, None] > 0.0, 1.0 / slow, mixed)
-        return spectra
+    def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
+        """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
+        steep, floor = self.steep[chosen], self.floor[chosen, None]
+        slow, flickers = compute_autoregressive_spectra(self.factor[chosen], angle), steep > 0.0
+        slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** (-0.5 * steep[flickers, None])
+        mixed = floor + (1.0 - floor) * slow
+        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / slow, mixed)
 
 
 @lru_cache(maxsize=16)
@@ -96,31 +94,26 @@ def _processes(longest: int, count: int) -> _Processes:
     # in frequency: the later flicker noise rises above white noise, the smaller its prior.
     flicker_prior = 1.0
     times = np.geomspace(shortest_time, max(longest_share * longest, 2.0 * shortest_time), n_times)
-    a, prior = np.exp(-1.0 / times), (times / times[0]) ** prior_power
-    lowest = np.pi / (2.0 * max(count, 1))
-    steep = np.repeat(_FLICKER_POWERS, len(_FLICKER_CROSSINGS))
-    crossing = np.tile(_FLICKER_CROSSINGS, len(_FLICKER_POWERS))
-    one, none, flicker = np.zeros(1), np.zeros(n_times), np.zeros(len(steep))
-    infinite, share = none + np.inf, 0.5 * prior / len(white_floors)
-    # White noise, mirror images, autoregressive noise without and with floors, flicker noise.
-    families = [
-        (one, one, one, one + 1.0, one, one, one + np.inf),
-        (a, none, none + 1.0, prior, none, none, infinite),
-        (a, none, none, 0.5 * prior, times, none, infinite),
-        *((a, none + floor, none, share, times, none, infinite) for floor in white_floors),
-        (
-            flicker,
-            (lowest / crossing) ** steep,
-            flicker,
-            flicker_prior * crossing / np.pi,
-            flicker + count / _MARGIN_TIMES,  # correlated over the whole record
-            steep,
-            crossing,
+    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
+    slow = list(zip(factors, priors, times, strict=True))
+    lowest, share = np.pi / (2.0 * max(count, 1)), 0.5 / len(white_floors)
+    whole = count / _MARGIN_TIMES
+    # White noise, mirror images, autoregressive noise without and with floors, flicker noise, which
+    # is correlated over the whole record.
+    rows = [
+        (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
+        *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
+        *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in slow),
+        *(
+            (a, floor, 0.0, share * prior, time, 0.0, np.inf)
+            for floor, (a, prior, time) in product(white_floors, slow)
+        ),
+        *(
+            (0.0, (lowest / rise) ** steep, 0.0, flicker_prior * rise / np.pi, whole, steep, rise)
+            for steep, rise in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
         ),
     ]
-    columns = [np.concatenate(parts) for parts in zip(*families, strict=True)]
-    factor, floor, is_mirrored, chance, time, power, cross = columns
-    return _Processes(factor, floor, is_mirrored, chance, time, power, cross, lowest)
+    return _Processes(lowest, *np.array(rows).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,12 +183,8 @@ class NoiseModel:
         length = fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
         used, which = np.unique(drawn, return_inverse=True)
-        arrays = ("factor", "floor", "is_mirrored", "prior", "time", "steep", "crossing")
-        drawn_processes = replace(
-            processes, **{name: getattr(processes, name)[used] for name in arrays}
-        )
         # Cosine and sine have half of the power each; the first wave has no sine.
-        height = np.sqrt(0.5 * length * drawn_processes.spectra(angle))
+        height = np.sqrt(0.5 * length * processes.spectra(angle, used))
         # Nor has the last one at half the sampling rate.
         height[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
         scale = np.sqrt(variance)
@@ -306,19 +295,19 @@ def estimate_noise(
         ]
         whitened = _whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
-        odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
-        if not odd.any():
+        has_kink = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
+        if not has_kink.any():
             break
-        is_alike[is_alike] = ~odd
+        is_alike[is_alike] = ~has_kink
     still = [*_rest_middles(before, width), *_rest_middles(behind, width, is_behind=True)]
     is_seen = np.ones(len(spectra), np.bool_) if still else _seen_in_pieces(processes, width)
     parts = [window_likelihood, *(_part_likelihood(processes, *rest) for rest in still)]
-    more = 1.0
+    variance_ratio = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
-        more = power[power >= np.median(power)].mean() / power[is_alike].mean()
+        variance_ratio = power[power >= np.median(power)].mean() / power[is_alike].mean()
     fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
     prior = np.where(is_seen, processes.prior, 0.0)
-    return _probable_noise(parts, prior, (longest, count), fast, more)
+    return _probable_noise(parts, prior, (longest, count), fast, variance_ratio)
 
 
 def _probable_noise(
@@ -545,8 +534,8 @@ def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
             if count - spent - 2 <= 0:
                 continue
             penalty = spent * np.log(count) / (count - spent - 2)
-            least = max(left, rounding, np.finfo(float).tiny)
-            criterion = np.log(least / len(innovations)) + penalty
+            squares = max(left, rounding, np.finfo(float).tiny)
+            criterion = np.log(squares / len(innovations)) + penalty
             if criterion < lowest:
                 lowest = criterion
                 cuts = [skipped + end for end in ends]

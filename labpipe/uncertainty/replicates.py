@@ -343,7 +343,7 @@ def draw_replicates(
     if compliance:
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
-    base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
+    base = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
     replicates = Replicates(
         measured, blocks or measured, base, displacement, force, inputs, seed, noises
     )

@@ -46,7 +46,7 @@ from labpipe.mechanics.law.plays import (
     make_polygon_law,
     make_stick_slip_law,
 )
-from labpipe.mechanics.wire.bending_law import fit_play_law
+from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden, make_contacts
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
@@ -55,8 +55,6 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_sectors,
 )
-from labpipe.mechanics.wire.cyclic_law import harden
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints

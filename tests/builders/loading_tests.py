@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.wire.bending_law import fit_play_law
+from labpipe.mechanics.wire.bending_law import fit_play_law, make_contacts
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -22,7 +22,6 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import CrossSection, place_hexagon
-from labpipe.mechanics.wire.friction import make_contacts
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.records.arrays import Floats
 from tests.builders.stranded_wires import WIRES, layers_of, tube

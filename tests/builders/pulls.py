@@ -14,7 +14,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 
 NOISE = 0.02
 STEP = 2e-5

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.records.quality import Finding, Findings
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 from labpipe.store.read import read_run
 
 

@@ -15,7 +15,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Filter, Signal, Signals
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 from labpipe.signal.filters import filter_pieces
 
 PROTOCOL = """\

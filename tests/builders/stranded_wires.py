@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from labpipe.mechanics.wire.bending_law import Contacts, make_contacts
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
@@ -12,7 +13,6 @@ from labpipe.mechanics.wire.cross_section import (
     place_hexagon,
     place_rings,
 )
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material, StressTable
 
 LAYS = {7: (12.0,), 19: (12.0, -15.0), 37: (12.0, -15.0, 12.0)}

@@ -17,7 +17,7 @@ from labpipe.protocol.load import parse_protocol, remove_absent_sources
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 
 SPAN, STROKE, SPEED, RADIUS = 0.1524, 0.0294, 0.5e-3, 8.55e-3
 GAIN, OFFSET = -0.21082, 0.002846

@@ -18,19 +18,22 @@ from labpipe.mechanics.rod.input_distributions import (
     join_distributions,
 )
 from labpipe.mechanics.rod.path import RodPath
-from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    Settings,
+    calibrate,
+    find_tested_curvature,
+)
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.law_family import (
+from labpipe.mechanics.wire.wire_table import (
     LAW_FACTOR,
     MASS_FACTOR,
     TORSION_FACTOR,
     LawFamily,
+    build_wire,
     make_law_family,
 )
-from labpipe.mechanics.wire.wire_table import build_wire, mass_per_length
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.units import GRAVITY
@@ -86,7 +89,7 @@ def wire_of(name: str) -> Wire:
     """The same, to be calibrated."""
     spec = spec_of(name)
     built = build_wire(spec)
-    weight = GRAVITY * mass_per_length(spec, built.section)
+    weight = GRAVITY * built.mass_per_length
     return Wire(built.section, built.contacts, self_weight=weight)
 
 

@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from labpipe.mechanics.wire.bending_law import fit_play_law
-from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.bending_law import fit_play_law, make_contacts
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate, predict
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.prediction import predict
-from labpipe.mechanics.wire.calibration.problem_setup import Wire
+from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import StringRig, bend_to_travel, make_straight
 from labpipe.mechanics.wire.cross_section import Insulation, lay_up, place_hexagon, place_sectors
-from labpipe.mechanics.wire.friction import make_contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS, CalibratedParameter, Calibration

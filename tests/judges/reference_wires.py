@@ -11,14 +11,14 @@ import numpy as np
 from scipy.integrate import cumulative_simpson, solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
-from labpipe.mechanics.wire.cross_section import CrossSection
-from labpipe.mechanics.wire.friction import (
+from labpipe.mechanics.wire.bending_law import (
     Bundle,
     Contacts,
     arrange_rings,
     compute_ring_pressure,
     compute_sines,
 )
+from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
 from labpipe.records.arrays import Floats, Ints
 

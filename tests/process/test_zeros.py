@@ -24,7 +24,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 from labpipe.virtual_lab import observe
 from tests.builders.small_tests import small_scenario
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.protocol.load import load_calibration_plan, load_campaign_plan
-from labpipe.protocol.plans import ByFolder, ByName, CampaignPlan
+from labpipe.protocol.sheet_grammar import ByFolder, ByName, CampaignPlan
 
 BY_NAME = """\
 version: 1
@@ -39,7 +39,7 @@ def test_a_plan_by_names(tmp_path: Path) -> None:
     assert isinstance(plan.pair, ByName)
     assert (plan.pair.source, plan.protocol) == ("incoming", "wire-cantilever")
     assert plan.operator == "bench 2"
-    assert list(plan.pair.patterns) == ["force", "markers"]
+    assert list(plan.pair.exports) == ["force", "markers"]
     assert plan.wait_for == ("force", "markers")
     assert (plan.still_for, plan.look_every, plan.patience) == (3.0, 0.25, 60.0)
     assert plan.specimen["labels"] == {"cured": "24 h"}
@@ -49,7 +49,7 @@ def test_a_plan_by_names(tmp_path: Path) -> None:
 def test_a_plan_by_folders(tmp_path: Path, text: str) -> None:
     pair = load(tmp_path, text).pair
     assert isinstance(pair, ByFolder)
-    assert (pair.pattern is None) == ("pair" not in text)
+    assert (pair.name is None) == ("pair" not in text)
 
 
 def test_the_example_of_the_project(repository: Path) -> None:

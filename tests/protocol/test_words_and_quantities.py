@@ -21,7 +21,7 @@ from labpipe.protocol.grammar import (
     is_test_name,
     parse_whole_number,
 )
-from labpipe.protocol.plans import parse_name_pattern
+from labpipe.protocol.sheet_grammar import parse_name_pattern
 from labpipe.records.declarations import (
     Area,
     Compliance,

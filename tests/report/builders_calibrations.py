@@ -7,9 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
+from labpipe.mechanics.wire.calibration.calibrate_wire import (
+    MeasuredCurve,
+    Settings,
+    calibrate,
+    predict,
+)
 from labpipe.mechanics.wire.calibration.measured_curves import compute_curve_errors
-from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.records.group import SampleCurve
 from labpipe.records.wire_calibration import (
     Calibration,

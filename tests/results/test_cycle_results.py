@@ -8,9 +8,9 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.curve_replicates import replicate_curves
+from labpipe.results.curves import replicate_curves
 from labpipe.results.cycles import _find_time_interval, find_cycle_samples
-from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.kinds import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 
 

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
-from labpipe.results.curve_replicates import add_slips_back
+from labpipe.results.curves import add_slips_back
 from labpipe.results.failures import (
     LossOfForce,
     find_loss_start,
@@ -23,7 +23,6 @@ from labpipe.results.slack_and_slips import (
     _choose_block_size,
     _estimate_correlation,
     _is_outlier,
-    _make_step_kernel,
     _Window,
     count_samples_before,
     find_slips,
@@ -289,8 +288,8 @@ def test_the_drop_covers(length: float, memory: float) -> None:
 def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
     """A cubic and a fall over two samples, in noise of which 0.4 is remembered."""
     at = np.arange(10.0, 60.0)
-    drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, 0.0, 0.0, 0.0)
-    kernel = _make_step_kernel(_Window(10, 60, 3, 0.4), drop)
+    drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, continues=True)
+    kernel = _Window(pull(34.0, 2.0, 0.0, noise()[:COUNT]), 10, 60, 3, 0.4).make_step_kernel(drop)
     design = np.column_stack([np.vander(at / 60.0, 4), np.clip((at - 34.0) / 2.0, 0.0, 1.0)])
     force = noise()[10:60]
     white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))

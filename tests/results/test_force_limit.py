@@ -16,7 +16,7 @@ from labpipe.protocol.yaml_text import FaultsError
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Specimen
-from labpipe.results.force_limit import ForceLimit
+from labpipe.results.failures import ForceLimit
 from labpipe.statistics.lots import judge_sample
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.tensile import build_crimp_pull

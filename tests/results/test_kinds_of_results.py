@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,8 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import make_trace, select_first_loading
-from labpipe.results.kinds import ClockResult, Computed, Kind, Outcome
-from labpipe.results.reduced_test import FailurePoint, ReducedTest
+from labpipe.results.curves import make_trace, select_first_loading
+from labpipe.results.kinds import ClockResult, FailurePoint, Kind, Outcome, Part, ReducedTest
 
 
 class ByLine(Kind):
@@ -21,7 +21,7 @@ class ByLine(Kind):
     outputs = (Output("stiffness", "N/m", rests_on=("force", "displacement")),)
     method = "by a line"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         raise test.make_error(Failure("none", ""))
 
 
@@ -155,9 +155,9 @@ def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
     for test, ahead in ((located(), 0.0), (located(Clocks("markers", joined)), 10.0)):
         for during, reasons in (((41.0, 60.0), FROZEN), ((38.0, 41.0), FROZEN), ((0.0, 39.0), ())):
             there = (during[0] - ahead, during[1] - ahead)
-            assert test.find_doubts("force", there) == reasons
-            assert test.find_doubts("displacement", there) == ()
-        assert test.find_doubts("force") == FROZEN
+            assert test.collect_doubts(["force"], there) == list(reasons)
+            assert test.collect_doubts(["displacement"], there) == []
+        assert test.collect_doubts(["force"], None) == list(FROZEN)
 
 
 def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
@@ -166,7 +166,9 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
         replace(test.signals, zero_stretches=zero),
         replace(test.signals, moving_zero_stretches=zero),
     ):
-        assert replace(test, signals=signals).find_doubts("force", (60.0, 70.0)) == FROZEN
+        assert replace(test, signals=signals).collect_doubts(["force"], (60.0, 70.0)) == list(
+            FROZEN
+        )
 
 
 def test_of_each_code_the_first_reason_counts() -> None:
@@ -174,7 +176,7 @@ def test_of_each_code_the_first_reason_counts() -> None:
     other = finding("drift", "the zero drifts", "force")
     test = located()
     test = replace(test, findings=test.findings + iter((more, other)))
-    assert test.find_doubts("force") == (*FROZEN, Reason("drift", "the zero drifts"))
+    assert test.collect_doubts(["force"], None) == [*FROZEN, Reason("drift", "the zero drifts")]
 
 
 BRANCHES = (

@@ -9,7 +9,7 @@ import pytest
 from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
-from labpipe.results.beam import compute_prop_force
+from labpipe.results.bending import compute_prop_force
 from labpipe.results.measured_law import (
     N_CLOUD_ROWS,
     N_CLOUD_STATIONS,

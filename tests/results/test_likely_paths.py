@@ -27,15 +27,15 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.curve_replicates import (
+from labpipe.results.curves import (
+    SampleNoise,
     add_slips_back,
     find_piece_starts,
     make_trace,
     replicate_curves,
     select_first_loading,
 )
-from labpipe.results.reduced_test import FailurePoint, ReducedTest, Setup
-from labpipe.results.sample_noise import SampleNoise
+from labpipe.results.kinds import FailurePoint, ReducedTest, Setup
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure_numbers

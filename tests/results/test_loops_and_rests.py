@@ -5,14 +5,14 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure, return_failure
+from labpipe.results.bending import fit_secant_stiffness
+from labpipe.results.curves import CommonPath, find_finite_samples
 from labpipe.results.cycles import (
     UnloadingEnd,
     find_unloading_end,
     integrate_energy,
 )
-from labpipe.results.least_squares import CommonPath, find_finite_samples
-from labpipe.results.reduced_test import compute_loading_sign
-from labpipe.results.shapes import fit_secant_stiffness
+from labpipe.results.kinds import compute_loading_sign
 from tests.builders.noise_rows import KINDS, noise_rows
 
 STIFFNESS = 20.0
@@ -115,8 +115,8 @@ def test_some_samples_in_another_order() -> None:
 def test_the_same_displacements_change_nothing() -> None:
     path = CommonPath.of(D, 900.0 * D, ALL)
     force = np.array([900.0 * D, 5.0 + 0.0 * D])
-    assert path.move_force(force) is force
-    assert path.move_force(force, D) is force
+    assert np.shares_memory(path.move_force(force), force)
+    assert np.shares_memory(path.move_force(force, D), force)
     moved = path.move_force(force, D + np.where(ALL == 3, 1e-3, 0.0))
     assert (force - moved)[:, [2, 3]] == pytest.approx(np.array([[0.0, 0.9], [0.0, 0.9]]))
 

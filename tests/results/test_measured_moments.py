@@ -20,6 +20,8 @@ from labpipe.records.curve import (
     Shape,
 )
 from labpipe.records.result import Result, Status
+from labpipe.results.bending import MomentCurvature
+from labpipe.results.kinds import ReducedTest
 from labpipe.results.moment_curvature import (
     MIN_SLACK_TRAVEL,
     RestEvidence,
@@ -29,8 +31,6 @@ from labpipe.results.moment_curvature import (
     list_rest_notes,
     make_stated_state,
 )
-from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.shapes import MomentCurvature
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel

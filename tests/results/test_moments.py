@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.mechanics.law.plays import make_linear_plays
 from labpipe.records.curve import PointFlag
-from labpipe.results.beam import compute_prop_force
+from labpipe.results.bending import compute_prop_force
 from labpipe.results.measured_law import TipPull, average_frames, evaluate_curves
 from tests.builders.bent_tests import (
     HEAVY,

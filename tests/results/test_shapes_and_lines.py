@@ -15,9 +15,9 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Signals
+from labpipe.results.bending import TipTravel, _measure_at_turn, _SpanFrames
 from labpipe.results.cycles import PeakDisplacement
-from labpipe.results.reduced_test import ReducedTest, SpanBend
-from labpipe.results.shapes import TipTravel, _measure_at_turn, _SpanFrames
+from labpipe.results.kinds import ReducedTest, SpanBend
 from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers

@@ -5,7 +5,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.least_squares import compute_zero_crossing
+from labpipe.results.curves import compute_zero_crossing
 from labpipe.results.slack_and_slips import find_linear_region
 from labpipe.results.stiffness import ForceOnset, find_force_onset
 from labpipe.uncertainty.autocorrelation import scale_limit_by_noise

@@ -8,13 +8,13 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure, return_failure
-from labpipe.results.beam import (
+from labpipe.results.bending import (
     Rollers,
     compute_beam_factor,
     compute_roller_load,
     compute_stiffness_ratio,
 )
-from labpipe.results.least_squares import (
+from labpipe.results.curves import (
     compute_polynomial_weights,
     compute_slope,
     compute_zero_crossing,
@@ -189,7 +189,7 @@ def test_loading_of_replicates_is_off_as_tests_are() -> None:
     ]
     tests = [float(fit.compute(d, f)) for fit, d, f in zip(alone, path, forces, strict=True)]
     measured = alone[-1]
-    smooth = choose_loading_window(time, up, force, length=over, like=measured)
+    smooth = choose_loading_window(time, up, force, length=over, limit=measured.onset.limit)
     drawn = (
         noise_rows(kind, deviation, shape, seed=seed) for deviation, seed in ((2e-5, 3), (2e-3, 4))
     )
@@ -231,7 +231,7 @@ def test_between_samples_the_window_begins_with_the_motion() -> None:
     assert float(found.compute(way, force)) > 52.8
     at = np.arange(16 * 399 + 1) / 16.0
     fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
-    between = choose_loading_window(*fine, length=0.005, like=found, steps=16)
+    between = choose_loading_window(*fine, length=0.005, limit=found.onset.limit, steps=16)
     assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
     assert float(between.compute(*fine[1:])) == pytest.approx(52.66, abs=0.06)
 

@@ -21,7 +21,7 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
-from labpipe.mechanics.wire.law_family import LAW_FACTOR
+from labpipe.mechanics.wire.wire_table import LAW_FACTOR
 from labpipe.records.wire_calibration import Calibration
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line

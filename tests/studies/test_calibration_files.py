@@ -32,10 +32,10 @@ from labpipe.mechanics.studies.model_comparisons import (
 )
 from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as reached
+from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as reached
 from labpipe.mechanics.wire.wire_table import find_linear_range
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.protocol.plans import CalibrationPlan
+from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,

@@ -20,7 +20,6 @@ from labpipe.uncertainty.autocorrelation import (
     estimate_fast_noise,
     estimate_long_run_variance,
     scale_limit_by_noise,
-    transform_to_cosines,
 )
 from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormalise
 
@@ -59,19 +58,6 @@ def noise(seed: int, count: int, memory: float) -> Floats:
     factor = np.exp(-1.0 / memory)
     kicks = np.random.default_rng(seed).normal(size=count + 200) * np.sqrt(1.0 - factor**2)
     return np.asarray(lfilter([1.0], [1.0, -factor], kicks)[200:], dtype=np.float64)
-
-
-@pytest.mark.parametrize("count", [5, 2001, 76_001])
-def test_slowest_cosines(count: int) -> None:
-    random = np.random.default_rng(1)
-    rows = np.stack([random.normal(size=count), np.full(count, count**-0.5), np.arange(count)])
-    rows[2, -4:] = 1e3
-    terms = min(count, 128)
-    expected = dct(rows, norm="ortho")[:, :terms]
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(
-        transform_to_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale
-    )
 
 
 def test_probable_spectra_and_their_covariances() -> None:

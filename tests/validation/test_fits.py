@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
-from labpipe.results.beam import Rollers, compute_roller_load
+from labpipe.results.bending import Rollers, compute_roller_load
 from labpipe.results.kinks_and_plateaus import Hinges, Segments
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.pulls import pulled

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
     compute_moment_curve,
     compute_slip_stiffness,
     compute_stick_stiffness,
 )
 from labpipe.mechanics.wire.cross_section import place_rings
-from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
-from labpipe.results.least_squares import compute_slope, compute_zero_crossing
+from labpipe.results.curves import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
 from labpipe.statistics.outliers import run_outlier_test
 from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means

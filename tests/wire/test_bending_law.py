@@ -16,11 +16,19 @@ from scipy.integrate import solve_ivp
 
 from benchmarks import plain_loop
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
+    arrange_rings,
+    compute_axial_forces,
+    compute_axial_strain,
+    compute_friction_angle,
     compute_moment_curve,
+    compute_sines,
     compute_slip_stiffness,
     compute_stick_stiffness,
     find_orientation_range,
+    find_slip_onsets,
     fit_play_law,
+    make_contacts,
 )
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
@@ -30,16 +38,6 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import CrossSection, Insulation, Layer, place_rings
-from labpipe.mechanics.wire.friction import (
-    Contacts,
-    arrange_rings,
-    compute_axial_forces,
-    compute_axial_strain,
-    compute_friction_angle,
-    compute_sines,
-    find_slip_onsets,
-    make_contacts,
-)
 from labpipe.mechanics.wire.materials import (
     Material,
     RambergOsgood,
@@ -138,7 +136,8 @@ def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bo
     if is_shaken:
         turns = 7
         away = np.random.default_rng(3).normal(scale=1e-5, size=(2, 7)) * (section.radius > 0.0)
-        section = replace(section, x=section.x + away[0], y=section.y + away[1])
+        x, y = section.x + away[0], section.y + away[1]
+        section = replace(section, kind="packed", x=x, y=y)
     contacts, kappa = contacts_of(section), np.array([-5.0, 0.05, 5.0, 40.0])
     curve = compute_moment_curve(section, contacts, kappa)
     low, high = find_orientation_range(section, contacts, curve, n_orientations=turns)

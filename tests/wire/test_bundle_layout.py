@@ -14,18 +14,16 @@ from labpipe.mechanics.wire.bundle_layout import (
     _lattice_heap,
     _start_pitches,
     arrange_wires,
-    place_sites,
-    spread_evenly,
-    stack_kinds,
-)
-from labpipe.mechanics.wire.bundle_packing import (
     choose_bore,
     compute_bore,
     compute_packing_fraction,
     find_densest_heap,
     find_holding_circle,
     fits_bore,
+    place_sites,
     require_dense,
+    spread_evenly,
+    stack_kinds,
 )
 from labpipe.mechanics.wire.cross_section import find_largest_overlap
 from labpipe.records.arrays import Ints

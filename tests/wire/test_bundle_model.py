@@ -14,21 +14,19 @@ import pytest
 from scipy.optimize import brentq
 
 from labpipe.mechanics.law.plays import compute_first_curvature
-from labpipe.mechanics.wire.bundle_friction import (
-    Friction,
-    compute_friction_moment,
-    fit_friction,
-    fit_friction_law,
-)
 from labpipe.mechanics.wire.bundle_layout import place_sites
 from labpipe.mechanics.wire.bundle_model import (
+    Friction,
     compute_axial_force,
     compute_bounds_share,
     compute_bundle_model,
+    compute_friction_moment,
     compute_slipping_moment,
     compute_sticking,
     compute_stretching_moment,
     find_common_curvatures,
+    fit_friction,
+    fit_friction_law,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats

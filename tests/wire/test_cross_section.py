@@ -11,20 +11,18 @@ from benchmarks import plain_loop
 from labpipe.mechanics.wire.cross_section import (
     Insulation,
     Layer,
+    LayoutKind,
+    compute_overlap_energy,
     compute_strand_diameter,
     find_largest_overlap,
     lay_up,
+    make_cross_section,
+    pack_strands,
     place_hexagon,
     place_rings,
     place_sectors,
 )
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
-from labpipe.mechanics.wire.packing import (
-    LayoutKind,
-    compute_overlap_energy,
-    make_cross_section,
-    pack_strands,
-)
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 

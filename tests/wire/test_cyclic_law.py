@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, cyclic_law
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER, RambergOsgood
 from tests.builders.stranded_wires import contacts_of, wire
 

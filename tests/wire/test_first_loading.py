@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import LoadingTable, PlayLaw, make_linear_plays, make_polygon_law
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as curvature_of
+from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
     CantileverShape,
     StringRig,

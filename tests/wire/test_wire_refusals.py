@@ -9,18 +9,31 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import make_linear_plays
-from labpipe.mechanics.wire.bending_law import compute_moment_curve, fit_play_law
-from labpipe.mechanics.wire.bundle_friction import Friction, compute_friction_moment, fit_friction
-from labpipe.mechanics.wire.bundle_layout import arrange_wires, place_sites
-from labpipe.mechanics.wire.bundle_model import compute_bounds_share, compute_bundle_model
-from labpipe.mechanics.wire.bundle_packing import (
+from labpipe.mechanics.wire.bending_law import (
+    Contacts,
+    compute_axial_strain,
+    compute_moment_curve,
+    compute_sines,
+    fit_play_law,
+)
+from labpipe.mechanics.wire.bending_law import arrange_rings as rings_of
+from labpipe.mechanics.wire.bundle_layout import (
+    arrange_wires,
     choose_bore,
     compute_bore,
     compute_packing_fraction,
     find_densest_heap,
+    place_sites,
     require_dense,
 )
-from labpipe.mechanics.wire.calibration.prediction import find_tested_curvature as curvature_of
+from labpipe.mechanics.wire.bundle_model import (
+    Friction,
+    compute_bounds_share,
+    compute_bundle_model,
+    compute_friction_moment,
+    fit_friction,
+)
+from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as curvature_of
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -31,25 +44,22 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.mechanics.wire.cross_section import (
-    CrossSection,
     Layer,
     compute_strand_diameter,
     compute_tube_moment,
     lay_up,
+    pack_strands,
     place_hexagon,
     place_rings,
     place_sectors,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.friction import Contacts, compute_axial_strain, compute_sines
-from labpipe.mechanics.wire.friction import arrange_rings as rings_of
 from labpipe.mechanics.wire.materials import (
     ANNEALED_COPPER,
     RambergOsgood,
     StressTable,
     compute_strand_moment,
 )
-from labpipe.mechanics.wire.packing import pack_strands
 from labpipe.mechanics.wire.wire_table import build_wire, make_layout, wire_table
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
 from labpipe.records.wire import WireSpec
@@ -141,7 +151,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: place_hexagon((Layer(1, 1e-3), Layer(6, 2e-3, 0.2))),
         lambda: place_hexagon(layers_of("A2"), tube(1.4e-3)),
         lambda: place_rings((Layer(1, 1e-3), Layer(7, 1e-3, 0.2))),
-        lambda: CrossSection("own", (Layer(1, 1e-3),), np.zeros(1), np.zeros(1), np.ones(1, int)),
         lambda: pack_strands((Layer(1, 0.35e-3), Layer(6, 0.3e-3, 0.2)), tube(1.6e-3)),
         lambda: place_sectors(PRESSED, tube(1.1e-3)),
         lambda: place_sectors(PRESSED, radii=[0.1]),

@@ -189,10 +189,12 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     return _best_dahl(curvature, moment, coarse.decay / range_factor, coarse.decay * range_factor)
 
 
-def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
+def _best_dahl(
+    curvature: Floats, moment: Floats, smallest_decay: float, largest_decay: float
+) -> DahlLaw:
     max_exchanges = 40
     tolerance = 1e-9  # of the error, absolute and relative
-    decay = np.geomspace(least, largest, _N_DECAYS)
+    decay = np.geomspace(smallest_decay, largest_decay, _N_DECAYS)
     spring = np.broadcast_to(curvature / moment, (_N_DECAYS, len(curvature)))
     slider = -np.expm1(-curvature / decay[:, None]) / moment
     points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_N_DECAYS, 1))
@@ -223,10 +225,10 @@ def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     is_right = (place < 3) & (signs[row, above] == sign)
     swapped = points.copy()
     swapped[row, np.where(is_left, below, above)] = worst
-    before = np.column_stack([worst, points[:, :2]])
-    behind = np.column_stack([points[:, 1:], worst])
-    beyond = np.where((place == 0)[:, None], before, behind)
-    return np.where((is_left | is_right)[:, None], swapped, beyond)
+    shifted_up = np.column_stack([worst, points[:, :2]])
+    shifted_down = np.column_stack([points[:, 1:], worst])
+    shifted = np.where((place == 0)[:, None], shifted_up, shifted_down)
+    return np.where((is_left | is_right)[:, None], swapped, shifted)
 
 
 SLIDERS = 12
@@ -266,12 +268,6 @@ def make_table_card(table: WireTable) -> LossCard:
     return make_loss_card(
         table.curvature, table.moment, [fit_wire_sliders(table, count) for count in SLIDER_COUNTS]
     )
-
-
-N_KNOTS = 24
-"""Points of the stress-strain curve."""
-ELASTIC_SHARE = 0.002
-"""End of the elastic range, as a share of the largest curvature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,8 +323,8 @@ def fit_equivalent_material(
     moment: Floats,
     diameter: float,
     *,
-    elastic_share: float = ELASTIC_SHARE,
-    n_knots: int = N_KNOTS,
+    elastic_share: float = 0.002,
+    n_knots: int = 24,
 ) -> EquivalentMaterial:
     """Find the material of a round bar whose moment-curvature law is that of a wire.
 

@@ -23,7 +23,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from scipy.interpolate import PPoly
 
-from labpipe.records.arrays import ArrayRecord, Floats
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -384,8 +384,8 @@ class LoadingTable:
         if reverses.any():
             half_change = 0.5 * (moment - rest)[reverses]
             half_curvature_change, rise = self.bend(half_change)
-            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
-            curvature[reverses], slope[reverses] = before + 2.0 * half_curvature_change, rise
+            turn = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
+            curvature[reverses], slope[reverses] = turn + 2.0 * half_curvature_change, rise
         return curvature, slope
 
     def bend_back(self, rest: Floats, peak: Floats, moment: Floats) -> CurvatureAndSlope:
@@ -423,9 +423,6 @@ class LoadingTable:
         return changes
 
     @staticmethod
-    def _reverses(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _reverses(rest: Floats, moment: Floats) -> Flags:
         change = moment - rest
-        turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (change * rest < 0.0) & (
-            np.abs(change) < 2.0 * np.abs(rest)
-        )
-        return turned
+        return np.asarray((change * rest < 0.0) & (np.abs(change) < 2.0 * np.abs(rest)))

@@ -370,12 +370,11 @@ def _add_steps(response: SliderResponse, steps: list[SliderResponse]) -> SliderR
     """Add the responses of growing sliders to that of the others."""
     if not steps:
         return response
-    parts = [response, *steps]
-    moment, stiffness = (
-        sum(getattr(part, name) for part in parts) for name in ("moment", "stiffness")
-    )
-    rests = np.concatenate([part.rests for part in parts], axis=1)
-    return SliderResponse(np.asarray(moment), np.asarray(stiffness), rests)
+    moment, stiffness, rests = response.moment, response.stiffness, [response.rests]
+    for step in steps:
+        moment, stiffness = moment + step.moment, stiffness + step.stiffness
+        rests.append(step.rests)
+    return SliderResponse(moment, stiffness, np.concatenate(rests, axis=1))
 
 
 def bend_to_moment(
@@ -400,17 +399,19 @@ def bend_to_moment(
     the stiffness of sliders that all stick, whichever way the curvature changes.
     """
     max_iterations = 60
-    after = slide(law, curvature, rests)
-    rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(after.moment).max(initial=0.0))
-    stiffness: Floats | float = law.first_stiffness
+    count = len(law.stiffnesses)
+    present = law.stiffness * curvature + (curvature[:, None] - rests[:, :count]) @ law.stiffnesses
+    for slider, own in _growing_histories(law, rests):
+        present = present + slider.stiffness * (curvature - own[:, 0])
+    rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(present).max(initial=0.0))
+    missing, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
-        missing = moment - after.moment
+        curvature = curvature + missing / stiffness
+        response = slide(law, curvature, rests)
+        missing, stiffness = moment - response.moment, response.stiffness
         if np.all(np.abs(missing) <= rounding):
             break
-        curvature = curvature + missing / stiffness
-        after = slide(law, curvature, rests)
-        stiffness = after.stiffness
-    return curvature, after
+    return curvature, response
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:

@@ -98,8 +98,8 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     corners: list[int] = [0]
     for new in range(1, len(x)):
         while len(corners) > 1:
-            before, last = corners[-2], corners[-1]
-            arrives = (y[last] - y[before]) / (x[last] - x[before])
+            second, last = corners[-2], corners[-1]
+            arrives = (y[last] - y[second]) / (x[last] - x[second])
             leaves = (y[new] - y[last]) / (x[new] - x[last])
             if leaves < arrives * (1.0 - min_slope_drop):
                 break

@@ -1,32 +1,357 @@
-"""Compute the moment-curvature law of a stranded wire and fit plays to it (PHYSICS 4).
+"""Bending of a stranded wire: friction, the moment-curvature law, and its plays (PHYSICS 4).
 
-Eq. (3.17) of the dissertation, with the cos(alpha) of its appendix in the moment of the axial
-forces:
+Axial forces of the strands. Stick (3.7): T = E A kappa r sin(theta) cos^2(alpha), beside the
+strand's share F0 of the wire's own tension. Slip (3.14), with k = mu_inner |sin alpha| and
+c = (mu_outer + mu_inner) H:
+
+    S = (c + k F0) theta_e expm1(k theta_e) / (k theta_e),   theta_e = arcsin(sin theta),
+
+which is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The
+force is the smaller of the two by absolute value, with the sign of T (3.16). The dissertation uses
+theta raw, so that strands with the same sine get different friction; and the smaller of the two
+with their signs, which is never friction on the side in compression.
+
+Pressure on a strand of layer q, per radian of its lay (3.11), never negative:
+
+    H = F_rad N_Q / N_q + sum over outer layers k of (F0 + F)_k |sin alpha_k| N_k / N_q
+
+with the force F_k that the outer layer has at the same angle theta. The dissertation's shares N_k /
+N_q hold for layers of equal lay length. With `Contacts.lay_lengths` they are multiplied by the
+ratio of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium asks for.
+
+The moment is that of eq. (3.17), with the cos(alpha) of its appendix for the axial forces:
 
     M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
 
-The axial forces F are those of `wire.friction`, the strands' own moments m those of
-`wire.materials`. The strands' axial stiffness stays elastic, as in the dissertation.
+with the strands' own moments m of `wire.materials`. The strands' axial stiffness stays elastic, as
+in the dissertation.
+
+On paths that unload, friction and insulation follow Masing's rule. Of the moment of the strands
+about their own axes, the isotropic share has a limit that grows as they yield (PHYSICS 13), so that
+the wire springs back less; first loading is the same for every share.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import PlayLaw, make_polygon_law, require_positive
-from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_moment
-from labpipe.mechanics.wire.friction import (
-    Bundle,
-    Contacts,
-    arrange_rings,
-    compute_axial_forces,
-    compute_sines,
-    find_slip_onsets,
+from labpipe.mechanics.law.plays import (
+    PlayLaw,
+    compute_first_curvature,
+    make_polygon_law,
+    require_not_negative,
+    require_positive,
+)
+from labpipe.mechanics.law.sliders import MixedLaw, make_mixed_law
+from labpipe.mechanics.wire.cross_section import (
+    CrossSection,
+    compute_stretch_torsion,
+    compute_tube_moment,
 )
 from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
-from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Friction and pressure between the layers.
+
+    Parameters
+    ----------
+    inner : friction coefficient of each ring with what lies inside it, first ring first
+    outer : of each ring with what lies outside it; for the outermost ring, the insulation
+    radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
+    lay_lengths : whether the pressure on inner rings accounts for the rings' own lay lengths; the
+        dissertation assumes equal ones
+    """
+
+    inner: tuple[float, ...]
+    outer: tuple[float, ...]
+    radial_force: float = 0.0
+    lay_lengths: bool = False
+
+    def __post_init__(self) -> None:
+        values = [*self.inner, *self.outer, self.radial_force]
+        if len(self.inner) != len(self.outer):
+            message = (
+                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: expected one "
+                f"of both for each ring"
+            )
+            raise ValueError(message)
+        if not all(np.isfinite(value) and value >= 0.0 for value in values):
+            message = (
+                f"inner={self.inner}, outer={self.outer}, radial_force={self.radial_force}: "
+                f"must be finite and >= 0"
+            )
+            raise ValueError(message)
+
+
+def make_contacts(
+    n_rings: int, *, strand: float, insulation: float, radial_force: float
+) -> Contacts:
+    """Return the contacts of an insulated wire: mu_s between strands, mu_p with the insulation.
+
+    A single strand has no rings and no contacts.
+    """
+    outer = (*[strand] * (n_rings - 1), insulation)[:n_rings]
+    return Contacts((strand,) * n_rings, outer, radial_force)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """One ring, with the demand on its strands and their friction limit at each angle needed.
+
+    Forces are evaluated at the angles of its own strands and, since they press on the rings
+    inside, at those of all inner strands: at the first `end` angles, its own being the last.
+
+    Parameters
+    ----------
+    start, end : which strands are its own, counted over all rings from the innermost
+    demand : shape (end,), |T| / kappa, N m
+    per_pressure : shape (end,), |S| / H, positive
+    per_tension : shape (end,), |S| where H = 0, N
+    tension : F0 of a strand, N
+    base : the insulation's part of H, N
+    shares : H of this ring for each N of axial force in each ring, by number; 0 for inner ones
+    """
+
+    start: int
+    end: int
+    demand: Floats
+    per_pressure: Floats
+    per_tension: Floats
+    tension: float
+    base: float
+    shares: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """The rings of a wire; the core has no axial force from bending and is left out.
+
+    Parameters
+    ----------
+    rings : from the innermost
+    sign : shape (strands,), 1 on the side in tension, -1 in compression, 0 on the neutral axis
+    lever : shape (strands,), r sin(theta) cos(alpha), m, of the axial force
+    """
+
+    rings: tuple[Ring, ...]
+    sign: Floats
+    lever: Floats
+
+
+class AxialForces(NamedTuple):
+    """Axial forces from bending, without the wire's own tension.
+
+    Parameters
+    ----------
+    force : shape (curvatures, strands), N, positive in tension
+    slope : same shape, N m, d(force) / d(curvature)
+    stuck : same shape, whether the strand still sticks
+    """
+
+    force: Floats
+    slope: Floats
+    stuck: Flags
+
+
+def compute_axial_strain(section: CrossSection, tension: float) -> float:
+    """Return the axial strain of a straight elastic wire that does not turn about its axis.
+
+    Parameters
+    ----------
+    section : strands in place
+    tension : N
+
+    Returns
+    -------
+    N / (sum of E A cos^3(alpha) + E A of the insulation).
+
+    Raises
+    ------
+    ValueError
+        If the tension is negative: compressed strands separate.
+    """
+    require_not_negative("tension", tension)
+    return tension / compute_stretch_torsion(section).axial
+
+
+def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
+    """Return the sine of each strand's angle from the neutral axis, without the core.
+
+    Shape (strands,); for a column of orientations one row each.
+    """
+    min_sine = 1e-12  # a strand on the neutral axis has a smaller one by rounding
+    first = int(section.has_core)
+    sine = np.sin(section.angle[section.layer >= first] + orientation)
+    return np.where(np.abs(sine) < min_sine, 0.0, sine)
+
+
+def arrange_rings(
+    section: CrossSection, contacts: Contacts, sine: Floats, *, tension: float = 0.0
+) -> Bundle:
+    """Compute what does not depend on the curvature.
+
+    Parameters
+    ----------
+    section : strands in place
+    contacts : of each ring of the section
+    sine : shape (strands,), see `compute_sines`
+    tension : of the whole wire, N
+
+    Raises
+    ------
+    ValueError
+        If there is not one coefficient for each ring, or tension is negative.
+
+    Notes
+    -----
+    Strands of a ring may differ in radius (a hexagon, a packing). Their own demand is taken at
+    their own radius; where a ring presses on an inner one, at its root-mean-square radius.
+    """
+    first = int(section.has_core)
+    layers = section.layers[first:]
+    if len(contacts.inner) != len(layers):
+        message = f"{len(contacts.inner)} coefficients: the wire has {len(layers)} rings"
+        raise ValueError(message)
+    is_ring = section.layer >= first
+    radius, index = section.radius[is_ring], section.layer[is_ring] - first
+    means = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
+    lays = np.array([layer.lay_angle for layer in layers])
+    counts = np.array([layer.count for layer in layers])
+    presses = np.abs(np.sin(lays)) * counts
+    if contacts.lay_lengths:
+        presses *= np.tan(np.abs(lays)) / np.array(means)
+    strain, rings = compute_axial_strain(section, tension), []
+    for q, layer in enumerate(layers):
+        end, inner = int(counts[: q + 1].sum()), contacts.inner[q]
+        rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
+        own_radius = np.where(index == q, radius, means[q])[:end]
+        k = inner * abs(np.sin(layer.lay_angle))
+        reach = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
+        lay = np.tan(abs(layer.lay_angle)) / means[q] if contacts.lay_lengths else 1.0
+        shares = np.where(np.arange(len(layers)) > q, presses, 0.0) / (layer.count * lay)
+        ring = Ring(
+            start=end - layer.count,
+            end=end,
+            demand=rigidity * own_radius * np.abs(sine[:end]),
+            per_pressure=(inner + contacts.outer[q]) * reach,
+            per_tension=k * rigidity * strain * reach,
+            tension=rigidity * strain,
+            base=contacts.radial_force * layers[-1].count / layer.count,
+            shares=tuple(shares.tolist()),
+        )
+        rings.append(ring)
+    lever = radius * sine * np.cos(lays)[index] if layers else radius
+    return Bundle(tuple(rings), np.sign(sine), lever)
+
+
+def compute_friction_angle(k: float, angle: Floats) -> Floats:
+    """Return expm1(k angle) / k, rad: the angle weighted by friction of the strand's tension."""
+    return np.expm1(k * angle) / k if k > 0.0 else angle
+
+
+def compute_axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
+    """Compute the axial forces of all strands on first loading, from the outermost ring inwards.
+
+    Parameters
+    ----------
+    bundle : see `arrange_rings`
+    curvature : shape (curvatures, 1), or (n, strands) with its own for each strand; 1/m, not
+        negative; for bending the other way turn the section by half a turn
+
+    Returns
+    -------
+    Forces, slopes and which strands stick. NaN in gives NaN out.
+    """
+    n_strands = len(bundle.sign)
+    shape = (len(curvature), n_strands)
+    force, slope, stuck = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
+    outer: list[Floats] = []
+    rises: list[Floats] = []
+    for q in reversed(range(len(bundle.rings))):
+        ring, sign = bundle.rings[q], bundle.sign[: bundle.rings[q].end]
+        pressure = compute_ring_pressure(bundle, q, outer)
+        outer_rises = enumerate(rises, start=q + 1)
+        slopes = [ring.shares[k] * rise[:, : ring.end] for k, rise in outer_rises]
+        pressure_slope = np.where(pressure > 0.0, np.sum(slopes, axis=0), 0.0)  # 0: lifted off
+        demand = curvature[:, : ring.end] * ring.demand
+        hold = pressure * ring.per_pressure + ring.per_tension
+        sticks = demand < hold
+        present = np.where(sticks, demand, hold) * sign
+        rise = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
+        columns = slice(ring.start, ring.end)
+        force[:, columns], slope[:, columns] = present[:, columns], rise[:, columns]
+        stuck[:, columns] = sticks[:, columns]
+        outer.insert(0, present)
+        rises.insert(0, rise)
+    return AxialForces(force, slope, stuck)
+
+
+def compute_ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
+    """Return the pressure H on a ring at each of its angles, N per radian of lay, not negative.
+
+    Parameters
+    ----------
+    bundle : see `arrange_rings`
+    q : number of the ring
+    outer : forces from bending of each ring outside it, next first, N, shape (n, ring.end) each,
+        at least as many columns as the ring `q` has angles
+
+    Returns
+    -------
+    shape (n, ring.end), or (1, 1) for the outermost ring.
+    """
+    ring = bundle.rings[q]
+    pressure = np.full((1, 1), ring.base)
+    for k, force in enumerate(outer, start=q + 1):
+        pressure = pressure + ring.shares[k] * (bundle.rings[k].tension + force[:, : ring.end])
+    return np.asarray(np.maximum(pressure, 0.0))
+
+
+def find_slip_onsets(
+    section: CrossSection, contacts: Contacts, *, tension: float = 0.0, orientation: float = 0.0
+) -> Floats:
+    """Return the curvature at which each strand outside the core first slips, 1/m.
+
+    Parameters
+    ----------
+    section, contacts, tension : the wire
+    orientation : rad, by which the section is turned against the neutral axis
+
+    Returns
+    -------
+    Shape (strands,), in the order of the section without the core. A strand on the neutral axis
+    gets the limit of strands next to it. Infinite where a strand never slips.
+
+    Notes
+    -----
+    Within a ring the strands near the neutral axis slip first
+    when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as
+    stated in 3.2.1 of the dissertation.
+    """
+    min_sine = 1e-9
+    rounds = 8  # each to a 128th: to rounding
+    sine = compute_sines(section, orientation)
+    near_sine = np.where(sine == 0.0, min_sine, sine)
+    bundle = arrange_rings(section, contacts, near_sine, tension=tension)
+    strand = np.arange(len(near_sine))
+    guesses = np.concatenate([[0.0], 1e-9 * 4.0 ** np.arange(61)])  # 1/m
+    curvatures = np.broadcast_to(guesses[:, None], (len(guesses), len(strand)))
+    never = np.zeros(len(strand), dtype=np.bool_)
+    for number in range(rounds + 1):
+        slips = ~compute_axial_forces(bundle, curvatures[1:]).stuck
+        slips[-1] |= number > 0  # the end of a bracket
+        never |= ~slips.any(axis=0)
+        first = slips.argmax(axis=0)
+        lower, upper = curvatures[first, strand], curvatures[first + 1, strand]
+        curvatures = lower + (upper - lower) * np.arange(129)[:, None] / 128.0
+    return np.where(never, np.inf, lower)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,25 +416,15 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     strands in every ring it does not depend on the orientation; with two strands it varies by a
     fifth, and in a packing by a few per cent.
     """
-    sine = compute_sines(section, orientation)
-    return compute_slip_stiffness(section) + float(
-        _axial_rigidity(section) @ (find_section_arms(section) * sine) ** 2
-    )
-
-
-def find_section_arms(section: CrossSection) -> Floats:
-    """Return the distance of the strands outside the core from the axis, shape (strands,), m."""
-    return section.radius[section.layer >= int(section.has_core)]
-
-
-def _axial_rigidity(section: CrossSection) -> Floats:
-    """Return E A cos^3(alpha) of each strand outside the core, N."""
     first = int(section.has_core)
-    values = [
+    rigidity = [
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
-        for layer in section.layers[first:]
+        for layer in section.layers
     ]
-    return np.repeat(values, [layer.count for layer in section.layers[first:]])
+    is_ring = section.layer >= first
+    height = section.radius[is_ring] * compute_sines(section, orientation)
+    stretching = np.array(rigidity)[section.layer[is_ring]] @ height**2
+    return compute_slip_stiffness(section) + float(stretching)
 
 
 def compute_slip_stiffness(section: CrossSection) -> float:
@@ -191,22 +506,11 @@ def _axial_parts(
         if side.any():
             sine = compute_sines(section, orientation + turn)
             bundle = arrange_rings(section, contacts, sine, tension=tension)
-            parts = _axial_moments(bundle, np.abs(curvature[side]))
-            stick[side], slip[side], slope[side] = sign * parts[0], sign * parts[1], parts[2]
+            axial = compute_axial_forces(bundle, np.abs(curvature[side, None]))
+            stick[side] = sign * np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
+            slip[side] = sign * np.where(axial.stuck, 0.0, axial.force) @ bundle.lever
+            slope[side] = axial.slope @ bundle.lever
     return stick, slip, slope
-
-
-def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the parts of `_axial_parts` for bending one way."""
-    chunk = 512  # curvatures at a time, so that the working arrays stay in the cache
-    stick, total, slope = np.empty((3, len(curvature)))
-    for start in range(0, len(curvature), chunk):
-        part = slice(start, start + chunk)
-        axial = compute_axial_forces(bundle, curvature[part, None])
-        total[part] = axial.force @ bundle.lever
-        stick[part] = np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
-        slope[part] = axial.slope @ bundle.lever
-    return stick, total - stick, slope
 
 
 def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
@@ -252,29 +556,16 @@ def find_orientation_range(
     curve : the law at any orientation
     n_orientations : evenly spread over the full turn, the first at 0
     """
-    strand_bending = curve.bending + curve.plastic
+    rings = [layer.count for layer in section.layers if layer.count > 1]
+    symmetry = math.gcd(*rings) if rings and section.kind != "packed" else 1
+    turns = 2.0 * np.pi * np.arange(n_orientations) / n_orientations
+    turns = np.unique(np.round(turns % (2.0 * np.pi / symmetry), 12))
+    rest = curve.bending + curve.plastic + curve.insulation
     moments = []
-    for turn in _distinct_turns(section, n_orientations):
+    for turn in turns.tolist():
         stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
-        moments.append(stick + slip + strand_bending + curve.insulation)
+        moments.append(stick + slip + rest)
     return np.min(moments, axis=0), np.max(moments, axis=0)
-
-
-def _distinct_turns(section: CrossSection, count: int) -> list[float]:
-    """Return orientations, rad, without those that only swap equal strands."""
-    turns = 2.0 * np.pi * np.arange(count) / count
-    layer = section.layer[section.layer >= int(section.has_core)]
-    arms = find_section_arms(section) / (float(section.radius.max()) or 1.0)
-    groups = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
-
-    # Heights lie in [-1, 1]; an offset of 4 per group keeps the groups apart when sorted.
-    heights = 4.0 * groups.ravel() + (arms * compute_sines(section, turns[:, None])).round(9)
-    sorted_heights = np.sort(heights, axis=1)
-    # Reversed, so that the smallest of equal turns is kept.
-    distinct = {
-        row.tobytes(): turn for row, turn in zip(sorted_heights[::-1], turns[::-1], strict=True)
-    }
-    return sorted(map(float, distinct.values()))
 
 
 def fit_play_law(
@@ -323,3 +614,83 @@ def fit_play_law(
         section, contacts, knots, tension=tension, orientation=orientation
     ).moment
     return make_polygon_law(knots, moment)
+
+
+LOOP_RANGE = 8.0
+"""Curvature that strands slide in loops, as a multiple of the range of the law."""
+
+
+def cyclic_law(
+    section: CrossSection,
+    contacts: Contacts,
+    *,
+    isotropic_share: float,
+    largest_curvature: float,
+    tension: float = 0.0,
+    orientation: float = 0.0,
+) -> PlayLaw:
+    """Compute the law of a wire for paths that unload.
+
+    Parameters
+    ----------
+    section, contacts, tension, orientation : as for `wire.bending_law.compute_moment_curve`
+    isotropic_share : m, from 0 (Masing's rule, the plays of `fit_play_law`) to 1
+    largest_curvature : 1/m, end of the range of the law
+
+    Raises
+    ------
+    ValueError
+        If the share is not between 0 and 1; also as `fit_play_law`.
+
+    Notes
+    -----
+    Loops slide farther than the range: the strands' curve is continued to eight times the range, or
+    as far as their material is known, and straight from there.
+    """
+    plays = fit_play_law(
+        section,
+        contacts,
+        largest_curvature=largest_curvature,
+        tension=tension,
+        orientation=orientation,
+    )
+    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
+
+
+def harden(
+    plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
+) -> MixedLaw:
+    """Give a law of first loading the hardening of its strands.
+
+    Parameters
+    ----------
+    plays : of the section
+    section : with the materials of its strands
+    isotropic_share : above 0 and at most 1
+    factor : on the moments of the strands, as of `plays`
+    """
+    curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
+    continued_curvature, strands = continue_strands(section, curvature)
+    return make_mixed_law(plays, continued_curvature, factor * strands, isotropic_share)
+
+
+def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
+    """Compute the moments of the strands about their own axes, for loops beyond a range, too.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    curvature : shape (n,), 1/m, positive, increasing: of the range
+
+    Returns
+    -------
+    Curvatures, of which the first are those given and the others reach eight times the range, or as
+    far as the materials are known; and moments, N m.
+    """
+    known_curvature = min(
+        2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers
+    )
+    last_curvature = min(LOOP_RANGE * curvature[-1], (1.0 - 1e-9) * known_curvature)
+    if last_curvature > curvature[-1]:
+        curvature = np.append(curvature, np.geomspace(curvature[-1], last_curvature, 41)[1:])
+    return curvature, sum_strand_moments(section, curvature)[1]

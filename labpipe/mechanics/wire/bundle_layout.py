@@ -1,20 +1,31 @@
-"""Layout of the wires of a bundle: their positions, and the kind of wire on each.
+"""Layout of the wires of a bundle: positions, kinds, the heap they make, and its conduit.
 
 One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
 hexagon with long and short sides around a core of three (figure 4.2 of the dissertation). Any other
 number is drawn together from several starts, and the densest heap is kept.
+
+The heap sought has the least sum of diameter^2 x squared distance from the middle without any
+overlap: a bore leaves loose wires in the gaps, a pull to the middle does not. Wires first relax in
+a soft energy, eqs. (3.1)-(3.4) of the dissertation with the pull in place of the bore; then
+contacts harden until the overlaps that the pull left are gone (method of multipliers: Hestenes and
+Powell, 1969), and Newton's method brings the heap to rest. Only pairs of near wires are evaluated,
+so that cost grows linearly. The heap is the same on every processor, to 1e-12 of a diameter.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
+from typing import Any
 
 import numpy as np
+from scipy.linalg import lstsq
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
-from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.wire.bundle_packing import find_densest_heap, find_holding_circle
+from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 
@@ -47,7 +58,7 @@ def arrange_wires(
     Notes
     -----
     The kinds are spread over sites of equal wires, see `place_sites`. Wires of unequal
-    diameters are then drawn together from there until they touch, see `wire.bundle_packing`.
+    diameters are then drawn together from there until they touch, see `find_densest_heap`.
     """
     wire_type = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
     diameter = np.asarray(diameters, dtype=np.float64)[wire_type]
@@ -110,7 +121,7 @@ def _kinds_on_sites(
         case _:
             rng = np.random.default_rng(seed)
             shuffles = n_shuffles if len(places) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-            return [shuffle_kinds(counts, rng) for _ in range(shuffles)]
+            return [_shuffle_kinds(counts, rng) for _ in range(shuffles)]
 
 
 def _start_pitches(wire_diameters: Floats, kinds: Sequence[Ints]) -> list[float]:
@@ -136,18 +147,8 @@ def _layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> B
 _MERIT_DIGITS = 9
 
 
-def shuffle_kinds(counts: Sequence[int], rng: np.random.Generator) -> Ints:
-    """Shuffle the kinds of wires.
-
-    Parameters
-    ----------
-    counts : wires of each kind
-    rng : of the shuffle
-
-    Returns
-    -------
-    Shape (wires,), the kind of the wire on each site.
-    """
+def _shuffle_kinds(counts: Sequence[int], rng: np.random.Generator) -> Ints:
+    """Shuffle kinds of wires; return the kind of the wire on each site."""
     return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
 
@@ -216,7 +217,7 @@ def spread_evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Int
     n_spread_starts = 12  # seeded starts of the search for an even spread
     traits, neighbours = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (shuffle_kinds(counts, rng) for _ in range(n_spread_starts))
+    starts = (_shuffle_kinds(counts, rng) for _ in range(n_spread_starts))
     spreads = [_exchange_wires(start, traits, neighbours) for start in starts]
     return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, neighbours))
 
@@ -245,15 +246,15 @@ def _unevenness(wire_types: Ints, traits: Floats, near: Floats) -> tuple[float, 
 
 def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
-    best, least = wire_types, _unevenness(wire_types, traits, near)
+    best, lowest = wire_types, _unevenness(wire_types, traits, near)
     while True:
         first, second = _find_exchange(best, traits, near)
         exchanged = best.copy()
         exchanged[[first, second]] = best[[second, first]]
         merit = _unevenness(exchanged, traits, near)
-        if merit >= least:
+        if merit >= lowest:
             return best
-        best, least = exchanged, merit
+        best, lowest = exchanged, merit
 
 
 def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
@@ -307,7 +308,10 @@ def place_sites(number: int, *, seed: int = 0) -> Floats:
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
     require("number", number, "a whole number >= 1", holds=number >= 1)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
-    places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)
+    if core is None:
+        places = _densest_heap(number, seed)
+    else:
+        places = _lattice_heap(number, core, is_hexagonal=True)
     points = places - places.mean(axis=0)
     angle = np.round(np.arctan2(points[:, 1], points[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(points[np.lexsort([angle, np.round(np.hypot(*points.T), 9)])])
@@ -321,37 +325,35 @@ def _hexagon_centre(number: int) -> Floats | None:
     return np.asarray(_HEAP_CENTRES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
 
 
-def _hexagonal_heap(number: int, core: Floats) -> Floats:
-    """Return the points of a triangular lattice nearest to its middle by hexagonal distance.
+def _lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
+    """Return the points of a triangular lattice nearest to its middle.
 
-    That is the largest of the heights above the three pairs of opposite sides: by it the rings of a
-    hexagon are complete, whatever their number.
+    By hexagonal distance, the largest of the heights above the three pairs of opposite sides, the
+    rings of a hexagon are complete, whatever their number.
     """
-    points = _lattice(number) - core
-    sides = np.deg2rad([30.0, 90.0, 150.0])
-    height = np.abs(points @ np.array([np.cos(sides), np.sin(sides)])).max(axis=1)
-    return np.asarray(points[np.argsort(np.round(height, 9), kind="stable")[:number]])
-
-
-def _lattice(number: int) -> Floats:
-    """Return points of a triangular lattice about one of them, more than a heap needs."""
-    half_size = 2 + math.isqrt(2 * number)
+    half_size = 2 + math.isqrt(2 * number)  # more points than a heap needs
     along, up = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
-    return np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up])
-
-
-def _lattice_heap(number: int, core: Floats) -> Floats:
-    """Return the points of a triangular lattice nearest to its middle."""
-    points = _lattice(number) - core
-    return np.asarray(points[np.argsort(np.round(np.hypot(*points.T), 9), kind="stable")[:number]])
+    points = np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up]) - core
+    distance = np.hypot(*points.T)
+    if is_hexagonal:
+        sides = np.deg2rad([30.0, 90.0, 150.0])
+        distance = np.abs(points @ np.array([np.cos(sides), np.sin(sides)])).max(axis=1)
+    return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:number]])
 
 
 def _densest_heap(number: int, seed: int) -> Floats:
     """Return the heap in the smallest circle, from lattices and from random starts."""
     n_heap_starts = 8  # random starts of a heap, besides those from a triangular lattice
+    n_edge_points = 8  # of centres of lattices
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
-    heaps = [_lattice_heap(number, middle) for middle in _lattice_centres()]
+    # centres in the triangle of `_HEAP_CENTRES`; others give the same heaps by symmetry
+    share = np.linspace(0.0, 1.0, n_edge_points + 1)
+    one, other = (side.ravel() for side in np.meshgrid(share, share))
+    inside = one + other <= 1.0 + _WIDTH_ROUND
+    edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
+    centres = np.column_stack([one, other])[inside] @ edges
+    heaps = [_lattice_heap(number, centre) for centre in (*_HEAP_CENTRES, *centres)]
     if number <= _MAX_SEARCHED_WIRES:
         radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(n_heap_starts, number)))
         angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_heap_starts, number))
@@ -362,12 +364,422 @@ def _densest_heap(number: int, seed: int) -> Floats:
     return heaps[int(np.argmax(widths < widths.min() + _WIDTH_ROUND))]  # of equal ones, the first
 
 
-def _lattice_centres() -> Floats:
-    """Return centres in the triangle of `_HEAP_CENTRES`; others give the same heaps by symmetry."""
-    n_edge_points = 8
-    share = np.linspace(0.0, 1.0, n_edge_points + 1)
-    one, other = np.meshgrid(share, share)
-    inside = one + other <= 1.0 + _WIDTH_ROUND
-    edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
-    points = np.column_stack([one[inside], other[inside]]) @ edges
-    return np.concatenate([_HEAP_CENTRES, np.asarray(points)])
+_CONTACT_STIFFNESSES = (10.0, 100.0)
+"""Successive stiffnesses of a contact for a pull of 1; low enough for a gradient method."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """Wires near each other; arrays of shape (pairs,).
+
+    Parameters
+    ----------
+    first, second : indices
+    touching : distance at which they touch
+    force : of the contact at zero overlap
+    """
+
+    first: Ints
+    second: Ints
+    touching: Floats
+    force: Floats
+
+
+def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+    """Draw wires together from several starts, and keep the heap in the smallest circle.
+
+    Parameters
+    ----------
+    starts : at least one, each of shape (wires, 2), m; wires may overlap
+    diameters : shape (wires,), m
+
+    Returns
+    -------
+    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. Of heaps that are
+    equally wide, the first.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, or the wires did not come together: they fill less than half
+        of the smallest circle around them.
+    """
+    # mean diameters; unequal wires can come to rest in a row or around a corner
+    shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
+    max_shaken_share = 0.55  # heaps that fill less are shaken
+    pair = 2
+    if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
+        message = "a heap of wires: expected finite centres and diameters > 0"
+        raise ValueError(message)
+    if len(diameters) == 1:
+        return np.zeros((1, 2))
+    scale = float(np.mean(diameters))
+    scaled_diameters = diameters / scale
+    heap = _narrowest_heap(
+        [(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters
+    )
+    for number, shake in enumerate(shakes):
+        if (
+            _filled_share(heap, scaled_diameters) > max_shaken_share
+            or len(scaled_diameters) == pair
+        ):
+            break
+        moves = shake * np.random.default_rng(number).normal(size=heap.shape)
+        heap = _narrowest_heap([heap, heap + moves], scaled_diameters)
+    require_dense(heap, scaled_diameters)
+    return np.asarray(scale * (heap - np.average(heap, axis=0, weights=scaled_diameters**2)))
+
+
+def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+    """Return the narrowest hard heap from some starts; the first of equally wide ones."""
+    width_tolerance = 1e-2  # relative, while wires are soft
+    heaps = [_relax_soft(start, diameters) for start in starts]
+    widths = np.array(
+        [
+            find_holding_circle(heap * _scale_apart(heap, diameters), diameters)[1]
+            for heap, _ in heaps
+        ]
+    )
+    heap, contacts = heaps[int(np.argmax(widths <= (1.0 + width_tolerance) * widths.min()))]
+    heap = _harden(heap, diameters, contacts)
+    return np.asarray(heap * _scale_apart(heap, diameters))
+
+
+def _filled_share(centres: Floats, diameters: Floats) -> float:
+    """Return the filled share of the smallest circle around all wires; 0 for unknown positions."""
+    radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
+    return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
+
+
+def require_dense(centres: Floats, diameters: Floats) -> None:
+    """Refuse a heap whose wires did not come together.
+
+    Parameters
+    ----------
+    centres : shape (wires, 2)
+    diameters : shape (wires,), in the same unit
+
+    Raises
+    ------
+    ValueError
+        If the wires fill less than half of the smallest circle around them; the
+        message states the filled share.
+    """
+    # Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much.
+    min_filled_share = 0.5
+    filled = _filled_share(centres, diameters)
+    if not filled > min_filled_share * (1.0 - 1e-6):
+        message = (
+            f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
+            f"smallest circle around them, expected at least {min_filled_share:g}"
+        )
+        raise ValueError(message)
+
+
+def _contacts(centres: Floats, diameters: Floats, earlier: Contacts | None = None) -> Contacts:
+    """List pairs that touch, or could earlier the next list; keep the forces of an earlier list."""
+    neighbour_factor = 1.5  # distance of listed pairs, in touching distances
+    max_distance = neighbour_factor * float(diameters.max())
+    pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
+    first, second = pairs[np.lexsort(pairs.T[::-1])].T
+    touching = 0.5 * (diameters[first] + diameters[second])
+    is_near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
+    first, second, touching = first[is_near], second[is_near], touching[is_near]
+    force = np.zeros(len(first))
+    if earlier is not None:
+        number = len(diameters)
+        old, new = number * earlier.first + earlier.second, number * first + second
+        _, at_old, at_new = np.intersect1d(old, new, assume_unique=True, return_indices=True)
+        force[at_new] = earlier.force[at_old]
+    return Contacts(first, second, touching, force)
+
+
+def _relax_soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
+    """Return centres of wires that overlap a little, and their contacts."""
+    force_tolerance = 1e-3  # of the pull at a mean diameter
+    max_start_spread = 1.5  # per spread of wires without gaps
+    gap_diameters = 1e-3  # between coincident wires
+    centres = begin
+    if len(np.unique(centres, axis=0)) < len(centres):  # give coincident wires a direction
+        turn = np.arange(len(centres), dtype=np.float64)
+        centres = centres + gap_diameters * np.column_stack([np.cos(turn), np.sin(turn)])
+    spread = np.sqrt(np.sum(centres**2) / len(centres))
+    spread /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))
+    centres = centres / max(1.0, spread / max_start_spread)
+    contacts = _contacts(centres, diameters)
+    for stiffness in _CONTACT_STIFFNESSES:
+        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
+    return centres, contacts
+
+
+def _relax(
+    begin: Floats, diameters: Floats, contacts: Contacts, stiffness: float, tolerance: float
+) -> tuple[Floats, Contacts]:
+    """Move wires until the force on each is small; return centres and contacts.
+
+    Fast inertial relaxation (Bitzek et al., 2006, doi:10.1103/PhysRevLett.97.170201): wires move by
+    the force on them and stop when they move against it. Only sums, products and roots are used,
+    so that every processor takes the same path: rounding decides which of many heaps results.
+    """
+    list_travel = 0.17  # in least diameters, along x or y: beyond it, unlisted wires could touch
+    max_steps = 20000
+    steering_start = 0.1  # share of the force in the direction
+    patience = 5  # downhill steps before the step grows
+    centres, listed, max_travel = begin, begin, list_travel * float(diameters.min())
+    longest = 1.0 / np.sqrt(6.0 * stiffness)
+    step, steering, downhill, speed = longest, steering_start, 0, np.zeros_like(begin)
+    for _ in range(max_steps):
+        force = -compute_heap_gradient(centres, diameters, contacts, stiffness)
+        if np.max(np.abs(force)) < tolerance / len(diameters):
+            break
+        if np.sum(force * speed) > 0.0:
+            downhill += 1
+            if downhill > patience:
+                step, steering = min(1.1 * step, longest), 0.99 * steering
+        else:
+            downhill, step, steering = 0, max(0.5 * step, 0.02 * longest), steering_start
+            speed = np.zeros_like(speed)
+        speed = speed + step * force
+        along = np.sqrt(np.sum(speed * speed) / np.sum(force * force))
+        speed = (1.0 - steering) * speed + steering * along * force
+        centres = centres + step * speed
+        if np.max(np.abs(centres - listed)) > max_travel:
+            listed, contacts = centres, _contacts(centres, diameters, contacts)
+    return centres, _contacts(centres, diameters, contacts)
+
+
+def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Return the nearest local minimum of the pull in which neighbours do not overlap."""
+    force_tolerance = 1e-5  # of the pull at a mean diameter
+    stiffness_growth = 10.0
+    max_stiffness = 1e3
+    hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
+    tolerance = 1e-6  # mean diameters, of wires that push each other
+    centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
+    lowest, highest, shared = hardening_limits
+    for _ in range(max(lowest, min(highest, shared // len(diameters)))):
+        force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
+        is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * tolerance
+        contacts = replace(contacts, force=force)
+        if is_hard:
+            break
+        stiffness = min(stiffness_growth * stiffness, max_stiffness)
+        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
+    centres = _solve_rest(centres, diameters, contacts)
+    # turned as a whole back to the start: the energy does not depend on the turn
+    weight, (x, y), start = diameters**2, centres.T, begin.T
+    angle = np.arctan2(
+        weight @ (x * start[1] - y * start[0]), weight @ (x * start[0] + y * start[1])
+    )
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.asarray(centres @ turn)
+
+
+def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Solve for the equilibrium of hard wires by Newton's method on forces and positions.
+
+    Wires that push each other touch; pull and pushes balance. Redundant contacts (of equal wires)
+    and the turn of the whole heap leave the system singular: the smallest step is taken. The
+    start is returned where the steps do not shrink.
+    """
+    rest_tolerance = 1e-13  # mean diameters
+    max_step = 1e-2  # mean diameters
+    rank_tolerance = 1e-11  # of the largest singular value
+    newton_steps = 20
+    centres, force, pull = begin, contacts.force, np.repeat(diameters**2 / len(diameters), 2)
+    step, number = np.inf, len(diameters)
+    for _ in range(newton_steps):
+        depth, along = _overlaps(centres, contacts)
+        on = (force > 0.0) | (depth > rest_tolerance)
+        first, second, u, f = (contacts.first[on], contacts.second[on], along[on], force[on])
+        pushes, row = np.zeros((len(f), number, 2)), np.arange(len(f))
+        pushes[row, first], pushes[row, second] = -u, u
+        push = pushes.reshape(len(f), -1)
+        across = np.eye(2) - u[:, :, None] * u[:, None, :]
+        turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
+        bend = np.zeros((number, number, 2, 2))
+        for wire, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
+            np.add.at(bend, (wire, other), sign * turn)
+        np.add.at(bend, (second, first), -turn)
+        stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
+        system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])
+        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[on]])
+        solution = lstsq(system, -unbalanced, cond=rank_tolerance, lapack_driver="gelsy")[0]
+        last, step = step, float(np.max(np.abs(solution[: 2 * number])))
+        if step > max(0.5 * last, rest_tolerance) or step > max_step:
+            return begin
+        centres = centres + solution[: 2 * number].reshape(-1, 2)
+        force = force.copy()
+        force[on] = np.maximum(f + solution[2 * number :], 0.0)
+        if step < rest_tolerance:
+            return np.asarray(centres)
+    return begin
+
+
+def compute_heap_gradient(
+    centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
+) -> Floats:
+    """Return the energy gradient of wires that repel each other and are pulled to the origin.
+
+    Parameters
+    ----------
+    centres : shape (n, 2)
+    diameters : shape (n,), in the same unit
+    contacts : pairs, and their forces f
+    stiffness : k of a contact
+
+    Returns
+    -------
+    Shape (n, 2), of (sum of diameter^2 x squared distance from the origin) / 2 n + sum over pairs
+    of max(f + k overlap, 0)^2 / 2 k.
+    """
+    depth, along = _overlaps(centres, contacts)
+    force = np.maximum(contacts.force + stiffness * depth, 0.0)
+    gradient: Floats = diameters[:, None] ** 2 / len(centres) * centres
+    for axis in range(2):
+        push = force * along[:, axis]
+        gradient[:, axis] += np.bincount(contacts.second, push, len(centres))
+        gradient[:, axis] -= np.bincount(contacts.first, push, len(centres))
+    return gradient
+
+
+def _overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
+    """Return the overlap of each pair (negative for a gap) and its direction, second to first."""
+    offsets = centres[contacts.first] - centres[contacts.second]
+    distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
+    return contacts.touching - distance, offsets / np.where(distance == 0.0, 1.0, distance)[:, None]
+
+
+def _scale_apart(centres: Floats, diameters: Floats) -> float:
+    """Return the factor on all distances that removes overlaps, at least 1."""
+    contacts = _contacts(centres, diameters)
+    distance = contacts.touching - _overlaps(centres, contacts)[0]
+    return float(np.max(contacts.touching / distance, initial=1.0))
+
+
+def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
+    """Find the smallest circle that holds all wires.
+
+    Parameters
+    ----------
+    centres : shape (wires, 2), m
+    diameters : shape (wires,), m
+
+    Returns
+    -------
+    Its centre, shape (2,), m, and its radius, m.
+
+    Notes
+    -----
+    The distance to the farthest wire is convex in the centre; it is minimised
+    under one cone constraint per wire (sequential least squares), first for a few outer wires, then
+    also for those outside the circle.
+    """
+    n_first_wires = 24
+    outside_tolerance = 1e-9
+    radii = diameters / 2.0
+    scale = float(radii.max())
+    points, scaled_radii = centres / scale, radii / scale
+    middle = points.mean(axis=0)
+    chosen = np.argsort(-_extents(points, scaled_radii, middle), kind="stable")[:n_first_wires]
+    while True:
+        middle, radius = _smallest_circle(points[chosen], scaled_radii[chosen])
+        extent = _extents(points, scaled_radii, middle)
+        outside = np.flatnonzero(extent > radius * (1.0 + outside_tolerance))
+        if not len(np.setdiff1d(outside, chosen)):
+            return np.asarray(scale * middle), float(scale * extent.max())
+        chosen = np.union1d(chosen, outside)
+
+
+def _extents(points: Floats, reach: Floats, middle: Floats) -> Floats:
+    return np.asarray(np.hypot(*(points - middle).T) + reach)
+
+
+def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
+    """Return middle and radius of the smallest circle around a few circles."""
+    middle = points.mean(axis=0)
+    start = np.append(middle, np.max(_extents(points, reach, middle)))
+
+    def slack(circle: Floats) -> Floats:
+        return np.asarray(circle[2] - _extents(points, reach, circle[:2]))
+
+    def radius_of(circle: Floats) -> tuple[float, Floats]:
+        return float(circle[2]), np.array([0.0, 0.0, 1.0])
+
+    constraint: Any = {"type": "ineq", "fun": slack}
+    solution = minimize(
+        radius_of,
+        start,
+        jac=True,
+        method="SLSQP",
+        constraints=constraint,
+        options={"ftol": 1e-12, "maxiter": 200},
+    ).x
+    return np.asarray(solution[:2]), float(np.max(_extents(points, reach, solution[:2])))
+
+
+WANTED_FRACTION = 0.7
+"""Packing fraction for which the dissertation chooses conduits."""
+
+
+def compute_packing_fraction(diameters: Floats, bore: float) -> float:
+    """Return the area of the wires over that of the bore.
+
+    Parameters
+    ----------
+    diameters : shape (wires,), m, over the insulation
+    bore : m, inner diameter of the conduit
+    """
+    require_positive("bore", bore)
+    return float(np.sum(diameters**2) / bore**2)
+
+
+def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
+    """Return the bore that the wires fill by a wanted share, m.
+
+    Parameters
+    ----------
+    diameters : shape (wires,), m
+    fraction : wanted packing fraction
+    """
+    require_positive("fraction", fraction)
+    return float(np.sqrt(np.sum(diameters**2) / fraction))
+
+
+def choose_bore(
+    diameters: Floats, bores: Sequence[float], *, smallest: float, fraction: float = WANTED_FRACTION
+) -> float:
+    """Choose among conduits the one whose packing fraction is nearest to the wanted one.
+
+    Parameters
+    ----------
+    diameters : shape (wires,), m
+    bores : m, inner diameters of the available conduits
+    smallest : m, diameter of the circle that holds the wires; narrower conduits are left out
+    fraction : wanted packing fraction
+
+    Returns
+    -------
+    m, one of `bores`; of two that are equally near, the wider.
+
+    Raises
+    ------
+    ValueError
+        If the wires fit none of them.
+    """
+    fitting = [bore for bore in bores if fits_bore(smallest, bore)]
+    if not fitting:
+        offered = ", ".join(f"{1e3 * bore:.4g}" for bore in bores)
+        message = (
+            f"the narrowest arrangement found needs a bore of {1e3 * smallest:.4g} mm, "
+            f"and the conduits have {offered or 'none'} mm"
+        )
+        raise ValueError(message)
+    return min(
+        fitting, key=lambda bore: (abs(compute_packing_fraction(diameters, bore) - fraction), -bore)
+    )
+
+
+def fits_bore(smallest: float, bore: float) -> bool:
+    """Return whether a circle of wires fits a bore, both m, within a tolerance of one millionth."""
+    return smallest <= bore * (1.0 + 1e-6)

@@ -1,10 +1,15 @@
 """The cross-section of a wire: layers of strands in a bore, and the insulation around them.
 
-The layouts `place_hexagon`, `place_rings` and `place_sectors` are here; `pack_strands` is in
-`wire.packing`. A layout places the strands and refuses what does not fit, with the overlap. Layers
-are defined by their counts, not by gaps in the radius. The first strand of the first ring lies at
-angle 0, on the neutral axis of the dissertation; `wire.bending_law` turns the section for other
-orientations. Lengths in m, angles in rad.
+A layout (hexagon, rings, pressed sectors, packing) places the strands and refuses what does not
+fit, with the overlap. Layers are defined by their counts, not by gaps in the radius. The first
+strand of the first ring lies at angle 0, on the neutral axis of the dissertation;
+`wire.bending_law` turns the section for other orientations. Lengths in m, angles in rad.
+
+A packing minimises the overlap energy, eqs. (3.1)-(3.4) of the dissertation: the sum of squared
+overlaps of strands with each other (each pair counts twice) and with the bore. It depends on the
+start: seven strands nearly always end in the hexagon, 19 or 37 strands never do, and in a loose
+bore many packings have no overlap. So the best of several seeded starts is kept, and
+`make_cross_section` prefers the hexagon.
 
 Stretch and torsion of a wire, and their coupling (PHYSICS 9).
 
@@ -22,11 +27,15 @@ Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial import KDTree
 
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.wire.materials import (
@@ -36,7 +45,9 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     compute_strand_moment,
 )
-from labpipe.records.arrays import Floats, Ints, freeze
+from labpipe.records.arrays import ArrayRecord, Floats, Ints
+
+LayoutKind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
 
 COPPER_DENSITY = 8960.0
 """kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
@@ -114,14 +125,12 @@ class Insulation:
     @property
     def bending_stiffness(self) -> float:
         """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
-        outer = self.bore_radius + self.thickness
-        return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
+        return float(self.modulus * np.pi / 4.0 * (self.outer_radius**4 - self.bore_radius**4))
 
     @property
     def area(self) -> float:
         """Return the area of the tube, m^2."""
-        outer = self.bore_radius + self.thickness
-        return float(np.pi * (outer**2 - self.bore_radius**2))
+        return float(np.pi * (self.outer_radius**2 - self.bore_radius**2))
 
     @property
     def axial_stiffness(self) -> float:
@@ -158,15 +167,13 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     if tube.curve is None:
         stiffness = tube.bending_stiffness
         return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
-    bars = [
-        compute_strand_moment(tube.curve, 2.0 * radius, curvature)
-        for radius in (tube.outer_radius, tube.bore_radius)
-    ]
-    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
+    diameters = 2.0 * tube.outer_radius, 2.0 * tube.bore_radius
+    bar, bore = (compute_strand_moment(tube.curve, diameter, curvature) for diameter in diameters)
+    return StrandMoment(bar.moment - bore.moment, bar.tangent - bore.tangent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CrossSection:
+class CrossSection(ArrayRecord):
     """Strands in place.
 
     Parameters
@@ -174,29 +181,21 @@ class CrossSection:
     kind : name of the layout
     layers : from the axis outwards
     x, y : shape (strands,), m, strand centres, layer by layer
-    layer : shape (strands,), index into `layers`
     overlap : m, the deepest overlap of strands with each other or with the bore
     insulation : the tube, or none
     """
 
     kind: str
     layers: tuple[Layer, ...]
-    x: Floats = field(repr=False)
-    y: Floats = field(repr=False)
-    layer: Ints = field(repr=False)
+    x: Annotated[Floats, "strands"] = field(repr=False)
+    y: Annotated[Floats, "strands"] = field(repr=False)
     overlap: float = 0.0
     insulation: Insulation | None = None
 
-    def __post_init__(self) -> None:
-        strands = sum(layer.count for layer in self.layers)
-        object.__setattr__(self, "x", freeze(self.x, shape=(strands,)))
-        object.__setattr__(self, "y", freeze(self.y, shape=(strands,)))
-        index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
-        if not np.array_equal(self.layer, index):
-            message = f"layer={self.layer}: strands must be in the order of the layers"
-            raise ValueError(message)
-        index.flags.writeable = False
-        object.__setattr__(self, "layer", index)
+    @property
+    def layer(self) -> Ints:
+        """Return the layer of each strand, shape (strands,), index into `layers`."""
+        return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
     @property
     def has_core(self) -> bool:
@@ -344,32 +343,24 @@ def place_sectors(
         If the copper does not fit the bore, or `radii` is not one number per layer.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
-    _require_bore(insulation, float(edges[-1]))
+    needed = float(edges[-1])
+    if insulation is not None and needed > insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
+        message = (
+            f"bore_radius={insulation.bore_radius:.6g} m is "
+            f"{needed - insulation.bore_radius:.3g} m less than the {needed:.6g} m that the "
+            f"strands need without any gap"
+        )
+        raise ValueError(message)
     if radii is None:
-        radii = [
-            _sector_centroid(inner, outer, np.pi / layer.count)
-            for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
-        ]
+        half_angles = np.pi / np.array([layer.count for layer in layers])
+        means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
+        centroids = means * np.sin(half_angles) / half_angles
+        radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
     if len(radii) != len(layers):
         message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
-    return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
-
-
-def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
-    mean = 2.0 / 3.0 * (outer**3 - inner**3) / (outer**2 - inner**2)
-    return float(mean * np.sin(half_angle) / half_angle) if half_angle < np.pi else 0.0
-
-
-def _require_bore(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
-        return
-    message = (
-        f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
-        f"less than the {needed:.6g} m that the strands need without any gap"
-    )
-    raise ValueError(message)
+    return CrossSection("compressed", layers, x, y, 0.0, insulation)
 
 
 def place_strands(
@@ -391,28 +382,21 @@ def place_strands(
         message states the overlap.
     """
     radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
-    strand_overlap = find_largest_overlap(centres, radii)
     outer_radius = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else outer_radius
-    bore_overlap = max(outer_radius - bore, 0.0)
-    if max(strand_overlap, bore_overlap) > MAX_OVERLAP_SHARE * bore:
-        obstacle = (
-            "each other" if strand_overlap >= bore_overlap else f"the bore of radius {bore:.6g} m"
-        )
-        overlap = max(strand_overlap, bore_overlap)
+    overlap, obstacle = max(
+        (find_largest_overlap(centres, radii), "each other"),
+        (outer_radius - bore, f"the bore of radius {bore:.6g} m"),
+        key=lambda pair: pair[0],
+    )
+    if overlap > MAX_OVERLAP_SHARE * bore:
         message = (
             f"the {kind} layout does not fit: strands overlap {obstacle} by {overlap:.3g} m; "
             f"expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T
-    return CrossSection(
-        kind, layers, x, y, _layer_index(layers), max(strand_overlap, bore_overlap), insulation
-    )
-
-
-def _layer_index(layers: tuple[Layer, ...]) -> Ints:
-    return np.repeat(np.arange(len(layers)), [layer.count for layer in layers])
+    return CrossSection(kind, layers, x, y, overlap, insulation)
 
 
 def find_largest_overlap(centres: Floats, radii: Floats) -> float:
@@ -428,6 +412,210 @@ def find_largest_overlap(centres: Floats, radii: Floats) -> float:
         return 0.0
     gaps = np.hypot(*(centres[first] - centres[second]).T) - radii[first] - radii[second]
     return max(float(-gaps.min()), 0.0)
+
+
+def compute_overlap_energy(
+    coordinates: Floats, strand_radius: float, bore_radius: float
+) -> tuple[float, Floats]:
+    """Compute the overlap energy of equal strands in a bore, and its gradient.
+
+    Parameters
+    ----------
+    coordinates : shape (2 n,), m, x and y of the first strand, then of the second, and so on
+    strand_radius, bore_radius : m
+
+    Returns
+    -------
+    Sum of the squared overlaps, m^2, eq. (3.4), and its gradient, shape (2 n,), m. Strands with the
+    same centre, and a strand on the axis with the bore, contribute no gradient.
+    """
+    centres = coordinates.reshape(-1, 2)
+    offsets = centres[:, None] - centres[None]
+    distance = np.hypot(offsets[..., 0], offsets[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    overlap = np.maximum(2.0 * strand_radius - distance, 0.0)
+    slope = overlap / np.where(distance == 0.0, 1.0, distance)
+    gradient = -4.0 * np.einsum("ij,ijk->ik", slope, offsets)
+    axis_distance = np.hypot(*centres.T)
+    bore_overlap = np.maximum(axis_distance + strand_radius - bore_radius, 0.0)
+    slope = 2.0 * bore_overlap / np.where(axis_distance == 0.0, 1.0, axis_distance)
+    gradient += slope[:, None] * centres
+    return float(np.sum(overlap**2) + np.sum(bore_overlap**2)), gradient.ravel()
+
+
+def pack_strands(
+    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
+) -> CrossSection:
+    """Pack equal strands by minimising their overlap energy from several seeded starts.
+
+    Parameters
+    ----------
+    layers : layers of strands of one diameter. The packed strands are assigned to the layers by
+        their distance from the axis. A first layer of one strand stays on the axis
+    insulation : tube around the strands
+    seed : seed of the starts; the same seed gives the same packing
+    n_starts : largest number of starts, at least 1, alternately random and on perturbed rings; the
+        search ends with the first packing without overlap
+
+    Returns
+    -------
+    The packing with the lowest energy, turned so that the first strand of the first ring has the
+    angle zero. A single strand lies on the axis.
+
+    Raises
+    ------
+    ValueError
+        If the diameters differ, or if the strands of the best packing overlap each other or the
+        bore too much; the message states the overlap.
+    """
+    energy_tolerance = 1e-16  # in strand radii squared: overlaps of 1e-8 strand radii
+    diameters = {layer.diameter for layer in layers}
+    if len(diameters) > 1:
+        message = f"diameters={sorted(diameters)}: only equal strands are packed"
+        raise ValueError(message)
+    n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
+    # lengths in strand radii: the tolerances of the optimiser are absolute
+    bore_radius, core = insulation.bore_radius / strand_radius, np.zeros(2 * (layers[0].count == 1))
+    rng = np.random.default_rng(seed)
+    best_centres, lowest_energy = np.zeros((n_strands, 2)), np.inf
+
+    def compute_energy(coordinates: Floats) -> tuple[float, Floats]:
+        all_coordinates = np.concatenate([core, coordinates])
+        energy, gradient = compute_overlap_energy(all_coordinates, 1.0, bore_radius)
+        return energy, gradient[len(core) :]
+
+    for start_number in range(n_starts if n_strands > 1 else 0):
+        if start_number % 2:
+            start = _perturb_rings(layers, rng) / strand_radius
+        else:
+            radius = (bore_radius - 1.0) * np.sqrt(rng.uniform(size=n_strands))
+            angle = rng.uniform(0.0, 2.0 * np.pi, n_strands)
+            start = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        optimum = minimize(
+            compute_energy,
+            start.ravel()[len(core) :],
+            jac=True,
+            method="L-BFGS-B",
+            options={"ftol": 1e-16, "gtol": 1e-10, "maxiter": 1000},
+        )
+        if optimum.fun < lowest_energy:
+            best_centres = np.concatenate([core, optimum.x]).reshape(-1, 2) * strand_radius
+            lowest_energy = float(optimum.fun)
+        if lowest_energy < energy_tolerance:
+            break
+    return place_strands("packed", layers, _sort_strands(best_centres, layers), insulation)
+
+
+def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
+    """Return strand centres on concentric rings at random angles, with random offsets."""
+    rings = []
+    first_ring_number = 0 if layers[0].count == 1 else 1
+    for ring_number, layer in enumerate(layers, start=first_ring_number):
+        angle = 2.0 * np.pi * (np.arange(layer.count) / layer.count + rng.uniform())
+        rings.append(ring_number * np.column_stack([np.cos(angle), np.sin(angle)]))
+    centres = np.concatenate(rings) * layers[0].diameter
+    return centres + rng.normal(scale=0.05 * layers[0].diameter, size=centres.shape)
+
+
+def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
+    """Sort strands by layer, then by angle; turn all so that the first ring starts at angle 0."""
+    by_radius = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
+    layer_starts = np.cumsum([layer.count for layer in layers])[:-1]
+    rings = [
+        ring[np.argsort(np.arctan2(*ring.T[::-1]))] for ring in np.split(by_radius, layer_starts)
+    ]
+    first_strand = rings[1 if layers[0].count == 1 and len(rings) > 1 else 0][0]
+    distance = np.hypot(*first_strand)
+    cosine, sine = first_strand / distance if distance > 0.0 else (1.0, 0.0)
+    return np.asarray(np.concatenate(rings) @ np.array([[cosine, -sine], [sine, cosine]]))
+
+
+LAYOUTS: Mapping[LayoutKind, Callable[[tuple[Layer, ...], Insulation], CrossSection]] = {
+    "hexagonal": place_hexagon,
+    "concentric": place_rings,
+    "packed": pack_strands,
+    "compressed": place_sectors,
+}
+
+
+def make_cross_section(
+    layers: tuple[Layer, ...], insulation: Insulation, *, kind: LayoutKind | None = None
+) -> CrossSection:
+    """Make the cross-section of a wire in one of four layouts.
+
+    Parameters
+    ----------
+    layers : layers of strands, from the axis outwards
+    insulation : tube around the strands
+    kind : the layout. If None, the first of these that fits: the hexagon, concentric rings, or, for
+        strands of one diameter, a packing
+
+    Raises
+    ------
+    ValueError
+        If the layout does not fit the bore, or if it does not allow the numbers of strands or their
+        diameters.
+    """
+    if kind is not None:
+        return LAYOUTS[kind](layers, insulation)
+    for place_layers in (place_hexagon, place_rings):
+        with suppress(ValueError):  # it does not fit: try the next layout
+            return place_layers(layers, insulation)
+    # strands of several diameters: place_rings raises the error that states the overlap
+    is_one_diameter = len({layer.diameter for layer in layers}) == 1
+    return (pack_strands if is_one_diameter else place_rings)(layers, insulation)
+
+
+def find_helix_overlap(section: CrossSection) -> float:
+    """Find the largest overlap of helical strands of one layer, as a share of their diameter.
+
+    Strands that touch in the cross-section overlap as helices: measured across a strand, the
+    distance of its neighbour is smaller by the factor cos(lay angle).
+
+    Parameters
+    ----------
+    section : round strands in place; layers without a lay angle are ignored
+
+    Returns
+    -------
+    The overlap over the diameter; 0 if no strands overlap.
+
+    Notes
+    -----
+    The distance of two helices at the radii a and b, with the angle p between them and the pitch
+    2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z.
+    """
+    max_neighbour_distance = 1.5  # in strand diameters
+    largest_overlap = 0.0
+    for number, layer in enumerate(section.layers):
+        is_in_layer = section.layer == number
+        centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
+        first, second = (
+            KDTree(centres)
+            .query_pairs(max_neighbour_distance * layer.diameter, output_type="ndarray")
+            .T
+        )
+        if first.size and layer.lay_angle:
+            distances = _compute_helix_distances(centres[first], centres[second], layer.lay_angle)
+            largest_overlap = max(largest_overlap, 1.0 - float(distances.min()) / layer.diameter)
+    return largest_overlap
+
+
+def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) -> Floats:
+    """Compute the smallest distance of the centre lines of each pair of strands, shape (pairs,).
+
+    The distance is computed from a point of the first strand to 401 points of the second one, from
+    its point in the same cross-section to its point at the same angle.
+    """
+    a, b = np.hypot(*first.T), np.hypot(*second.T)
+    signed_angle = np.arctan2(
+        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1)
+    )
+    pair_angle = np.abs(signed_angle)[:, None]
+    angle = pair_angle * np.linspace(0.0, 1.0, 401)  # p - k z
+    z = (pair_angle - angle) * np.sqrt(a * b)[:, None] / np.tan(abs(lay_angle))
+    squared = (a**2 + b**2)[:, None] - 2.0 * (a * b)[:, None] * np.cos(angle) + z**2
+    return np.asarray(np.sqrt(squared.min(axis=1)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -466,17 +654,16 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
     tube has G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
-    square = section.radius**2
     for number, layer in enumerate(section.layers):
         sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
-        radius, squared = section.radius[section.layer == number], square[section.layer == number]
+        radius = section.radius[section.layer == number]
         rigidity = layer.material.modulus * layer.area
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2
-        torsional += rigidity * float(squared.sum()) * sine**2 * cosine
-        second = np.pi * layer.diameter**4 / 64.0
+        torsional += rigidity * float(np.sum(radius**2)) * sine**2 * cosine
         turned = cosine**2 / (1.0 + layer.poisson) + sine**2
-        torsional += layer.count * layer.material.modulus * second * cosine * turned
+        own = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
+        torsional += layer.count * own * cosine * turned
     tube = section.insulation
     if tube is not None:
         axial += tube.axial_stiffness

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -193,8 +193,7 @@ _STRAIN_DECADES = (-14.0, -6.0, 0.0)
 _STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StrandMoment:
+class StrandMoment(NamedTuple):
     """Moment of one straight strand by its own bending.
 
     Parameters
@@ -270,8 +269,8 @@ def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, F
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # sin(4 q) / 32 written out, for small angles and large
     slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
-    taken = slope - sine * cosine**3 / 3.0
-    return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
+    loss_share = slope - sine * cosine**3 / 3.0
+    return 1.0 - 16.0 / np.pi * loss_share @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:

@@ -1,42 +1,59 @@
-"""Table of a wire from its row in a sheet: law, stiffnesses, cantilever."""
+"""Table of a wire from its row in a sheet: law, stiffnesses, cantilever; and its family of laws.
+
+A family has the slider laws of a wire as functions of its uncertain parameters. A law fitted
+separately for each set of parameters would move its sliders, and the response of a rod would jump.
+Here sliders keep their slip curvatures, and their stiffnesses are the drops of slope of the changed
+law: smooth in every parameter. The error is where strands begin to slip: with twice the friction up
+to 30 % of the moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m on.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import cast
 
 import numpy as np
 
+from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.plays import require_finite, require_positive
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
+from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
     MomentCurve,
+    compute_axial_strain,
     compute_moment_curve,
     compute_stick_stiffness,
+    continue_strands,
     find_orientation_range,
+    find_slip_onsets,
+    make_contacts,
 )
 from labpipe.mechanics.wire.cross_section import (
     MAX_OVERLAP_SHARE,
     CrossSection,
     Insulation,
     Layer,
+    LayoutKind,
     compute_stretch_torsion,
+    find_helix_overlap,
+    make_cross_section,
     place_hexagon,
     place_sectors,
 )
 from labpipe.mechanics.wire.first_loading import compute_cantilever
-from labpipe.mechanics.wire.friction import (
-    Contacts,
-    compute_axial_strain,
-    find_slip_onsets,
-    make_contacts,
-)
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.mechanics.wire.packing import LayoutKind, find_helix_overlap, make_cross_section
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Vector
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
+from labpipe.records.wire_calibration import (
+    COPPER_SCALE,
+    INSULATION_MODULUS,
+    PARAMETERS,
+    RADIAL_FRICTION,
+)
 from labpipe.units import GRAVITY
 
 _MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
@@ -71,14 +88,14 @@ def wire_table(spec: WireSpec) -> WireTable:
     """
     built = build_wire(spec)
     largest, shortened = find_range(spec, strain=built.axial_strain)
-    onsets = _slip_onsets(built, spec, largest)
-    curve = _curve(built, spec, make_curvature_grid(largest, onsets[onsets > 0.0]))
+    onsets = _find_onsets(built, largest)
+    curve = _compute_rising_curve(built, make_curvature_grid(largest, onsets[onsets > 0.0]))
     limit = find_linear_range(spec)
     lowest, highest = find_orientation_range(
         built.section, built.contacts, curve, tension=spec.tension
     )
-    mass, pair = mass_per_length(spec, built.section), compute_stretch_torsion(built.section)
-    cantilever = compute_cantilever(spec, curve, GRAVITY * mass)
+    pair = compute_stretch_torsion(built.section)
+    cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
     notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
@@ -95,7 +112,7 @@ def wire_table(spec: WireSpec) -> WireTable:
         highest_moment=np.maximum(highest, curve.moment),
         tip_deflection=cantilever.deflection,
         tip_force=cantilever.force,
-        mass_per_length=mass,
+        mass_per_length=built.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=limit,
         doubtful_deflection=cantilever.deflection_at(curve, limit),
@@ -117,13 +134,6 @@ def make_layout(section: CrossSection) -> WireLayout:
     )
 
 
-def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
-    """Return the mass per length of a wire, kg/m, from its sheet or from section and densities."""
-    if spec.mass_per_length is not None:
-        return spec.mass_per_length
-    return section.mass_per_length(spec.conductor_density, spec.insulation_density)
-
-
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     """Return the curvatures of a table, 1/m: zero, four decades up to the largest, the slip onsets.
 
@@ -141,13 +151,12 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     return np.concatenate([[0.0], np.union1d(even[~is_near_onset.any(axis=1)], onsets)])
 
 
-def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
+def _find_onsets(built: BuiltWire, largest: float) -> Floats:
     """Return the distinct curvatures at which strands begin to slip; 0 for immediate slip."""
     min_onset_share = 1e-6  # of the largest curvature: strands that slip earlier never stick
+    wire, spec = (built.section, built.contacts), built.spec
     curvatures = np.sort(
-        find_slip_onsets(
-            built.section, built.contacts, tension=spec.tension, orientation=spec.orientation
-        )
+        find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation)
     )
     is_at_once = curvatures <= min_onset_share * largest
     later = curvatures[~is_at_once & (curvatures < largest * (1.0 - _MIN_POINT_SPACING))]
@@ -155,26 +164,19 @@ def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
     return np.concatenate([np.zeros(int(is_at_once.any())), later])
 
 
-def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
+def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
     try:
-        curve = compute_moment_curve(
-            built.section,
-            built.contacts,
-            curvature,
-            tension=spec.tension,
-            orientation=spec.orientation,
-        )
+        curve = built.compute_curve(curvature)
     except ValueError as error:
         raise WireError(str(error)) from error
-    falls = np.diff(curve.moment) <= 0.0
-    if falls.any():
-        worst = int(np.argmax(falls))
-        message = (
-            f"the law softens: the moment falls from {curve.moment[worst]:.6g} N m at "
-            f"{curvature[worst]:.6g} 1/m to {curve.moment[worst + 1]:.6g} N m at "
-            f"{curvature[worst + 1]:.6g} 1/m, so that curvature is not a function of the moment"
+    falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
+    if len(falls):
+        (first, last), (high, low) = (
+            values[falls[0] : falls[0] + 2] for values in (curve.curvature, curve.moment)
         )
-        raise WireError(message)
+        raise WireError(
+            format_sentence("mechanics.wire.softens", first=first, last=last, high=high, low=low)
+        )
     return curve
 
 
@@ -219,16 +221,32 @@ class BuiltWire:
 
     Parameters
     ----------
+    spec : row of the sheet
     section : strands in place
     contacts : friction and pressure
     axial_strain : of the straight wire under its tension
     notes : replacements of what the sheet specifies, and tolerated faults
     """
 
+    spec: WireSpec
     section: CrossSection
     contacts: Contacts
     axial_strain: float
     notes: tuple[QualityNote, ...]
+
+    def compute_curve(self, curvature: Floats) -> MomentCurve:
+        """Compute the moment of first loading at curvatures, see `compute_moment_curve`."""
+        tension, orientation = self.spec.tension, self.spec.orientation
+        wire = self.section, self.contacts
+        return compute_moment_curve(*wire, curvature, tension=tension, orientation=orientation)
+
+    @property
+    def mass_per_length(self) -> float:
+        """Return the mass per length, kg/m, of the sheet, else by section and densities."""
+        if self.spec.mass_per_length is not None:
+            return self.spec.mass_per_length
+        densities = self.spec.conductor_density, self.spec.insulation_density
+        return self.section.mass_per_length(*densities)
 
 
 def build_wire(spec: WireSpec) -> BuiltWire:
@@ -260,7 +278,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         require_finite("orientation", spec.orientation)
         if spec.largest_curvature is not None:
             require_positive("largest_curvature", spec.largest_curvature)
-        section, layout_notes = _section(spec)
+        section, layout_notes = _place(spec)
         notes += [*layout_notes, *_helix_notes(section, spec)]
         contacts = make_contacts(
             len(section.layers) - int(section.has_core),
@@ -273,57 +291,50 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         raise WireError(str(error)) from error
     find_range(spec, strain=strain)  # refuses a tension beyond the stress table
     notes += _section_notes(section, spec, strain)
-    return BuiltWire(section, contacts, strain, tuple(notes))
-
-
-def make_material(spec: WireSpec) -> Material:
-    """Return the strands' stress-strain curve: the table if there is one, else Ramberg-Osgood.
-
-    Raises
-    ------
-    ValueError
-        If the table turns back or stiffens, or a number is out of its range.
-    """
-    if spec.stress_table is not None:
-        return StressTable(*spec.stress_table, source="stress table of the wire sheet")
-    return RambergOsgood(
-        spec.conductor_modulus, spec.copper_k, spec.copper_n, "numbers of the wire sheet"
-    )
+    return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     """Return the layers from the axis outwards; a core has no lay angle.
 
+    The stress-strain curve of the strands is the table if there is one, else Ramberg-Osgood.
+
     Raises
     ------
     ValueError
-        If there is not one lay angle per ring and one strand diameter per layer.
+        If there is not one lay angle per ring and one strand diameter per layer, the table turns
+        back or stiffens, or a number is out of its range.
     """
-    material = make_material(spec)
+    material: Material = RambergOsgood(
+        spec.conductor_modulus, spec.copper_k, spec.copper_n, "numbers of the wire sheet"
+    )
+    if spec.stress_table is not None:
+        material = StressTable(*spec.stress_table, source="stress table of the wire sheet")
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
-    if not len(angles) == len(spec.layer_counts) == len(spec.strand_diameters):
-        message = (
-            f"{len(spec.layer_counts)} layers, {len(spec.strand_diameters)} strand diameters and "
-            f"{len(spec.lay_angles)} lay angles: expected one diameter per layer and one angle "
-            f"per ring"
+    counts, diameters = spec.layer_counts, spec.strand_diameters
+    if not len(angles) == len(counts) == len(diameters):
+        raise ValueError(
+            format_sentence(
+                "mechanics.wire.layers_differ",
+                layers=len(counts),
+                diameters=len(diameters),
+                angles=len(spec.lay_angles),
+            )
         )
-        raise ValueError(message)
     return tuple(
         Layer(count, diameter, angle, material, spec.poisson)
-        for count, diameter, angle in zip(
-            spec.layer_counts, spec.strand_diameters, angles, strict=True
-        )
+        for count, diameter, angle in zip(counts, diameters, angles, strict=True)
     )
 
 
-def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
+def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Lay out the strands; note where the default layout, a hexagon, does not fit."""
-    bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    curve = None
+    bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
+    curve, modulus = None, spec.insulation_modulus
     if spec.insulation_table is not None:
         curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
-    modulus = spec.insulation_modulus if curve is None else curve.modulus
-    tube = Insulation(bore, spec.insulation_thickness, modulus, spec.insulation_poisson, curve)
+        modulus = curve.modulus
+    tube = Insulation(bore, wall, modulus, spec.insulation_poisson, curve)
     layers = make_layers(spec)
     if spec.layout == "compressed":
         return place_sectors(layers, tube, radii=spec.layer_radii), []
@@ -332,12 +343,11 @@ def _section(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     try:
         return place_hexagon(layers, tube), []
     except ValueError as error:
-        section, reason = make_cross_section(layers, tube), str(error)
-    return section, [
-        QualityNote.of(
-            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=reason
+        section = make_cross_section(layers, tube)
+        note = QualityNote.of(
+            "mechanics.wire.layout_fallback", spec.place, kind=section.kind, reason=error
         )
-    ]
+    return section, [note]
 
 
 def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
@@ -370,7 +380,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
             percent=100.0 * section.overlap / bore,
             allowed=100.0 * MAX_OVERLAP_SHARE,
         )
-    material = make_material(spec)
+    material = section.layers[0].material
     elastic = material.modulus * strain
     carried = float(material.stress(np.array([strain]))[0])
     if elastic > max_elastic_factor * carried:
@@ -395,11 +405,9 @@ def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]
     copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if copper > (1.0 + max_overlap) * bore:
-        message = (
-            f"the strands do not fit the bore: with 1 / cos(lay angle) their areas in the section "
-            f"are {copper * 1e6:.4g} mm^2, and the bore has {bore * 1e6:.4g} mm^2"
+        raise ValueError(
+            format_sentence("mechanics.wire.copper_too_large", copper=copper * 1e6, bore=bore * 1e6)
         )
-        raise ValueError(message)
     overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
@@ -441,11 +449,14 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
             continue
         last = table[0][-1]
         if strain >= last:
-            message = (
-                f"a tension of {spec.tension:.4g} N strains the wire by {strain:.3g}, and the "
-                f"stress table ends at a strain of {last:.4g}"
+            raise WireError(
+                format_sentence(
+                    "mechanics.wire.tension_beyond_table",
+                    tension=spec.tension,
+                    strain=strain,
+                    last=last,
+                )
             )
-            raise WireError(message)
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue
@@ -461,3 +472,192 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
         )
         largest_curvature, notes = end, (*notes, note)
     return largest_curvature, notes
+
+
+ISOTROPIC_SHARE = "isotropic_share"
+"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
+UNKNOWN_SHARE = (0.35, 1.0)
+"""Range of the share of annealed copper of which it is not known: with less than 0.35 it would
+spring back farther than standards of winding wire allow."""
+LAW_FACTOR = "law_factor"
+"""Logarithm of the factor on all moments: scatter of specimens and spools."""
+TORSION_FACTOR = "torsion_factor"
+"""Logarithm of the factor on the torsional stiffness."""
+MASS_FACTOR = "mass_factor"
+"""Logarithm of the factor on the mass per length."""
+
+
+def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
+    """Return a wire with calibrated values in place of those of its sheet.
+
+    Parameters
+    ----------
+    spec : of the calibrated wire, or another of the same type
+    values : by name of `PARAMETERS`, SI units; one that is missing or NaN is unchanged. The
+        copper scale is a factor on the strength of the sheet
+
+    Returns
+    -------
+    The wire; its radial force matches its friction coefficients.
+    """
+    finite_values = {name: value for name, value in values.items() if np.isfinite(value)}
+    friction = spec.friction_strand + spec.friction_insulation
+    modulus, table = finite_values.get(INSULATION_MODULUS), spec.insulation_table
+    if modulus is not None and table is not None:  # its curve scales with its modulus
+        strains, stresses = table
+        stiffer = modulus / (stresses[0] / strains[0])
+        spec = replace(
+            spec, insulation_table=(strains, tuple(stiffer * stress for stress in stresses))
+        )
+    return replace(
+        spec,
+        radial_force=finite_values[RADIAL_FRICTION] / friction
+        if RADIAL_FRICTION in finite_values
+        else spec.radial_force,
+        insulation_modulus=finite_values.get(INSULATION_MODULUS, spec.insulation_modulus),
+        copper_k=spec.copper_k * finite_values.get(COPPER_SCALE, 1.0),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireLaw:
+    """Properties of a wire for the rod model.
+
+    Parameters
+    ----------
+    law : of bending
+    torsional_stiffness : GJ at fixed length, N m^2
+    axial_stiffness : EA without twist, N
+    coupling : C, N m
+    mass_per_length : kg/m
+    """
+
+    law: SliderLaw
+    torsional_stiffness: float
+    axial_stiffness: float
+    coupling: float
+    mass_per_length: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawFamily:
+    """Laws of one wire with the same slip curvatures.
+
+    Parameters
+    ----------
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's by default
+    base : the law with these values
+    scale : of the chords, so that the base law is centred about the wire's
+    """
+
+    spec: WireSpec
+    values: Mapping[str, float]
+    base: SliderLaw
+    scale: float
+
+    def at(self, inputs: Mapping[str, float]) -> WireLaw:
+        """Return the law for other parameters.
+
+        Parameters
+        ----------
+        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
+            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0; and `ISOTROPIC_SHARE`, by
+            default that of the sheet, or 0. Other names are ignored
+
+        Raises
+        ------
+        WireError
+            If there is no such wire.
+        """
+        # of the first stiffness, for a slider that a changed law does not use
+        min_slider_share = 1e-9
+        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
+        spec = apply_values(self.spec, {**self.values, **changed})
+        built, corners = build_wire(spec), self.corners
+        curve = built.compute_curve(corners)
+        factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
+        slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
+        min_stiffness = min_slider_share * slopes[0]
+        share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
+        law = replace(
+            self.base,
+            stiffness=float(slopes[-1]),
+            stiffnesses=np.maximum(-np.diff(slopes), min_stiffness),
+        )
+        if share > 0.0:
+            strands = make_strand_slider(built.section, law, factor * self.scale)
+            law = share_hardening(law, strands, share)
+        pair = compute_stretch_torsion(built.section)
+        return WireLaw(
+            law,
+            pair.torsional * float(np.exp(inputs.get(TORSION_FACTOR, 0.0))),
+            pair.axial,
+            pair.coupling,
+            built.mass_per_length * float(np.exp(inputs.get(MASS_FACTOR, 0.0))),
+        )
+
+    @property
+    def corners(self) -> Vector:
+        """Return zero, the slip curvatures, and the end of the range, 1/m."""
+        return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
+
+
+def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
+    """Make the growing slider of all the bending of strands about their own axes.
+
+    Parameters
+    ----------
+    section : with the materials of its strands
+    law : of the wire, whose corners the slider gets
+    factor : on the moments of the strands, as of the law
+    """
+    corners = np.append(law.slip_curvatures, law.last)
+    bent, strands = continue_strands(section, corners)
+    return grow_from(bent, factor * strands, 1.0)
+
+
+def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
+    """Return the factor on the chords of a table of which a law was fitted to it."""
+    corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
+    moment = np.interp(corners, table.curvature, table.moment)
+    return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
+
+
+def make_law_family(
+    spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
+) -> LawFamily:
+    """Choose slip curvatures for a wire, and return its family of laws.
+
+    Parameters
+    ----------
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
+        where left out or NaN
+    sliders : at most
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    WireError
+        As `wire_table`.
+    """
+    chosen_values = dict(values or {})
+    table = wire_table(apply_values(spec, chosen_values))
+    base = fit_wire_sliders(table, sliders)
+    return LawFamily(spec, chosen_values, base, find_chord_factor(base, table))
+
+
+def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
+    """Return the slopes of the chords between corners, made non-increasing.
+
+    A law that stiffens somewhere is bridged, as `fit_sliders` does.
+    """
+    rounding_share = 1e-12  # of the first slope
+    slopes = np.diff(moment) / np.diff(curvature)
+    if np.all(np.diff(slopes) <= rounding_share * slopes[0]):
+        return slopes
+    hull = thin(curvature, moment, max_points=len(curvature))
+    bridged = np.interp(curvature, hull.curvature, hull.moment)
+    return np.asarray(np.diff(bridged) / np.diff(curvature))

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.mechanics.wire.bending_law import (
+    Contacts,
     compute_moment_curve,
     compute_slip_stiffness,
     compute_stick_stiffness,
@@ -34,7 +35,6 @@ from labpipe.mechanics.wire.cross_section import (
     place_rings,
     place_sectors,
 )
-from labpipe.mechanics.wire.friction import Contacts
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER, Material
 from labpipe.records.arrays import Floats
 from tests.builders.stranded_wires import elastic

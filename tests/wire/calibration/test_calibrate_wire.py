@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.bending_law import Contacts, make_contacts
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.mechanics.wire.calibration.problem_setup import (
+from labpipe.mechanics.wire.calibration.objective import (
     BOUNDS,
     Settings,
     Wire,
     set_up_problem,
 )
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -120,7 +120,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.mechanics.wire.calibration.search._MAX_SEARCH_STEPS", 1)
+    monkeypatch.setattr("labpipe.mechanics.wire.calibration.objective._MAX_SEARCH_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 

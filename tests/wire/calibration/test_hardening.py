@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import PlayLaw
+from labpipe.mechanics.wire.bending_law import cyclic_law
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
     ENERGY,
@@ -22,7 +23,6 @@ from labpipe.mechanics.wire.calibration.hardening import (
     compute_cycles,
 )
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.cyclic_law import cyclic_law
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
 from labpipe.virtual_lab.specimens import WIRES
@@ -71,17 +71,17 @@ def test_on_a_string_the_counterweight_bends_the_wire_back() -> None:
     assert held[RATIO] > free[RATIO] + 0.01
 
 
-_COMPUTE = hardening._compute_way
+_COMPUTE = hardening._compute_test
 
 
 @cache
-def computed() -> tuple[dict[str, Floats], dict[str, Floats]]:
+def computed() -> tuple[Floats, Floats]:
     return _COMPUTE(CycledTest("", LENGTH, PEAK, {}), law_at, NAMES)
 
 
 @pytest.fixture
 def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hardening, "_compute_way", lambda *_: computed())
+    monkeypatch.setattr(hardening, "_compute_test", lambda *_: computed())
 
 
 def measured(
@@ -91,8 +91,9 @@ def measured(
     curves, changes = computed()
     off = random.multivariate_normal(np.zeros(2), COVARIANCE)
     numbers = {}
-    for name in NUMBERS:
-        truth = float(np.polyval(np.polyfit(SHARES, curves[name], 3), share) + changes[name] @ off)
+    for number, name in enumerate(NUMBERS):
+        exact = np.polyval(np.polyfit(SHARES, curves[:, number], 3), share)
+        truth = float(exact + changes[:, number] @ off)
         truth *= 1.0 + creep * (-0.1 if name == RATIO else 1.0)
         own = 0.0 if name == RATIO else random.normal(0.0, SCATTER)
         value = truth * np.exp(own) * (1.0 + random.normal(0.0, ERRORS[name]))

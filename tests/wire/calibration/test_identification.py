@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.calibration.calibrate_wire import find_friction_jacobian
 from labpipe.mechanics.wire.calibration.identification import (
     FRICTION_NAMES,
-    compute_friction_jacobian,
     describe_parameter,
     find_separability,
     find_verdict,
     format_value,
     weigh_prior,
 )
+from labpipe.mechanics.wire.calibration.objective import Levels
 from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from tests.approved import Approve
@@ -77,9 +78,8 @@ CONFLICT = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
 def test_friction_numbers_act_as_one(name: str) -> None:
     """At a corner too, where strands begin to slip: with weight, all steps cross the same."""
     wire, curves = wire_of(name), measured(name, (0.1,), samples=1, n=60)
-    jacobian = compute_friction_jacobian(
-        wire.section, wire.contacts, TRUTH, curves, orientation=0.0, correlation=0.0
-    )
+    levels = Levels(1.0, 0.0, 0.0)
+    jacobian = find_friction_jacobian(wire, TRUTH, curves, levels)
     combined = find_separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
     assert combined.singular_values[0] > 3.0
     assert not any(combined.are_identified.values())
@@ -89,9 +89,7 @@ def test_friction_numbers_act_as_one(name: str) -> None:
         assert weights == pytest.approx([0.21 / 0.31, 0.10 / 0.31, 1.0], abs=2e-3)
         (curve,) = measured("A2", (0.12,), samples=1, n=1000)
         heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
-        jacobian = compute_friction_jacobian(
-            wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
-        )
+        jacobian = find_friction_jacobian(wire, at_corner, (heavy,), levels)
         values = find_separability(FRICTION_NAMES, jacobian, "friction").singular_values
         assert values[1] < 1e-3 * values[0]
 

@@ -10,29 +10,28 @@ import pytest
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
+from labpipe.mechanics.wire.calibration.identification import compute_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.local_minima import (
     Minima,
+    Trace,
     compute_differences,
     compute_tube_quantile,
     find_minima,
-)
-from labpipe.mechanics.wire.calibration.objective import (
-    Fit,
-    Levels,
-    Point,
-    Problem,
-    make_normal_equations,
-)
-from labpipe.mechanics.wire.calibration.problem_setup import Settings, set_up_problem
-from labpipe.mechanics.wire.calibration.profile_likelihood import (
-    Trace,
     find_reach,
     follow_profiles,
     unite_intervals,
 )
-from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import compute_quantile, compute_quantiles
+from labpipe.mechanics.wire.calibration.objective import (
+    Fit,
+    Levels,
+    Problem,
+    Settings,
+    make_normal_equations,
+    search,
+    set_up_problem,
+)
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -65,16 +64,15 @@ PROBLEM = Problem(
 HELD = replace(PROBLEM, free=np.zeros(3, dtype=np.bool_))
 
 
-def start(*factors: float) -> Point:
-    return Point(np.log(TRUTH * factors), 0.0, np.zeros(3))
+def start(*factors: float) -> Floats:
+    return np.append(np.log(TRUTH * factors), np.zeros(4))
 
 
 def test_the_least_has_no_slope() -> None:
     fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
     assert fit.settled
-    for step in np.vstack([1e-2 * np.eye(3), -1e-2 * np.eye(3)]):
-        point = replace(fit.point, logs=fit.point.logs + step)
-        beside = search(HELD, LEVELS, point)
+    for step in np.vstack([1e-2 * np.eye(3, 7), -1e-2 * np.eye(3, 7)]):
+        beside = search(HELD, LEVELS, fit.unknowns + step, near=fit.models)
         assert beside.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
     again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
@@ -83,14 +81,13 @@ def test_the_least_has_no_slope() -> None:
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
     fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0))
-    assert (fit.point.logs[1], fit.settled) == (lower[1], True)
+    assert (fit.logs[1], fit.settled) == (lower[1], True)
     assert make_normal_equations(fit)[2][:3].tolist() == [True, False, True]
     centre, precision = np.log(TRUTH * [1.0, 1.0, 1.5]), np.array([0.0, 0.0, 1e8])
     believed = replace(PROBLEM, centre=centre, precision=precision, gain=0.0)
     fit = search(believed, Levels(1.0, 0.0, 0.0), start(1.0, 1.0, 1.0))
-    assert np.exp(fit.point.logs[2]) == pytest.approx(1.5, rel=1e-3)
-    assert fit.point.gain == 0.0
-    assert not fit.point.offsets.any()
+    assert np.exp(fit.logs[2]) == pytest.approx(1.5, rel=1e-3)
+    assert not fit.unknowns[3:].any()
 
 
 def test_how_far_fits_are_apart_in_standard_deviations() -> None:
@@ -101,10 +98,11 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
     )
 
     def weighed(fit: Fit) -> Floats:
-        point, curves = fit.point, zip(problem.sample, fit.models, CURVES, strict=True)
-        factors = np.exp(point.gain + point.offsets)
+        curves = zip(problem.sample, fit.models, CURVES, strict=True)
+        gain, offsets = fit.unknowns[3], fit.unknowns[4:]
+        factors = np.exp(gain + offsets)
         forces = [factors[at] * model.force / curve.noise for at, model, curve in curves]
-        rest = [*(point.logs * [2.0, 0.0, 3.0]), point.gain / 0.005, *(point.offsets / 0.03)]
+        rest = [*(fit.logs * [2.0, 0.0, 3.0]), gain / 0.005, *(offsets / 0.03)]
         return np.concatenate([*forces, rest])
 
     apart = np.sum((weighed(there) - weighed(here)) ** 2)
@@ -114,11 +112,12 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
 
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
     fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
-    for curve, model, offset in zip(CURVES, fit.models, fit.point.offsets, strict=True):
+    gain, offsets = fit.unknowns[3], fit.unknowns[4:]
+    for curve, model, offset in zip(CURVES, fit.models, offsets, strict=True):
         direct = np.log(float(curve.force @ model.force) / float(model.force @ model.force))
-        assert fit.point.gain + offset == pytest.approx(direct, rel=0.05)
+        assert gain + offset == pytest.approx(direct, rel=0.05)
     # The gain and the mean offset share the mean factor as their variances.
-    share = fit.point.gain / 0.005**2, fit.point.offsets.sum() / 0.03**2
+    share = gain / 0.005**2, offsets.sum() / 0.03**2
     assert share[0] == pytest.approx(share[1], rel=1e-3)
 
 
@@ -235,7 +234,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     linear = fit_of(Settings(choices))
     (traced,) = follow_profiles(linear, 1)
     low, high = compute_quantiles(linear.lowest.mixture, np.eye(4)[[1]])
-    best, half = float(linear.fit.point.logs[1]), 0.5 * float(high[0] - low[0])
+    best, half = float(linear.fit.logs[1]), 0.5 * float(high[0] - low[0])
     assert traced.lower == pytest.approx(best + low[0], abs=0.03 * half)
     assert traced.upper == pytest.approx(best + high[0], abs=0.03 * half)
     assert (traced.is_open_below, traced.is_open_above) == (False, False)
@@ -246,7 +245,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     )
     ends = np.interp([traced.lower, traced.upper], traced.logs, np.sqrt(traced.deviance))
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
-    assert find_reach(linear, 2, 1.727) == (linear.fit.point.logs[2],) * 2  # it is held
+    assert find_reach(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
     (alone,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
     assert alone.lower - 0.1 < np.log(1e9) < alone.upper + 0.1
     assert alone.threshold_above == pytest.approx(1.96**2, rel=0.03)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate, predict
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
     compare_curves,
@@ -19,7 +19,6 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     select_usable,
     whiten,
 )
-from labpipe.mechanics.wire.calibration.prediction import predict
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     Calibration,

@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.mechanics.wire.calibration.identification import compute_quantile
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import (
     Fit,
     Levels,
     ModelForce,
-    Point,
     Problem,
 )
 from labpipe.mechanics.wire.calibration.variances import (
-    compute_quantile,
     estimate_correlation,
     estimate_levels,
     estimate_uncertainty,
@@ -48,8 +47,8 @@ def layout(seed: int, gain: float = 0.0) -> tuple[Fit, Floats]:
     grams = np.zeros((SAMPLES, 5, 5))
     grams[:, 3, 3], grams[:, 4, 4] = POINTS, (values**2).sum(axis=1)
     grams[:, 3, 4] = grams[:, 4, 3] = values.sum(axis=1)
-    point = Point(np.log(TRUTH), 0.0, np.zeros(SAMPLES))
-    return Fit(problem, UNKNOWN, point, 0.0, grams, []), values
+    unknowns = np.append(np.log(TRUTH), np.zeros(1 + SAMPLES))
+    return Fit(problem, UNKNOWN, unknowns, 0.0, grams, []), values
 
 
 def given(fit: Fit, scatter: float) -> Fit:
@@ -109,7 +108,7 @@ def test_offsets_that_the_fit_took_out_are_put_back() -> None:
     grams = fit.grams.copy()
     grams[:, 3, 4] = grams[:, 4, 3] = left.sum(axis=1)
     grams[:, 4, 4] = (left**2).sum(axis=1)
-    shifted = replace(fit, point=Point(np.log(TRUTH), 0.0, means), grams=grams)
+    shifted = replace(fit, unknowns=np.append(fit.unknowns[:4], means), grams=grams)
     found = estimate_levels(shifted, 0.0)
     assert found.scatter == pytest.approx(plain.scatter, rel=1e-6)
 
@@ -123,8 +122,9 @@ def test_correlation_of_neighbours(correlation: float) -> None:
     def estimate(curve: MeasuredCurve, model: ModelForce, factor: float) -> float:
         fit, _ = layout(1)
         problem = replace(fit.problem, curves=(curve,), sample=np.zeros(1, np.int64))
-        point = Point(np.log(TRUTH), 0.0, np.log([factor]))
-        return estimate_correlation(replace(fit, problem=problem, point=point, models=[model]))
+        unknowns = np.append(fit.unknowns[:4], np.log(factor))
+        fit = replace(fit, problem=problem, unknowns=unknowns, models=[model])
+        return estimate_correlation(fit)
 
     assert estimate(curve, model, 1.2) == pytest.approx(correlation, abs=0.02)
     shared = estimate(curve, model, 1.1)  # points share an error
@@ -139,8 +139,7 @@ def test_correlation_of_neighbours(correlation: float) -> None:
 def test_one_sample_has_no_scatter() -> None:
     fit, _ = layout(5)
     alone = replace(fit.problem, curves=fit.problem.curves[:1], sample=np.zeros(1, np.int64))
-    point = replace(fit.point, offsets=np.zeros(1))
-    one = replace(fit, problem=alone, point=point, grams=fit.grams[:1])
+    one = replace(fit, problem=alone, unknowns=fit.unknowns[:5], grams=fit.grams[:1])
     levels = estimate_levels(one, 0.0)
     assert levels.scatter == 0.0
     known = estimate_uncertainty(replace(one, levels=levels))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.bending_law import compute_moment_curve
+from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, make_contacts
 from labpipe.mechanics.wire.calibration.law_components import (
     WireParts,
     compute_loading_curve,
@@ -16,11 +16,13 @@ from labpipe.mechanics.wire.calibration.law_components import (
     split_wire,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
-from labpipe.mechanics.wire.calibration.objective import compute_gram, compute_model_forces
+from labpipe.mechanics.wire.calibration.objective import (
+    compute_model_forces,
+    compute_whitened_products,
+)
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, Layer, place_rings, place_sectors
 from labpipe.mechanics.wire.first_loading import interpolate_force
-from labpipe.mechanics.wire.friction import Contacts, make_contacts
 from labpipe.mechanics.wire.materials import StressTable
 from labpipe.records.arrays import Floats
 from tests.builders.loading_tests import (
@@ -106,7 +108,8 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
     weight = np.linalg.inv(0.002**2 * correlation**lags + shared.T @ shared)
     left = curve.force - 1.1 * model.force
-    products = compute_gram(curve, model, 1.1, correlation)
+    columns = np.column_stack([1.1 * model.change.T, 1.1 * model.force, left])
+    products = compute_whitened_products(curve, columns, model.slope, correlation)
     assert products[4, 4] == pytest.approx(float(left @ weight @ left), rel=1e-6)
     by_change = 1.1 * model.change[0] @ weight
     assert products[0, 4] == pytest.approx(float(by_change @ left), rel=1e-6)
@@ -195,7 +198,7 @@ def test_what_a_wire_has(
 
 def test_copper_and_first_loading_end() -> None:
     """Within them the curve reaches its deflection for any law."""
-    assert PARTS.copper[0].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
+    assert PARTS.parts[-1].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
         reached = compute_loading_curve(

@@ -2,7 +2,8 @@
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t
-quantiles; notes state what the tests do not determine. The objective is that of `objective`,
+quantiles; notes state what the tests do not determine. A calibration predicts the loading curves of
+other lengths and wires. The objective is that of `objective`,
 the law that of `law_components`, the loading curve that of `first_loading`.
 """
 
@@ -13,7 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.mechanics.wire.calibration import identification, objective, profile_likelihood
+from labpipe.mechanics.wire.calibration import identification, local_minima, objective
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_wire
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -21,12 +23,20 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     select_usable,
     whiten,
 )
-from labpipe.mechanics.wire.calibration.objective import P
-from labpipe.mechanics.wire.calibration.problem_setup import Settings, Wire, set_up_problem
-from labpipe.mechanics.wire.calibration.search import search
-from labpipe.mechanics.wire.calibration.variances import estimate_uncertainty
+from labpipe.mechanics.wire.calibration.objective import (
+    Levels,
+    P,
+    Settings,
+    Wire,
+    compute_model_forces,
+    search,
+    set_up_problem,
+)
+from labpipe.mechanics.wire.calibration.variances import compute_quantiles, estimate_uncertainty
+from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
+from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -38,6 +48,7 @@ from labpipe.records.wire_calibration import (
     Identifiability,
     NoiseLevels,
     ParameterChoice,
+    Prediction,
     PriorConflict,
     Profile,
     Separability,
@@ -108,7 +119,7 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
         _parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
         for number, name in enumerate(PARAMETERS)
     )
-    factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
+    factors = fit.factors
     compared = tuple(
         compare_with_model(curve, model.force, float(factor))
         for curve, model, factor in zip(problem.curves, fit.models, factors, strict=True)
@@ -140,12 +151,12 @@ def _solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     pairs = zip(problem.curves, fit.models, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
     return Solution(
-        values=np.where(problem.parts.has, np.exp(fit.point.logs), np.nan),
+        values=np.where(problem.parts.has, np.exp(fit.logs), np.nan),
         rise=minimum.rise,
         rmse=float(np.sqrt(np.mean(residuals**2))),
         covariance=minimum.spread.covariance,
         mixture=minimum.mixture,
-        limit=profile_likelihood.compute_limit(minima, minimum),
+        limit=local_minima.compute_limit(minima, minimum),
     )
 
 
@@ -154,31 +165,31 @@ def _parameter(
 ) -> CalibratedParameter:
     """Return one parameter, with profile, verdict and comparison with its prior."""
     name, problem, spread = PARAMETERS[number], minima.fit.problem, minima.lowest.spread
-    value = float(np.exp(minima.fit.point.logs[number]))
+    value = float(np.exp(minima.fit.logs[number]))
     if not problem.parts.has[number]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
     if not problem.free[number]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
-    traced = profile_likelihood.follow_profiles(minima, number)
-    ends_of_parts = profile_likelihood.unite_intervals(traced)
+    traces = local_minima.follow_profiles(minima, number)
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value,
-        intervals=tuple(Interval(*np.exp(ends).tolist()) for ends in ends_of_parts),
+        intervals=tuple(
+            Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
+        ),
         log_error=float(np.sqrt(spread.covariance[number, number])),
         freedom=spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=any(trace.is_open_below for trace in traced),
-        is_open_above=any(trace.is_open_above for trace in traced),
-        at_bound=_reached_bound(minima, number),
+        is_open_below=any(trace.is_open_below for trace in traces),
+        is_open_above=any(trace.is_open_above for trace in traces),
+        at_bound=_find_bound(minima, number),
         profiles=tuple(
             Profile(
-                *(np.exp(trace.logs), trace.deviance),
-                *(trace.threshold_below, trace.threshold_above),
+                np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above
             )
-            for trace in traced
+            for trace in traces
         ),
         conflict=_prior_conflict(minima, number, choice) if choice.factor is not None else None,
     )
@@ -202,18 +213,18 @@ def _interval_at_99(
     """
     min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    reach = profile_likelihood.find_reach(minima, number, _UNLIKELY_RISE)
+    reach = local_minima.find_reach(minima, number, _UNLIKELY_RISE)
     ends = [low, high, *np.exp(reach).tolist()]
     if min_span < high / low < identification.WELL:
-        for trace in profile_likelihood.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
+        for trace in local_minima.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
 
-def _reached_bound(minima: Minima, number: int) -> str:
+def _find_bound(minima: Minima, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    value, problem = minima.fit.point.logs[number], minima.fit.problem
+    value, problem = minima.fit.logs[number], minima.fit.problem
     pull = float(objective.make_normal_equations(minima.fit)[1][number])
     if value <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
@@ -225,7 +236,10 @@ def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> Pri
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == number, 0.0, problem.precision)
     without = replace(problem, precision=precision)
-    fits = [search(without, best.levels, minimum.fit.point) for minimum in minima.all]
+    fits = [
+        search(without, best.levels, minimum.fit.unknowns, near=minimum.fit.models)
+        for minimum in minima.all
+    ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = estimate_uncertainty(fit)
     variance = float(spread.covariance[number, number])
@@ -234,7 +248,7 @@ def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> Pri
     numbers = PriorConflict(
         centre=float(np.exp(problem.centre[number])),
         factor=float(choice.factor or np.nan),
-        alone=float(np.exp(fit.point.logs[number])),
+        alone=float(np.exp(fit.logs[number])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         contradicts=False,
@@ -270,30 +284,71 @@ def _noise_levels(minima: Minima) -> NoiseLevels:
 
 def _separability(minima: Minima) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
-    fit, levels = minima.fit, minima.fit.levels
+    fit = minima.fit
     acting = np.flatnonzero(fit.problem.parts.has).tolist()
-    columns = [
-        whiten(model.change[acting].T / np.asarray(curve.noise)[:, None], levels.correlation)
-        for curve, model in zip(fit.problem.curves, fit.models, strict=True)
-    ]
-    jacobian = np.concatenate(columns) / np.sqrt(levels.noise)
+    forces = [model.change[acting].T for model in fit.models]
+    jacobian = _whiten(forces, fit.problem.curves, fit.levels)
     names = tuple(PARAMETERS[number] for number in acting)
     return identification.find_separability(names, jacobian, "the parameters that act")
 
 
 def _friction_separability(minima: Minima, wire: Wire) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
-    fit, levels = minima.fit, minima.fit.levels
+    fit = minima.fit
     if not fit.problem.parts.has[0]:
         return None
-    jacobian = identification.compute_friction_jacobian(
-        *(wire.section, wire.contacts, np.exp(fit.point.logs), fit.problem.curves),
-        orientation=wire.orientation,
-        correlation=levels.correlation,
-    )
-    jacobian /= np.sqrt(levels.noise)
+    jacobian = find_friction_jacobian(wire, np.exp(fit.logs), fit.problem.curves, fit.levels)
     names = identification.FRICTION_NAMES
     return identification.find_separability(names, jacobian, "mu_s, mu_p and F_rad")
+
+
+def find_friction_jacobian(
+    wire: Wire, values: Floats, curves: tuple[MeasuredCurve, ...], levels: Levels
+) -> Floats:
+    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
+
+    Parameters
+    ----------
+    wire : the coefficients are those of its contacts, the radial force is that of phi
+    values : shape (3,), of the parameters
+    curves : measured, for their deflections and noise
+    levels : of the noise
+
+    Returns
+    -------
+    Shape (points, 3), by central differences.
+    """
+    difference_step = 1e-3
+    strand, insulation = wire.contacts.inner[-1], wire.contacts.outer[-1]
+    total = strand + insulation
+    columns = []
+    for number, part in enumerate((strand, insulation, total)):
+        # Equal changes of phi: forces have corners where strands begin to slip, and columns
+        # of numbers that act through phi alone stay proportional only if they cross the same ones.
+        step = difference_step * total / max(part, 2.0 * difference_step * total)
+        forces = []
+        for sign in (1.0, -1.0):
+            factors = np.ones(3)
+            factors[number] += sign * step
+            inner = tuple(factors[0] * value for value in wire.contacts.inner)
+            between = (factors[0] * value for value in wire.contacts.outer[:-1])
+            outer = (*between, factors[1] * insulation)
+            contacts = replace(wire.contacts, inner=inner, outer=outer, radial_force=1.0)
+            parts = split_wire(wire.section, contacts, orientation=wire.orientation)
+            phi = values[0] / total * factors[2] * (inner[-1] + outer[-1])
+            models = compute_model_forces(parts, np.array([phi, *values[1:]]), curves)
+            forces.append(_whiten([model.force for model in models], curves, levels))
+        columns.append((forces[0] - forces[1]) / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def _whiten(forces: Sequence[Floats], curves: Sequence[MeasuredCurve], levels: Levels) -> Floats:
+    """Whiten forces of all curves, shape (points, ...)."""
+    pieces = [
+        whiten((force.T / np.asarray(curve.noise)).T, levels.correlation)
+        for force, curve in zip(forces, curves, strict=True)
+    ]
+    return np.asarray(np.concatenate(pieces) / np.sqrt(levels.noise))
 
 
 def _notes(
@@ -339,3 +394,131 @@ def _level_notes(minima: Minima, compared: tuple[CurveAgreement, ...]) -> Iterat
         )
     if not fit.settled:
         yield QualityNote.of("mechanics.wire.search_unsettled", where, steps=fit.steps)
+
+
+def predict(
+    calibration: Calibration,
+    wire: Wire,
+    length: float,
+    deflection: Floats,
+    *,
+    rig: StringRig | None = None,
+    noise: float = 0.0,
+    n_samples: int = 1,
+    other_gain: float | None = None,
+) -> Prediction:
+    """Predict the loading curve of a wire, with 95 % bands.
+
+    Parameters
+    ----------
+    calibration : of this wire or another
+    wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
+        insulation and the copper scale are those of the calibration, if any
+    length : m
+    deflection : shape (n,), m
+    rig : the string; None for an end load normal to the axis
+    noise : standard deviation of a measured force, N
+    n_samples : of which the measured curve is the mean
+    other_gain : standard uncertainty of the gain of another load cell; None for the load cell
+        of the calibration, whose estimated gain then applies
+
+    Returns
+    -------
+    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in their
+    logarithms), gain, and, for the band of a measured curve, scatter of samples and noise. With
+    several solutions a band extends from the lowest to the highest of theirs, each narrower by its
+    likelihood. Differences between the two wires (dimensions, lots of copper and insulation) are
+    not included.
+
+    Raises
+    ------
+    ValueError
+        If the first loading ends before the largest deflection.
+
+    Notes
+    -----
+    Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
+    (noise, another gain) are added as 1.96 s in quadrature.
+    """
+    deepest = float(np.nanmax(np.abs(deflection)))
+    gain = NORMAL_95 * (other_gain or 0.0)
+    read = NORMAL_95 * noise / np.sqrt(n_samples)
+    forces, bands = [], []
+    for solution in (solution for solution in calibration.solutions if solution.is_allowed):
+        curve = compute_calibrated_curve(wire, solution.values, length, rig, deepest)
+        force, change = interpolate_force(curve, deflection)
+        gain_slope = force if other_gain is None else np.zeros_like(force)
+        slopes, one_more = np.vstack([change, gain_slope]).T, force / np.sqrt(n_samples)
+        mean = np.abs(compute_quantiles(solution.mixture, slopes))
+        sample = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
+        scatter = np.sqrt(np.maximum(sample**2 - mean**2, 0.0))
+        # the part of the parameters is wider than in the linear model
+        mean *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
+        sample = np.hypot(np.hypot(mean, scatter), np.hypot(gain * force, read))
+        mean = np.hypot(mean, gain * force)
+        forces.append(force)
+        bands.append([force - sample[0], force + sample[1], force - mean[0], force + mean[1]])
+    low, high = np.min(bands, axis=0), np.max(bands, axis=0)
+    notes = tuple(_note_prediction(calibration))
+    return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
+
+
+def _note_prediction(calibration: Calibration) -> Iterator[QualityNote]:
+    if calibration.levels.scatter_freedom == 0.0:
+        yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
+    allowed = sum(solution.is_allowed for solution in calibration.solutions)
+    if allowed > 1:
+        yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
+    for name in PARAMETERS:
+        parameter = calibration.parameter(name)
+        if parameter.is_open_below or parameter.is_open_above:
+            text = parameter.explanation
+            yield QualityNote.of("mechanics.wire.predicted_open", name, explanation=text)
+
+
+def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+
+    Parameters
+    ----------
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
+    curves : measured, of this wire
+
+    Raises
+    ------
+    ValueError
+        If there is no curve, or first loading ends before one does.
+    """
+    if not curves:
+        message = "curves: expected at least one"
+        raise ValueError(message)
+    curvatures = []
+    for curve in curves:
+        deepest = float(np.nanmax(np.abs(curve.deflection)))
+        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, deepest)
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)
+
+
+def compute_calibrated_curve(
+    wire: Wire, values: Floats, length: float, rig: StringRig | None, deflection: float
+) -> LoadingCurve:
+    """Compute the loading curve of a wire with calibrated values, up to a deflection.
+
+    Parameters
+    ----------
+    wire : calibrated, or another of the same make
+    values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
+    length, rig, deflection : as for `compute_loading_curve`
+
+    Raises
+    ------
+    ValueError
+        If a material's curve ends before.
+    """
+    parts = wire.parts
+    filled = np.where(np.isnan(values), parts.given, values)
+    return compute_loading_curve(
+        parts, filled, length, rig, deflection, self_weight=wire.self_weight
+    )

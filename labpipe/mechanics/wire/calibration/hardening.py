@@ -29,7 +29,7 @@ from labpipe.mechanics.wire.cantilever import (
     make_straight,
 )
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import NORMAL_95, Interval
+from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
@@ -65,7 +65,7 @@ class CycledTest:
     self_weight: float = 0.0
 
     @property
-    def way(self) -> tuple[object, ...]:
+    def setup(self) -> tuple[object, ...]:
         """Return what the computed numbers depend on; the peak to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
@@ -194,66 +194,61 @@ def calibrate_share(
     if not tests:
         return None
     try:
-        computed = {test.way: _compute_way(test, law_at, names) for test in tests}
+        computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
-    curves = np.stack([computed[test.way][0][name] for test, name in rows])  # (rows, shares)
-    by_parameter = np.stack([computed[test.way][1][name] for test, name in rows])
-    scale = np.where([name == RATIO for _, name in rows], 0.0, measured * scatter)
+    columns = np.array([NUMBERS.index(name) for _, name in rows])
+    by_share, by_parameter = (
+        np.stack(
+            [
+                computed[test.setup][part][:, column]
+                for (test, _), column in zip(rows, columns, strict=True)
+            ]
+        )
+        for part in (0, 1)
+    )
+    scale = np.where(columns == NUMBERS.index(RATIO), 0.0, measured * scatter)
     noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)
-    fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in curves])
-    off = measured[:, None] - fitted
-    estimate = _estimate(grid, off, noise)
+    fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
+    residuals = measured[:, None] - fitted
+    value, error = _estimate(grid, residuals, noise)
     parts = {}
     for name in (RESIDUAL, RATIO):
-        some = np.array([row_name == name for _, row_name in rows])
-        if some.any():
-            parts[name] = _estimate(grid, off[some], noise[np.ix_(some, some)])
-    agrees = True
+        alone = columns == NUMBERS.index(name)
+        if alone.any():
+            parts[name] = _estimate(grid, residuals[alone], noise[np.ix_(alone, alone)])
+    is_creep = False
     if len(parts) == 2:
-        (first, first_error), (second, second_error) = parts.values()
-        agrees = abs(first - second) <= MAX_DISAGREEMENT * float(
-            np.hypot(first_error, second_error)
-        )
-    value, error = estimate
-    half = NORMAL_95 * error
+        shares, share_errors = np.array(list(parts.values())).T
+        is_creep = abs(shares[1] - shares[0]) > MAX_DISAGREEMENT * np.hypot(*share_errors)
+    interval = Interval.normal_95(value, error)
     return IsotropicShare(
         value=value,
-        interval=Interval(max(value - half, 0.0), min(value + half, 1.0)),
-        by_number={
-            name: Interval(share - NORMAL_95 * share_error, share + NORMAL_95 * share_error)
-            for name, (share, share_error) in parts.items()
-        },
+        interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
+        by_number={name: Interval.normal_95(*part) for name, part in parts.items()},
         n_tests=len(tests),
-        is_creep=not agrees,
+        is_creep=bool(is_creep),
     )
 
 
-def _compute_way(
-    test: CycledTest, law_at: LawAt, names: Sequence[str]
-) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Compute the numbers for each share, and their change by each parameter, at a middle share."""
+def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tuple[Floats, Floats]:
+    """Compute the numbers for each share, and their change by each parameter at a middle share.
+
+    Shapes (shares, numbers) and (parameters, numbers).
+    """
     step, middle = 0.1, 0.5  # of a logarithm
 
-    def at(changes: Mapping[str, float], share: float) -> dict[str, float]:
-        law = law_at(changes, share)
-        return compute_cycles(
-            law, test.length, test.peak, rig=test.rig, self_weight=test.self_weight
-        )
+    def compute(share: float, changes: Mapping[str, float]) -> list[float]:
+        law, weight = law_at(changes, share), test.self_weight
+        cycles = compute_cycles(law, test.length, test.peak, rig=test.rig, self_weight=weight)
+        return [cycles[name] for name in NUMBERS]
 
-    curves = [at({}, share) for share in SHARES]
-    first = at({}, middle)
-    moved = [at({name: step}, middle) for name in names]
-    return (
-        {name: np.array([curve[name] for curve in curves]) for name in NUMBERS},
-        {
-            name: np.array([(other[name] - first[name]) / step for other in moved])
-            for name in NUMBERS
-        },
-    )
+    by_share = np.array([compute(share, {}) for share in SHARES])
+    moved = np.array([compute(middle, {name: step}) for name in names])
+    return by_share, (moved.reshape(-1, len(NUMBERS)) - compute(middle, {})) / step
 
 
 def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:

@@ -6,14 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
-from labpipe.mechanics.wire.calibration.law_components import WireParts, split_wire
-from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve, whiten
-from labpipe.mechanics.wire.calibration.objective import compute_model_forces
-from labpipe.mechanics.wire.calibration.variances import compute_quantile
-from labpipe.mechanics.wire.cross_section import CrossSection
-from labpipe.mechanics.wire.friction import Contacts
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -64,14 +60,14 @@ def find_verdict(
     if conflict is not None and conflict.contradicts:
         return Identifiability.AGAINST_PRIOR
     if conflict is not None:
-        prior_error = np.log(conflict.factor) / compute_quantile(np.inf)
+        prior_error = np.log(conflict.factor) / NORMAL_95
         if parameter.log_error > prior_share * prior_error:
             return Identifiability.BY_PRIOR
     if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
         return Identifiability.NOT
     if max(wide) < WELL * min(wide):
         return Identifiability.WELL
-    is_split = len(parameter.intervals) > 1 or has_other_value(parameter, others)
+    is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
 
 
@@ -94,7 +90,7 @@ def format_value(name: str, *values: float) -> str:
     return f"{written} {unit}".rstrip()
 
 
-def has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+def _has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
     """Return whether another solution lies outside of all intervals."""
     return any(
         not any(part.lower <= value <= part.upper for part in parameter.intervals)
@@ -115,68 +111,55 @@ def describe_parameter(
     others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
     ends : of what the tests allow at 99 %
     """
-    key, interval = parameter.name, parameter.interval
+    key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
     if interval is None:
         return f"{name} was held at {value}{_source_text(parameter.source)}"
     low, high = (format_value(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
-        side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
+        is_lower = parameter.at_bound == "lower"
         return (
             f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
-            f"{value}; the tests suggest a value {side} it, or do not determine it; inside the "
-            f"bounds it extends to {other} (95 %)"
+            f"{value}; the tests suggest a value {'below' if is_lower else 'above'} it, or do not "
+            f"determine it; inside the bounds it extends to {high if is_lower else low} (95 %)"
         )
-    place = _range_text(parameter)
-    if parameter.verdict is Identifiability.AGAINST_PRIOR:
+    place = _describe_range(parameter)
+    if verdict is Identifiability.AGAINST_PRIOR:
         return (
             f"{name} is doubtful because prior and tests contradict each other: it {place} (95 %)"
         )
-    verdict = (
-        "has two solutions" if parameter.verdict is Identifiability.TWO else parameter.verdict.value
-    )
-    statement = verdict if parameter.verdict is Identifiability.TWO else f"is {verdict}"
-    ending = f"{_other_values(parameter, others)}{_text_at_99(parameter, ends)}"
+    statement, ending = f"is {verdict.value}", ""
+    if verdict is Identifiability.TWO:
+        statement = "has two solutions"
+        if _has_other_value(parameter, others):
+            ending = "".join(
+                f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
+                for value, chance in others
+            )
+    is_short = interval.upper < WELL * interval.lower
+    if ends is not None and verdict is Identifiability.WEAKLY and is_short:
+        ending = f", and at 99 % between {format_value(key, *ends)}"
     return f"{name} {statement}: it {place} (95 %){ending}"
-
-
-def _text_at_99(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
-    """State what the tests allow at 99 %, if that makes a short interval weakly identified."""
-    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    if ends is None or parameter.verdict is not Identifiability.WEAKLY or high >= WELL * low:
-        return ""
-    return f", and at 99 % between {format_value(parameter.name, *ends)}"
-
-
-def _other_values(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
-    """State the values of other solutions, if these make the verdict `TWO`."""
-    if parameter.verdict is not Identifiability.TWO or not has_other_value(parameter, others):
-        return ""
-    solution_texts = (
-        f"near {format_value(parameter.name, value)}, by a solution {chance:.2g} times as likely"
-        for value, chance in others
-    )
-    return f", or {', or '.join(solution_texts)}"
 
 
 def _source_text(source: str) -> str:
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 
-def _range_text(parameter: CalibratedParameter) -> str:
+def _describe_range(parameter: CalibratedParameter) -> str:
     """State the parts of a parameter's interval."""
     key, parts = parameter.name, parameter.intervals
-    is_open = parameter.is_open_below, parameter.is_open_above
-    if all(is_open) and len(parts) == 1:
+    is_open = {"below": parameter.is_open_below, "above": parameter.is_open_above}
+    if all(is_open.values()) and len(parts) == 1:
         ends = format_value(key, parts[0].lower, parts[0].upper)
         return f"may lie anywhere between the bounds, {ends}"
     ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in parts]
-    if is_open[0]:
+    if is_open["below"]:
         ranges[0] = f"below {format_value(key, parts[0].upper)}"
-    if is_open[1]:
+    if is_open["above"]:
         ranges[-1] = f"above {format_value(key, parts[-1].lower)}"
-    sides = [side for side, here in zip(("below", "above"), is_open, strict=True) if here]
-    ending = f"; the tests do not bound it from {' or from '.join(sides)}" if sides else ""
+    sides = " or from ".join(side for side, opens in is_open.items() if opens)
+    ending = f"; the tests do not bound it from {sides}" if sides else ""
     return f"lies {' or '.join(ranges)}{ending}"
 
 
@@ -242,65 +225,10 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Se
     return Separability(names, values, rows, is_known, text)
 
 
-def compute_friction_jacobian(
-    section: CrossSection,
-    contacts: Contacts,
-    values: Floats,
-    curves: tuple[MeasuredCurve, ...],
-    *,
-    orientation: float,
-    correlation: float,
-) -> Floats:
-    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
-
-    Parameters
-    ----------
-    section, contacts, orientation : the wire; the coefficients are those of `contacts`, the radial
-        force is that of phi
-    values : shape (3,), of the parameters
-    curves : measured, for their deflections and noise
-    correlation : of neighbouring points
-
-    Returns
-    -------
-    Shape (points, 3), by central differences.
-    """
-    difference_step = 1e-3
-    total = contacts.inner[-1] + contacts.outer[-1]
-    force = values[0] / total
-    columns = []
-    for number, part in enumerate((contacts.inner[-1], contacts.outer[-1], total)):
-        # Equal changes of phi: forces have corners where strands begin to slip, and columns
-        # of numbers that act through phi alone stay proportional only if they cross the same ones.
-        step = difference_step * total / max(part, 2.0 * difference_step * total)
-        forces = []
-        for sign in (1.0, -1.0):
-            factors = np.ones(3)
-            factors[number] += sign * step
-            changed = _scale_friction(contacts, factors[0], factors[1])
-            parts = split_wire(section, changed, orientation=orientation)
-            phi = force * factors[2] * (changed.inner[-1] + changed.outer[-1])
-            forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
-        columns.append((forces[0] - forces[1]) / (2.0 * step))
-    return np.column_stack(columns)
-
-
-def _scale_friction(contacts: Contacts, strand: float, insulation: float) -> Contacts:
-    """Scale the friction between strands and with the insulation."""
-    inner = tuple(strand * value for value in contacts.inner)
-    outer = (*(strand * value for value in contacts.outer[:-1]), insulation * contacts.outer[-1])
-    return replace(contacts, inner=inner, outer=outer, radial_force=1.0)
-
-
-def _whitened(
-    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
-) -> Floats:
-    models = compute_model_forces(parts, values, curves)
-    pieces = [
-        whiten(model.force / np.asarray(curve.noise), correlation)
-        for model, curve in zip(models, curves, strict=True)
-    ]
-    return np.concatenate(pieces)
+def compute_quantile(freedom: float) -> float:
+    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
+    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
+    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
 def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:

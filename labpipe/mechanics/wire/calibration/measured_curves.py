@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.records.arrays import Flags, Floats, freeze
+from labpipe.records.arrays import Floats, freeze
 from labpipe.records.wire_calibration import (
     CalibrationFailure,
     CurveAgreement,
@@ -62,6 +62,12 @@ class MeasuredCurve:
         shape = (len(self.deflection),)
         object.__setattr__(self, "force", freeze(self.force, shape=shape))
         object.__setattr__(self, "noise", freeze(np.broadcast_to(self.noise, shape), shape=shape))
+
+    @property
+    def setup(self) -> tuple[float, ...]:
+        """Return what the model's curve depends on."""
+        place = self.length, self.self_weight
+        return place if self.rig is None else (*place, *astuple(self.rig))
 
     @property
     def peak(self) -> float:
@@ -286,48 +292,28 @@ def compare_curves(
     RMSE is Eq. (3.29) of the dissertation; it is divided by the largest force of the other curve at
     the points compared.
     """
-    is_shared = _is_shared(curve, deflection)
-    text = _left_out_text(curve, is_shared, deflection, of)
-    left_out = int(np.sum(~is_shared))
-    missing = np.full(len(is_shared), np.nan)
-    if is_shared.sum() < MIN_COMPARED_POINTS:
-        return CurveMatch(missing, None, len(is_shared), text)
+    at, n_points = curve.deflection, len(curve.deflection)
+    missing = np.full(n_points, np.nan)
+    if not len(deflection):
+        text = f"no point was compared: there is no curve of {of}"
+        return CurveMatch(missing, None, n_points, text)
+    is_shared = (deflection[0] <= at) & (at <= deflection[-1])
+    n_shared, text = int(is_shared.sum()), ""
+    span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {of}"
+    if n_shared < MIN_COMPARED_POINTS:
+        text = (
+            f"{n_shared} of {n_points} points, from {1e3 * at[0]:.4g} to {1e3 * at[-1]:.4g} mm, "
+            f"lie within {span}: expected at least {MIN_COMPARED_POINTS}"
+        )
+        return CurveMatch(missing, None, n_points, text)
+    if n_shared < n_points:
+        text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
     lower, upper = (
-        (missing, missing) if band is None else (_interpolate(curve, deflection, b) for b in band)
+        missing if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
     )
-    reference = np.where(is_shared, _interpolate(curve, deflection, force), np.nan)
+    reference = np.where(is_shared, np.interp(at, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)
     if not np.isfinite(lower[is_shared]).all():
         errors = replace(errors, inside=np.nan)
     share = errors.rmse / float(np.nanmax(np.abs(reference)))
-    return CurveMatch(reference, replace(errors, rmse_share=share), left_out, text)
-
-
-def _is_shared(curve: ExternalCurve, deflection: Floats) -> Flags:
-    if not len(deflection):
-        return np.zeros(len(curve.deflection), dtype=np.bool_)
-    shared: Flags = (deflection[0] <= curve.deflection) & (curve.deflection <= deflection[-1])
-    return shared
-
-
-def _interpolate(curve: ExternalCurve, deflection: Floats, values: Floats) -> Floats:
-    values_at: Floats = np.interp(curve.deflection, deflection, values)
-    return values_at
-
-
-def _left_out_text(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> str:
-    """Describe the points that were left out."""
-    n_points, n_shared = len(shared), int(shared.sum())
-    if not len(deflection):
-        return f"no point was compared: there is no curve of {of}"
-    low, high = 1e3 * deflection[0], 1e3 * deflection[-1]
-    span = f"{low:.3g} to {high:.4g} mm, the range of {of}"
-    if n_shared == n_points:
-        return ""
-    if n_shared < MIN_COMPARED_POINTS:
-        first, last = 1e3 * curve.deflection[0], 1e3 * curve.deflection[-1]
-        return (
-            f"{n_shared} of {n_points} points, from {first:.4g} to {last:.4g} mm, lie within "
-            f"{span}: expected at least {MIN_COMPARED_POINTS}"
-        )
-    return f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
+    return CurveMatch(reference, replace(errors, rmse_share=share), n_points - n_shared, text)

@@ -33,12 +33,6 @@ from labpipe.records.wire_calibration import ScatterMixture
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
 
 
-def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
-    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
-    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """Covariance of the logarithms and the gain, and how it depends on the levels.
@@ -69,8 +63,7 @@ def estimate_correlation(fit: Fit) -> float:
     """
     max_correlation = 0.98
     above = below = 0.0
-    factors = np.exp(fit.point.gain + fit.point.offsets[fit.problem.sample])
-    for curve, model, factor in zip(fit.problem.curves, fit.models, factors, strict=True):
+    for curve, model, factor in zip(fit.problem.curves, fit.models, fit.factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
@@ -153,11 +146,11 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
 
 def make_linear_model(fit: Fit) -> LinearModel:
     """Return the linear model of a fit, with each sample's offset added back to its residual."""
-    grams = fit.grams.copy()
-    shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
+    grams, offsets = fit.grams.copy(), fit.unknowns[P + 1 :]
+    shift = offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
     grams[:, -1, :] += shift
-    grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
+    grams[:, -1, -1] += offsets**2 * fit.grams[:, P, P]
     columns = [*np.flatnonzero(fit.problem.free).tolist(), P]
     return LinearModel(grams, columns, fit.problem.n_points)
 
@@ -184,10 +177,10 @@ def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
     moves = np.append(problem.free, problem.gain > 0.0)
-    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
-    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
-    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
-    matrix[range(P + 1), range(P + 1)] += tight
+    precision = np.where(moves, problem.find_precision(0.0)[: P + 1], 0.0)
+    offsets = problem.find_offsets(fit.unknowns)[: P + 1]
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
+    matrix[range(P + 1), range(P + 1)] += precision
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
     if moves.any():
         unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
@@ -255,16 +248,16 @@ def compute_quantiles(
     error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     half_range = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
-    least, most = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
+    lower, upper = (centre - half_range).min(axis=1), (centre + half_range).max(axis=1)
 
     def quantile_at(share: float) -> Floats:
         def excess(value: Floats, row: Floats) -> Floats:
-            own = row.astype(np.int64)
-            t = (value[:, None] - centre[own]) / error[own]
+            numbers = row.astype(np.int64)
+            t = (value[:, None] - centre[numbers]) / error[numbers]
             return np.asarray(stdtr(mixture.freedom, t) @ mixture.chance - share)
 
-        rows = np.arange(len(least), dtype=np.float64)
-        return np.asarray(elementwise.find_root(excess, (least, most), args=(rows,)).x)
+        rows = np.arange(len(lower), dtype=np.float64)
+        return np.asarray(elementwise.find_root(excess, (lower, upper), args=(rows,)).x)
 
     return quantile_at(tail), quantile_at(1.0 - tail)
 
@@ -307,5 +300,5 @@ def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     max_scatter_factor = 1000.0  # times the estimated scatter
     n_scatters = 64
     least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
-    most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
-    return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2
+    largest = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
+    return np.geomspace(least_noise_share * least_scatter, largest, n_scatters) ** 2

@@ -1,31 +1,325 @@
-"""Results from the shape of the specimen: tip travel, bending law, three-point bending."""
+"""Results of bent specimens: stiffness of beams, shapes from cameras, the moment-curvature law."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from math import sqrt
-from typing import Annotated, ClassVar, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 
+from labpipe.errors import Fault
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import MARKER_SIDE, SCALE_OF_FORCE, SHAPE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
-from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
+from labpipe.records.declarations import (
+    CURVE,
+    Curvature,
+    Distance,
+    Length,
+    Needs,
+    Output,
+    Ratio,
+    Snake,
+    StiffnessName,
+)
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
-from labpipe.records.result import Result
-from labpipe.results.kinds import Computed, Kind, compute_scale_error
-from labpipe.results.least_squares import require_samples
-from labpipe.results.reduced_test import ReducedTest, SpanBend
-from labpipe.results.stiffness import Window
+from labpipe.results import kinds
+from labpipe.results.curves import require_samples
+from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
+from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
+from labpipe.uncertainty.extractors import Trace, combine_numbers
 from labpipe.uncertainty.noise_model import estimate_noise
 from labpipe.uncertainty.replicates import N_REPLICATES, fit_smooth_curve, make_generator
 from labpipe.units import GRAVITY
+
+SUPPORTS: Final = MappingProxyType({"cantilever": ("length", 3.0), "three-point": ("span", 48.0)})
+"""Key of the length L, and divisor of L^3: end load on a cantilever, central load on a span."""
+
+
+def compute_beam_factor(length: float, support: str) -> float:
+    """Return the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
+
+    Parameters
+    ----------
+    length : m, free length of a cantilever, or span between two supports
+    support : one of `SUPPORTS`
+
+    Returns
+    -------
+    L^3 / 3 or L^3 / 48.
+
+    Raises
+    ------
+    ValueError
+        For another support, or a length not above zero.
+
+    Notes
+    -----
+    Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
+    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is
+    tripled.
+
+    Examples
+    --------
+    >>> round(480.0 * compute_beam_factor(0.1, "three-point"), 9)
+    0.01
+    """
+    if support not in SUPPORTS:
+        raise ValueError(
+            format_sentence("results.bad_support", known=", ".join(SUPPORTS), found=support)
+        )
+    if not length > 0.0:
+        raise ValueError(format_sentence("results.bad_length", length=length))
+    return length**3 / SUPPORTS[support][1]
+
+
+def compute_prop_force(self_weight: float, length: float) -> float:
+    """Return the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
+
+    Parameters
+    ----------
+    self_weight : N/m
+    length : m
+
+    Notes
+    -----
+    For a small sag and a linear law; the laws of stranded wires change it by at most 0.03 % (A2 at
+    85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same tip deflection as
+    under this force alone.
+    """
+    return 0.375 * self_weight * length
+
+
+@dataclass(frozen=True, slots=True)
+class Rollers:
+    """Two roller supports.
+
+    Parameters
+    ----------
+    span : m, between the centres of the rollers
+    radius : m, from the centre of a roller to the axis of the specimen; 0 for knife edges
+    friction : coefficient of fixed rollers; 0 for turning ones
+    """
+
+    span: float
+    radius: float = 0.0
+    friction: float = 0.0
+
+
+def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
+    """Compute deflection and load of an elastic beam of EI = 1 N m^2 on rollers.
+
+    Parameters
+    ----------
+    rollers : the supports
+
+    Returns
+    -------
+    deflection : shape (n,), m, movement of the load towards the supports, from 0
+    load : shape (n,), N, for EI = 1 N m^2
+
+    Notes
+    -----
+    Half the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
+    where a radius of the roller is normal to the beam. The roller pushes with N along that normal
+    and, because the beam slides inwards over it, with mu N outwards along the beam. It exerts no
+    moment. The first integral of the
+    elastica (Love, A Treatise on the Mathematical Theory of Elasticity, 4th ed. 1927, secs.
+    260-263) with p = a - slope is then
+
+    EI (d slope / ds)^2 / 2 = N (sin p + mu (1 - cos p)).
+
+    Its integral over the horizontal must be span / 2 - radius sin a, which gives N; the load is
+    2 N (cos a + mu sin a), the deflection the rise over that half plus radius (1 - cos a). Gauss
+    quadrature in sqrt(p). In this model friction acts at the axis. Friction at the surface of a
+    specimen of depth h has an effect of the other sign, of the order of mu h / span at small
+    deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is for the stress
+    in the outer fibre, not for the stiffness.
+    """
+    n_nodes = 48
+    n_slopes = 600
+    # rad, at the supports: 77 deg
+    max_slope = 1.35
+    angle = np.linspace(0.0, max_slope, n_slopes + 1)[1:, None]
+    node, weight = np.polynomial.legendre.leggauss(n_nodes)
+    root = 0.5 * np.sqrt(angle) * (node + 1.0)
+    p = root**2
+    mu = rollers.friction
+    bend = np.sqrt(np.sin(p) + mu * (1.0 - np.cos(p)))
+    step = 0.5 * np.sqrt(angle) * weight * 2.0 * root / bend
+    along = np.sum(step * np.cos(angle - p), axis=1)
+    rise = np.sum(step * np.sin(angle - p), axis=1)
+    a = angle[:, 0]
+    scale = (0.5 * rollers.span - rollers.radius * np.sin(a)) / along
+    push = 0.5 / scale**2
+    load = 2.0 * push * (np.cos(a) + mu * np.sin(a))
+    deflection = scale * rise + rollers.radius * (1.0 - np.cos(a))
+    return np.append(0.0, deflection), np.append(0.0, load)
+
+
+def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
+    """Return the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
+
+    Parameters
+    ----------
+    rollers : the supports
+    low, high : m, ends of the range of the least-squares line
+
+    Returns
+    -------
+    The ratio.
+
+    Raises
+    ------
+    UnavailableError
+        ``beyond_elastica`` if the beam would slip through, or is less than half as stiff as at
+        first.
+
+    Examples
+    --------
+    >>> round(compute_stiffness_ratio(Rollers(0.1), low=0.0, high=0.001), 4)
+    0.9991
+    """
+    window_samples = 200
+    # Below this share of the stiffness at small deflections, geometry has more effect than the
+    # specimen.
+    min_ratio = 0.5
+    deflection, load = compute_roller_load(rollers)
+    falling = np.flatnonzero(np.diff(deflection) <= 0.0)
+    last = int(falling[0]) if len(falling) else len(deflection) - 1
+    if high > deflection[last]:
+        at, high = 1e3 * deflection[last], 1e3 * high
+        raise UnavailableError.of("results.slips_through", at=at, high=high)
+    deflections = np.linspace(low, high, window_samples)
+    loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
+    slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
+    ratio = slope * rollers.span**3 / 48.0
+    if ratio < min_ratio:
+        low, high = 1e3 * low, 1e3 * high
+        raise UnavailableError.of(
+            "results.beyond_elastica", low=low, high=high, ratio=ratio, needed=min_ratio
+        )
+    return ratio
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Roller:
+    """The rollers of two supports."""
+
+    diameter: Length | None = None
+    friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
+
+
+_ORDER = ("large-deflection", "roller-radius", "roller-friction")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BendingStiffness(FromStiffness):
+    """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
+
+    result: ClassVar = "bending-stiffness"
+    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
+    support: Annotated[
+        Literal["cantilever", "three-point"],
+        "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
+    ]
+    length_uncertainty: Annotated[
+        Distance | None,
+        "Standard uncertainty of L, where specimen.uncertainty does not say it",
+    ] = None
+    name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
+    corrections: Annotated[
+        tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
+        "Of three-point: what an exactly bent elastic beam does otherwise",
+    ] = ()
+    roller: Roller | None = None
+
+    @property
+    def length(self) -> str:
+        """Return the key of the length in the formula."""
+        return SUPPORTS[self.support][0]
+
+    @staticmethod
+    def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
+        """Refuse a correction without its inputs."""
+        corrections = entry.get("corrections")
+        names = corrections if isinstance(corrections, list | tuple) else []
+        if names and entry.get("support") == "cantilever":
+            expected = "corrections for 'three-point' alone"
+            yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+            return
+        roller = entry.get("roller")
+        for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
+            if name not in names:
+                continue
+            if "large-deflection" not in names:
+                remedy = "Add 'large-deflection' to the corrections."
+                expected = f"'large-deflection' beside {name!r}"
+                yield Fault(("corrections",), expected, "none", remedy)
+            if not isinstance(roller, Mapping) or roller.get(key) is None:
+                remedy = f"Add 'roller: {{{key}: ...}}'."
+                yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
+
+    def list_methods(self, test: ReducedTest) -> tuple[str]:
+        """Return the formula with its length."""
+        del test
+        key, divisor = SUPPORTS[self.support]
+        return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
+
+    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+        """Measure the bending stiffness from a stiffness and its length."""
+        sizes = test.setup.sizes
+        if self.length not in sizes:
+            is_span = self.length == "span"
+            raise UnavailableError.of("results.no_span" if is_span else "results.no_length")
+        self._compute_ratio(sizes, stiffness.window)
+        compute = partial(self._compute_rigidity, window=stiffness.window)
+        return test.measure_one(combine_numbers(compute, stiffness.decide))
+
+    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+        """Name the corrections with their sizes."""
+        ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
+        return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
+
+    def _compute_rigidity(
+        self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]
+    ) -> Floats:
+        """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
+        ratio = return_failure(self._compute_ratio)(trace.sizes, window)
+        beam_stiffness = stiffness * compute_beam_factor(trace.sizes[self.length], self.support)
+        return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
+
+    def _compute_ratio(
+        self, sizes: Mapping[str, float], window: tuple[float, float]
+    ) -> tuple[float, str]:
+        """Return the stiffness of an elastic beam as a multiple of the formula, and a remark."""
+        span = sizes.get("span")
+        if not self.corrections or span is None:
+            return 1.0, ""
+        ratio, radius, friction, effects = 1.0, 0.0, 0.0, list[str]()
+        roller = self.roller or Roller()
+        for name in _ORDER:
+            if name not in self.corrections:
+                continue
+            if name == "roller-radius":
+                radius = 0.5 * ((roller.diameter or 0.0) + sizes.get("outer_diameter", 0.0))
+            if name == "roller-friction":
+                friction = roller.friction or 0.0
+            rollers = Rollers(span, radius, friction)
+            next_ratio = compute_stiffness_ratio(rollers, low=window[0], high=window[1])
+            effects.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
+            ratio = next_ratio
+        return ratio, f"corrected as an elastic beam: {', '.join(effects)}"
 
 
 def fit_secant_stiffness(
@@ -90,7 +384,7 @@ class TipTravel(Kind):
         "largest distance of the last point of the shape from its mean over five frames"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the largest distance of the last point of the shape from its start."""
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
@@ -100,9 +394,7 @@ class TipTravel(Kind):
             raise UnavailableError.of("results.few_tips", count=len(tip))
         distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
         error = float(np.sqrt(2.0) * estimate_noise_level(distances))
-        return Computed(
-            (self.make_result(test, Estimate(float(distances.max()), error, len(tip))),)
-        )
+        yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +413,7 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
         bending = test.bending
         if bending is None or isinstance(bending, Failure):
@@ -133,7 +425,7 @@ class MomentCurvature(Kind):
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
         doubts = tuple(self.list_doubts(test, bending, law))
-        return Computed((self.make_result(test, outcome, error, during=during, doubts=doubts),))
+        yield self.make_result(test, outcome, error, during=during, doubts=doubts)
 
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
         if self.at > (largest := float(law.curvature[-1])):
@@ -188,7 +480,10 @@ class MidSpan(Window):
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
         Output(
-            "mid_span_bending_stiffness", "N*m^2", "Mid-span bending stiffness", (*CURVE, _SPAN)
+            "mid_span_bending_stiffness",
+            "N*m^2",
+            "Mid-span bending stiffness",
+            (*CURVE, _SPAN),
         ),
         Output("mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _SPAN)),
     )
@@ -209,10 +504,10 @@ class MidSpan(Window):
             "curvature at mid-span where the motion turns, against rest",
         )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         frames = _SpanFrames.of(test)
-        shape, results = frames.bend.shape, list[Result]()
+        shape = frames.bend.shape
         outcomes, with_fewer_terms = (
             (
                 return_failure(self._fit_stiffness)(frames, curvature),
@@ -226,10 +521,9 @@ class MidSpan(Window):
                 # Half-widths of rectangular distributions.
                 errors[SHAPE] = abs(other.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
-                errors |= compute_scale_error(test, outcome) if output == 0 else {}
+                errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
             during = test.find_loading_interval()
-            results.append(self.make_result(test, outcome, errors, output=output, during=during))
-        return Computed(tuple(results))
+            yield self.make_result(test, outcome, errors, output=output, during=during)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         curve, branch, time = frames.curve, frames.loading, frames.time
@@ -257,7 +551,7 @@ class _SpanFrames:
     time : shape (frames,), s, on the clock of the curve; seed : of draws
     """
 
-    bend: SpanBend
+    bend: kinds.SpanBend
     curve: Curve
     loading: Branch
     time: Floats
@@ -347,7 +641,7 @@ class Twist(Kind):
         "the motion turns"
     )
 
-    def measure(self, test: ReducedTest) -> Computed:
+    def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the turn of a section where the motion turns, against rest."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
@@ -356,11 +650,10 @@ class Twist(Kind):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
         x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
-        note = Finding.of("results.twist_section", "markers", at=1e3 * x[section])
+        yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
         other_twists = [shape.twist[:, other] for other in sections if other != section]
         similar = [other for other in other_twists if np.isfinite(other).any()]
         twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)
-        number = self.make_result(test, twist, during=test.find_loading_interval())
-        return Computed((number,), findings=(note,))
+        yield self.make_result(test, twist, during=test.find_loading_interval())

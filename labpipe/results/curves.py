@@ -1,0 +1,774 @@
+"""Replicates of the curve of a test, and least-squares lines of many curves at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from labpipe.records import causes
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, average_between, divide
+from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
+from labpipe.records.estimates import UnavailableError
+from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
+from labpipe.results.kinds import FailurePoint, ReducedTest
+from labpipe.signal.filters import filter_pieces
+from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.noise_model import compute_drift_modes
+from labpipe.uncertainty.replicates import (
+    Input,
+    Law,
+    Replicates,
+    count_spline_intervals,
+    draw_replicates,
+    fit_smooth_curve,
+    make_generator,
+)
+
+
+def require_samples(count: int, needed: int, where: str = " in the stretch") -> None:
+    """Raise ``too_few_samples`` if there are fewer samples than needed."""
+    if count < needed:
+        raise UnavailableError.of(
+            "results.too_few_samples", count=count, where=where, needed=needed
+        )
+
+
+def require_travel(values: Floats, quantity: str = "displacement") -> None:
+    """Raise ``no_travel`` if a quantity is constant."""
+    if np.ptp(values) == 0.0:
+        raise UnavailableError.of("results.no_travel", quantity=quantity)
+
+
+def compute_slope(x: Floats, y: Floats) -> Floats:
+    """Return the slope of the least-squares line of each row.
+
+    Parameters
+    ----------
+    x, y : shape (..., n), without NaN; either may be shape (n,), the same for all rows
+
+    Returns
+    -------
+    Shape (...): sum (x - mean x) y / sum (x - mean x)^2; NaN if `x` is constant.
+
+    Examples
+    --------
+    >>> compute_slope(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 2.0, 6.0], [5.0, 5.0, 5.0]]))
+    array([2.5, 0. ])
+    """
+    lever = x - x.mean(axis=-1, keepdims=True)
+    return divide(np.vecdot(lever, y), np.vecdot(lever, lever))
+
+
+def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
+    """Return the zero of the rising least-squares line of each row.
+
+    Parameters
+    ----------
+    x, y : shape (..., n), without NaN
+
+    Returns
+    -------
+    Shape (...), in the unit of `x`; NaN if the line does not rise.
+
+    Examples
+    --------
+    >>> rows = np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]])
+    >>> compute_zero_crossing(np.array([5.0, 6.0, 7.0]), rows)
+    array([ 4., nan])
+    """
+    slope = compute_slope(x, y)
+    slope = np.where(slope > 0.0, slope, np.nan)
+    zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
+    return zero
+
+
+def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fit the least-squares line through chosen samples of each row.
+
+    Parameters
+    ----------
+    chosen : shape (rows, n)
+    x, y : shape (rows, n) or (n,); NaN only where not chosen
+
+    Returns
+    -------
+    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN without a line.
+    """
+    count = chosen.sum(axis=1)
+    x, y = (np.where(chosen, values, 0.0) for values in (x, y))
+    middle, level = (divide(values.sum(axis=1), count) for values in (x, y))
+    lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
+    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * middle**2
+    return middle, level, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
+
+
+def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
+    """Return the weights of values in their least-squares polynomial.
+
+    Parameters
+    ----------
+    x : shape (n,), positions of the values, best near zero
+    degree : of the polynomial
+
+    Returns
+    -------
+    Shape (degree + 1, n): their products with the values, shape (..., n), are the coefficients, the
+    constant first.
+
+    Examples
+    --------
+    >>> weights = compute_polynomial_weights(np.arange(4.0), degree=2)
+    >>> (weights @ np.array([5.0, 6.0, 9.0, 14.0])).round(12).tolist()
+    [5.0, 0.0, 1.0]
+    """
+    scale = float(np.abs(x).max()) or 1.0
+    powers = np.arange(degree + 1.0)[:, np.newaxis]
+    weights: Floats = np.linalg.pinv((x / scale) ** powers).T / scale**powers
+    return weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonPath:
+    """Displacements of a reference curve, at which the forces of other curves are compared.
+
+    Parameters
+    ----------
+    samples : shape (k,), samples of a curve, or the slice of all in order
+    displacement : shape (k,), m
+    slope : shape (k,), N/m
+    """
+
+    samples: Samples
+    displacement: Floats
+    slope: Floats
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats, samples: Ints) -> CommonPath:
+        """Compute slopes of a curve over a fiftieth of its samples on each side.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time
+        samples : shape (k,), samples with both quantities, in any order
+
+        Notes
+        -----
+        If the displacement does not increase there, the slope is that from the first to the last
+        sample.
+        """
+        in_time = np.argsort(samples)
+        d, f = displacement[samples[in_time]], force[samples[in_time]]
+        last = len(d) - 1
+        rows, reach = np.arange(last + 1), max(1, last // 50)
+        low, high = np.maximum(rows - reach, 0), np.minimum(rows + reach, last)
+        run, rise, stroke = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
+        overall = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
+        slope = np.empty(last + 1)
+        slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
+        is_all = np.array_equal(samples, np.arange(len(force)))
+        return cls(slice(None) if is_all else samples, displacement[samples], slope)
+
+    def move_force(self, force: Floats, displacement: Floats | None = None) -> Floats:
+        """Move forces of curves to the displacements of the reference curve.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, of curves with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
+
+        Returns
+        -------
+        f - (df/dd) (d - d_0), shape (..., k), N: to first order, the force of a curve sampled at
+        other displacements. With a displacement from cameras, noise gives each replicate its own
+        displacements; a function that is linear in the force at fixed displacements then applies to
+        all of them. Second order is neglected: noise of the displacement makes a least-squares
+        slope smaller, by its variance over that of the displacements.
+        """
+        on_path: Floats = force[..., self.samples]
+        if displacement is None:
+            return on_path
+        moved = displacement[..., self.samples] - self.displacement
+        return on_path - self.slope * moved if moved.any() else on_path
+
+
+def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
+    """Return the samples with both quantities, in order of time.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), NaN where unknown
+    """
+    return np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+
+
+Quantity: TypeAlias = Literal["force", "displacement"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleNoise:
+    """Single samples of a quantity around a sample of the curve.
+
+    Parameters
+    ----------
+    smooth : shape (n,), m or N, the curve without noise
+    deviations : shape (n,), m or N, of single samples from the mean of their block
+    unfiltered : the same before all filters
+    filters : of the quantity; they act piece by piece
+    cuts : samples at which a new piece begins
+    blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
+        the noise of single samples, and deviations are those from the smooth curve
+    chance : generator that draws the random parts, with a fixed seed
+    """
+
+    smooth: Floats
+    deviations: Floats
+    unfiltered: Floats
+    filters: tuple[Filter, ...]
+    cuts: tuple[int, ...]
+    blocks: Ints | None
+    chance: np.random.Generator
+
+    @classmethod
+    def around(
+        cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, at: int
+    ) -> SampleNoise | None:
+        """Select the samples of a quantity around a sample of the curve.
+
+        Parameters
+        ----------
+        test : with a curve
+        trace : the curve without noise, as the replicates have it
+        quantity : whose samples are needed
+        stretch : samples of `trace` that may be used
+        at : one of them, such as the peak
+
+        Returns
+        -------
+        None if the replicates have all samples, or too few of them are known.
+        """
+        max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
+        signal = _select_signal(test, quantity)
+        chance = make_generator(test.seed, f"single {quantity}")
+        block_samples = _mean_step(trace.time) / _mean_step(signal.time)
+        if block_samples < min_block_samples:
+            return None
+        n_blocks = max(1, int(max_samples / block_samples))
+        part = slice(max(stretch.start, at - n_blocks), min(stretch.stop, at + n_blocks + 1))
+        block_time = trace.time[part]
+        ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
+        low, high = np.searchsorted(signal.time, ends).tolist()
+        time = test.clocks.to_curve(signal.time[low:high], signal.clock)
+        smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
+        raw, filters = _read_unfiltered(test, quantity, signal)
+        rows = np.stack([signal.values[low:high] - smooth, raw[low:high] - smooth])
+        is_valid = ~np.isnan(rows).any(axis=0)
+        if is_valid.sum() < min_samples:
+            return None
+        time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
+        turns = [at for _, at in _list_turns(trace) if time[0] < at < time[-1]]
+        cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
+        if _has_single_samples(test, quantity):
+            rows -= rows.mean(axis=1, keepdims=True)
+            return cls(smooth, rows[0], rows[1], filters, cuts, None, chance)
+        blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
+        counts = np.maximum(np.bincount(blocks), 1)
+        rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
+        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, chance)
+
+    def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
+        """Return the effect of noise on the largest sample, shape (replicates,).
+
+        Parameters
+        ----------
+        noise : shape (replicates, samples of the curve), of the quantity
+        sense : sign of loading
+        """
+        # Standard deviations of noise below the peak up to which a sample may be the largest.
+        max_deviations = 8.0
+        smooth = sense * self.smooth
+        variance = self.deviations.var()
+        if self.blocks is not None:
+            variance += noise[:, self.blocks[0] : self.blocks[-1] + 1].var()
+        near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
+        # Of more than half of the samples, every position would have the same deviations.
+        near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
+        filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
+        part = slice(
+            max(int(near_peak[0]) - filter_reach, 0),
+            min(int(near_peak[-1]) + filter_reach + 1, len(smooth)),
+        )
+        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
+        rows = self.chance.integers(0, len(windows), len(noise))
+        cuts = [cut - part.start for cut in self.cuts]
+        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - part.start]
+        if self.blocks is not None:
+            samples += noise[:, self.blocks[near_peak]]
+        raised: Floats = (smooth[near_peak] + sense * samples).max(axis=1) - smooth.max()
+        return sense * raised
+
+    def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
+        """Return deviations of random single samples from their block."""
+        if self.blocks is None:
+            return np.zeros(shape)
+        return self.chance.choice(self.deviations, size=shape)
+
+
+def _read_unfiltered(
+    test: ReducedTest, quantity: Quantity, signal: Signal
+) -> tuple[Floats, tuple[Filter, ...]]:
+    """Return the samples of a quantity before its filters, and those filters."""
+    signals = test.signals
+    name = signals.force if quantity == "force" else signals.displacement
+    filters = signals.filters.get(name, ())
+    raw = test.unfiltered if quantity == "force" else signals.raw[name]
+    if raw is None or len(raw.time) != len(signal.time):
+        return signal.values, ()
+    return raw.values, filters
+
+
+def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
+    """Measure how many samples on each side of a pulse filters reach."""
+    middle = 2000
+    pulse = np.eye(1, 2 * middle + 1, middle)[0]
+    response = np.abs(filter_pieces(pulse, (), filters))
+    return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
+
+
+def have_no_filter_effect(filters: list[FilterFunction]) -> bool:
+    """Check whether filters leave a pulse of a single sample unchanged."""
+    pulse = np.eye(1, 101, 50)[0]
+    return all(np.array_equal(filter_function(pulse), pulse) for filter_function in filters)
+
+
+def _select_signal(test: ReducedTest, quantity: Quantity) -> Signal:
+    """Select the signal with all samples of a quantity."""
+    if quantity == "force" and test.force.clock != test.clocks.curve:
+        return test.force
+    curve = test.required_curve
+    values = curve.force if quantity == "force" else curve.displacement
+    return replace(test.displacement, time=curve.time, values=values, perturbed={})
+
+
+def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:
+    """Check whether the curve has single samples of a faster signal."""
+    filters = test.signals.filters.get(test.signals.force, ())
+    is_fast = quantity == "force" and test.force.clock != test.clocks.curve
+    return is_fast and have_no_filter_effect([filter_function for filter_function, _ in filters])
+
+
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
+    """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
+
+    Parameters
+    ----------
+    trace, values : the curve, and its quantity
+    time : shape (n,), s on its clock
+    part : samples of the curve around those times
+    """
+    interpolated = np.empty(len(time))
+    inner = [(x, at) for x, at in _list_turns(trace) if part.start < x < part.stop]
+    for (start, begin), (stop, end) in pairwise(
+        [(part.start, -np.inf), *inner, (part.stop, np.inf)]
+    ):
+        low, high = np.searchsorted(time, [begin, end], side="right")
+        interpolated[low:high] = _interpolate_linearly(
+            time[low:high], trace.time[start:stop], values[start:stop]
+        )
+    return interpolated
+
+
+def _list_turns(trace: Trace) -> list[tuple[int, float]]:
+    """Return the samples of a curve at which a piece begins, and their times."""
+    turns = {branch.start: branch.start_time for branch in trace.branches}
+    turns |= {branch.stop: branch.stop_time for branch in trace.branches}
+    if trace.failed_at is not None:
+        turns[trace.failed_at + 1] = float(trace.time[trace.failed_at : trace.failed_at + 2].mean())
+    return sorted(turns.items())
+
+
+def _mean_step(time: Floats) -> float:
+    return float(time[-1] - time[0]) / max(len(time) - 1, 1)
+
+
+def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
+    """Interpolate values, with linear extrapolation at both ends."""
+    interpolated = np.interp(at, time, values)
+    if len(time) < 2:
+        return interpolated
+    for pair, is_outside in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+        (before, after), (low, high) = time[pair], values[pair]
+        interpolated[is_outside] = low + (high - low) / (after - before) * (at[is_outside] - before)
+    return interpolated
+
+
+_CAUSES_BY_FRAME = (causes.SHAPE, causes.GRIP, causes.PULL, causes.CENTRE)
+"""Causes whose effect is computed frame by frame, from markers with noise."""
+
+
+def replicate_curves(test: ReducedTest) -> Replicates | None:
+    """Draw replicates of the curve of a test.
+
+    Parameters
+    ----------
+    test : with a curve, its failure and its slips
+
+    Returns
+    -------
+    The replicates, or None without a curve.
+    """
+    curve, unfiltered = test.curve, test.unfiltered
+    if curve is None or unfiltered is None or not curve.branches:
+        return None
+    measured = make_trace(test)
+    corners = _list_corners(test)
+    starts = _find_block_starts(corners, curve)
+    blocks = _move_to_grid(measured, starts)
+    cuts = [int(np.searchsorted(starts, corner)) for corner in corners]
+    records, filters = [], []
+    for name, (filtered, raw) in (
+        (test.signals.displacement, _read_displacements(test, curve)),
+        (test.signals.force, _read_forces(test, unfiltered, curve)),
+    ):
+        functions = _make_grid_filters(test, name, blocks.time)
+        record = filtered if have_no_filter_effect(functions) else raw
+        records.append(_average_blocks(record, starts))
+        filters.append(partial(_apply_filters, filter_functions=functions, cuts=cuts))
+    grid = replace(blocks, displacement=records[0], force=records[1])
+
+    def smooth(change: Floats) -> Floats:
+        """Smooth the effect of an input: its noise would raise the largest of many samples."""
+        parts = count_spline_intervals(grid)
+        return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+
+    return draw_replicates(
+        measured,
+        grid,
+        cuts,
+        (filters[0], filters[1]),
+        tuple(_list_inputs(test, starts, smooth)),
+        seed=test.seed,
+        compliance=test.compliance,
+        blocks=blocks,
+    )
+
+
+def make_trace(test: ReducedTest) -> Trace:
+    """Return the trace of the curve of a test.
+
+    Parameters
+    ----------
+    test : with a curve
+    """
+    curve, failure = test.required_curve, test.failure
+    return Trace(
+        time=curve.time,
+        displacement=curve.displacement,
+        force=curve.force,
+        branches=curve.branches,
+        failed_at=failure.sample if isinstance(failure, FailurePoint) else None,
+        sizes=test.setup.sizes,
+    )
+
+
+def select_first_loading(trace: Trace) -> slice:
+    """Return the samples of the first loading, up to a failure in it; may be empty.
+
+    Parameters
+    ----------
+    trace : one or many curves
+    """
+    loading = [part for part in trace.branches if part.direction is Direction.LOADING]
+    if not loading:
+        return slice(0, 0)
+    start, stop = loading[0].start, loading[0].stop
+    if trace.failed_at is not None:
+        stop = min(stop, trace.failed_at + 1)
+    return slice(start, max(start, stop))
+
+
+def _list_corners(test: ReducedTest) -> list[int]:
+    """Return the samples at which a new piece of the record begins: turns, failure, slips."""
+    curve, failure = test.required_curve, test.failure
+    cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
+    if isinstance(failure, FailurePoint):
+        cuts.append(failure.sample + 1)
+    cuts += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
+    return sorted({cut for cut in cuts if 0 < cut < len(curve.time)})
+
+
+def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
+    """Find the first samples of the blocks of a grid; no block crosses a corner.
+
+    The last block before a corner includes the remainder.
+    """
+    # A record may have fewer than `min_blocks` if its shortest branch limits the size of a block.
+    min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
+    count = len(curve.time)
+    shortest = min(branch.stop - branch.start for branch in curve.branches)
+    block = min(count // min_blocks, shortest // min_branch_blocks)
+    block = max(block, -(-count // max_blocks))
+    pieces = pairwise([0, *corners, count])
+    starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
+    return np.concatenate(starts)
+
+
+def _average_blocks(values: Floats, starts: Ints) -> Floats:
+    """Return the means of the blocks of a grid."""
+    return values if len(starts) == len(values) else average_between(values, starts)
+
+
+def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Return the samples of a signal at which a new piece begins.
+
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : the signal
+    """
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return cuts
+
+
+def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
+    """Average a trace over the blocks of a grid."""
+    failed = trace.failed_at
+    branches = []
+    for branch in trace.branches:
+        start, stop = np.searchsorted(starts, [branch.start, branch.stop]).tolist()
+        branches.append(replace(branch, start=start, stop=stop))
+    return replace(
+        trace,
+        time=_average_blocks(trace.time, starts),
+        displacement=_average_blocks(trace.displacement, starts),
+        force=_average_blocks(trace.force, starts),
+        branches=tuple(branches),
+        failed_at=failed and int(np.searchsorted(starts, failed, side="right")) - 1,
+    )
+
+
+def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the displacement including that of the frame, filtered and unfiltered."""
+    filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
+    raw = test.signals.raw[test.signals.displacement].values
+    if len(raw) != len(filtered):
+        return filtered, filtered
+    return filtered, raw + float(np.nanmean(filtered - raw))
+
+
+def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the force of the curve, and the unfiltered one with slips added back."""
+    force = _sample_on_curve(test, unfiltered, curve.time)
+    force = add_slips_back(force, _list_repaired(test))
+    # The filter bridges missing samples.
+    force = np.where(np.isnan(force), curve.force, force)
+    return curve.force, np.where(np.isnan(curve.force), np.nan, force)
+
+
+def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
+    """Sample a signal at the times of the curve; average a faster one around each time."""
+    if len(signal.time) < 2 * len(time):
+        return test.clocks.interpolate(signal, time)
+    step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
+    # Ends of the means less half a step: each sample is the mean of a step around it.
+    ends = test.clocks.from_curve(np.array([time - half, time + half]), signal.clock) - 0.5 * step
+    knots, is_blank = np.append(signal.time[0] - step, signal.time), np.isnan(signal.values)
+    is_inside = (ends >= knots[0]).all(axis=0) & (ends < knots[-1]).all(axis=0)
+
+    def integrate(values: Floats) -> Floats:
+        low, high = np.interp(ends, knots, np.append(0.0, np.cumsum(values)))
+        return np.where(is_inside, high - low, 0.0)
+
+    level = float(np.nanmean(signal.values))  # without it, sums would lose digits
+    sums = integrate(np.where(is_blank, 0.0, signal.values - level))
+    counts = integrate((~is_blank).astype(np.float64))
+    mean = level + sums / np.where(counts > 0.5, counts, np.nan)
+    return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
+
+
+def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
+    """Return the filters of a signal for the grid; none if it was thinned."""
+    signals = test.signals
+    filters, raw = signals.filters.get(name, ()), signals.raw[name].time
+    if name == signals.displacement and len(raw) != len(test.required_curve.time):
+        return []
+    filter_functions = list[FilterFunction]()
+    for act, stride in filters:
+        filter_functions.append(
+            act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw))))
+        )
+        raw = raw[::stride]
+    return filter_functions
+
+
+def _apply_filters(
+    values: Floats, *, filter_functions: Sequence[FilterFunction], cuts: Sequence[int]
+) -> Floats:
+    """Apply all filters to records (..., n), piece by piece."""
+    finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
+    if not filter_functions or not len(finite):
+        return values
+    first, last = int(finite[0]), int(finite[-1]) + 1
+    inner = [cut for cut in cuts if first < cut < last]
+    parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
+    for act in filter_functions:
+        parts = [act(part) for part in parts]
+    return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
+
+
+def _list_inputs(
+    test: ReducedTest, starts: Ints, smooth: Callable[[Floats], Floats]
+) -> Iterator[Input]:
+    """Yield the uncertain inputs of the whole record."""
+    yield from _list_scales(test)
+    yield from _list_force_levels(test, starts)
+    displacement, time = test.displacement, test.required_curve.time
+    for cause, signal in displacement.perturbed.items():
+        change = _average_blocks(signal - displacement.values, starts)
+        change = smooth(change) if cause in _CAUSES_BY_FRAME else change
+        law: Law = "uniform" if cause == causes.SHAPE else "normal"
+        yield Input(cause, partial(shift_displacement_by, by=change), law=law)
+    for cause, clocks in test.clocks.perturbed.items():
+        later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
+        yield Input(cause, partial(_delay_force, by=_average_blocks(later, starts)))
+    for name, by in test.setup.uncertainties.items():
+        cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
+        yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
+    step = len(starts) / len(time)  # of the curve, as a share of a step of the grid
+
+    def end_later(trace: Trace, x: float) -> Trace:
+        return replace(trace, steps_beyond=x * step)
+
+    yield Input(causes.STEP, end_later, law="step", moves_curve=False)
+    for number, slip in enumerate(_list_repaired(test), start=1):
+        is_behind = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
+        back = partial(_add_force, by=np.where(is_behind, slip.drop_interval.standard_error, 0.0))
+        yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
+
+
+def _list_scales(test: ReducedTest) -> Iterator[Input]:
+    """Yield scale and zero of both quantities, as far as they are uncertain."""
+    force, displacement, compliance = test.raw_force, test.displacement, test.compliance
+
+    def gain(trace: Trace, x: float) -> Trace:
+        return _add_force(trace, x, by=force.relative_error * trace.force, compliance=compliance)
+
+    def scaled(trace: Trace, x: float) -> Trace:
+        whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
+        return shift_displacement_by(trace, x * displacement.relative_error, by=whole)
+
+    raised = partial(_add_force, by=force.zero_error, compliance=compliance)
+    shifted = partial(shift_displacement_by, by=displacement.zero_error)
+    for cause, error, perturb in (
+        (causes.SCALE_OF_FORCE, force.relative_error, gain),
+        (causes.ZERO_OF_FORCE, force.zero_error, raised),
+        (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scaled),
+        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shifted),
+    ):
+        if error:
+            yield Input(cause, perturb)
+
+
+def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
+    """Yield the resolution of the force, and the modes of the drift of its zero."""
+    curve, add = test.required_curve, partial(_add_force, compliance=test.compliance)
+    if test.unfiltered is not None and (coarse := _find_converter_step(test.unfiltered.values)):
+        yield Input(causes.RESOLUTION, partial(add, by=coarse / np.sqrt(12.0)), law="uniform")
+    drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
+    since = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
+    for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
+        stream = f"{causes.DRIFT_OF_ZERO} {number}"
+        yield Input(causes.DRIFT_OF_ZERO, partial(add, by=wave), stream=stream)
+
+
+def _list_repaired(test: ReducedTest) -> list[Slip]:
+    return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
+
+
+def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
+    """Add the losses of slips back to a force.
+
+    Parameters
+    ----------
+    force : shape (n,), N
+    slips : with the sample numbers of `force`
+
+    Returns
+    -------
+    shape (n,), N. The drop of each slip is added from its `stop` on. Samples between `start` and
+    `stop` are interpolated. NaN stay NaN.
+    """
+    repaired = np.array(force, dtype=np.float64)
+    for slip in slips:
+        repaired[slip.stop :] += slip.drop
+    for slip in slips:
+        inside = np.arange(slip.start + 1, slip.stop)
+        ends = repaired[[slip.start, slip.stop]]
+        line = np.interp(inside, [slip.start, slip.stop], ends)
+        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
+    return repaired
+
+
+def _find_converter_step(values: Floats) -> float:
+    """Find the step of a converter whose resolution is coarser than the noise, or else 0.
+
+    Such a record is constant over most samples, at ten levels or more; no noise shows the values
+    between two levels.
+    """
+    min_constant_share = 0.5
+    min_levels = 10
+    moves = np.abs(np.diff(values[~np.isnan(values)]))
+    constant = moves == 0.0
+    if not min_constant_share * len(constant) < constant.sum() < len(constant):
+        return 0.0
+    times = int(np.sum(constant[1:] & ~constant[:-1]))
+    return float(np.median(moves[~constant])) if times >= min_levels else 0.0
+
+
+def _find_zero_time(test: ReducedTest) -> float:
+    """Return the time at which the force was zeroed, s on the clock of the curve.
+
+    It is the middle of a mean, or the outer end of a line; without a zero, the first sample.
+    """
+    signals, time = test.signals, test.required_curve.time
+    name, clock = signals.force, signals.raw[signals.force].clock
+    if name in signals.zero_stretches:
+        return test.clocks.to_curve(0.5 * sum(signals.zero_stretches[name]), clock)
+    if name not in signals.moving_zero_stretches:
+        return float(time[0])
+    first, last = (test.clocks.to_curve(end, clock) for end in signals.moving_zero_stretches[name])
+    return first if first - time[0] < time[-1] - last else last
+
+
+def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float = 0.0) -> Trace:
+    """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
+    moved = x * compliance * np.nan_to_num(by)
+    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - moved)
+
+
+def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:
+    """Shift the displacement of a trace by a multiple of a length.
+
+    Parameters
+    ----------
+    trace : the trace
+    x : the multiple
+    by : m, a number or one per sample
+    """
+    return replace(trace, displacement=trace.displacement + x * by)
+
+
+def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
+    if name not in trace.sizes:
+        return trace
+    return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * by})
+
+
+def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
+    return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
