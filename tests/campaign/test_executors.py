@@ -176,7 +176,9 @@ def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
 
 def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    error = ProcessingError.about("campaign.process_died", task.sheet, ending="by the signal SIGTERM")
+    error = ProcessingError.about(
+        "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
+    )
     died = await_outcome(task, raising(error))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
     late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
