@@ -353,7 +353,7 @@ class Watcher:
             test.handled_files, test.handled_at = files, self._clock()
 
     def _process(self, candidate: Candidate) -> bool:
-        """Process a test and report the verdict; return False if it must be tried_files again."""
+        """Process a test and report the verdict; return False if it must be tried again."""
         test = self._tests[candidate.folder]
         try:
             outcome = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
