@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
-from labpipe.process.output_paths import files_below
+from labpipe.process.output_paths import list_files_below
 from labpipe.process.reading import join_exports, read_role
 from labpipe.process.steps import Prepared, calibrate, run_step
 from labpipe.protocol.load import (
@@ -88,7 +88,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     for path in (
         paths or [x for x in map(Path, ("protocols", "raw")) if x.is_dir()] or [Path("protocols")]
     ):
-        candidates = files_below(path) if path.is_dir() else [path]
+        candidates = list_files_below(path) if path.is_dir() else [path]
         yaml_files = [
             file for file in candidates if file.suffix in _YAML_SUFFIXES and file.is_file()
         ]
