@@ -21,7 +21,7 @@ from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
-from labpipe.readers.load_frame.cards import lab_card_files
+from labpipe.readers.load_frame.cards import list_lab_card_files
 from labpipe.readers.number_table import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
@@ -178,7 +178,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     """
     if not any("load-frame" in source.reader for source in protocol.sources.values()):
         return ()
-    return tuple(fingerprint(file, "dialect", file.name) for file in lab_card_files())
+    return tuple(fingerprint(file, "dialect", file.name) for file in list_lab_card_files())
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:

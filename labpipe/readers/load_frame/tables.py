@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ChannelChoice, find_channel, plain_name, unique_names
+from labpipe.readers.channels import ChannelChoice, find_channel, make_names_unique, normalise_name
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.number_table import (
     DECIMAL_SIGNS,
@@ -238,7 +238,7 @@ def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int |
     ignored.
     """
     names = ["" if name in card.words else name for name in names]
-    for called in (names, [plain_name(name) for name in names]):
+    for called in (names, [normalise_name(name) for name in names]):
         for pattern in card.time:
             for i, name in enumerate(called):
                 if pattern.fullmatch(name):
@@ -359,7 +359,7 @@ def _build_body(
 ) -> Body:
     return Body(
         skip_lines(data, header.first),
-        unique_names(header.names),
+        make_names_unique(header.names),
         columns,
         header.first_line + header.first,
         header.separator,
@@ -376,7 +376,7 @@ def _wanted_columns(header: Header, card: Card, channels: Channels, path: object
     numbers = [i for i in range(len(names)) if names[i] not in card.words]
     if channels is None:
         return numbers
-    paths = unique_names(names)
+    paths = make_names_unique(names)
     offered = [i for i in numbers if i != time]
     pairs = [(names[i], paths[i]) for i in offered]
     chosen = {offered[find_channel(channel, pairs, path)] for channel in channels}
@@ -396,7 +396,9 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
         starts = repeats
     names = [titles.get(start, "") for start in starts]
     if len(starts) > 1:
-        names = unique_names([name or f"specimen {i}" for i, name in enumerate(names, start=1)])
+        names = make_names_unique(
+            [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
+        )
     return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
 
 
