@@ -185,9 +185,9 @@ def _clean_table(table: Table, card: Card) -> Table:
 
 
 def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
-    if chosen := [table for table in tables if part in {table.part, table.also} - {""}]:
+    if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
         return chosen
-    names = [table.part or table.also for table in tables if table.part or table.also]
+    names = [table.part or table.other_name for table in tables if table.part or table.other_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
     raise ReadError.about(
         "readers.no_such_part" if nearest_names else "readers.no_parts",
@@ -234,7 +234,7 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
-    about |= {"part": table.part or table.also} if table.part or table.also else {}
+    about |= {"part": table.part or table.other_name} if table.part or table.other_name else {}
     return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
 
 
