@@ -151,7 +151,7 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     return fields
 
 
-def write_answer(answer: QueryResult, form: str, out: IO[str]) -> None:
+def write_query_result(answer: QueryResult, form: str, out: IO[str]) -> None:
     """Write rows as text.
 
     Parameters

@@ -18,9 +18,9 @@ from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
-    applicable_decision,
-    find_home,
-    read_decisions_on,
+    find_applicable_decision,
+    find_decision_folder,
+    read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
@@ -97,7 +97,7 @@ class ReportOptions:
         wires = self.wires and os.path.relpath(self.wires, folder)
         return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
-    def or_earlier(self, earlier: ReportOptions) -> ReportOptions:
+    def fill_from(self, earlier: ReportOptions) -> ReportOptions:
         """Return the options, with missing ones from an earlier report.
 
         Parameters
@@ -275,7 +275,7 @@ class _Tests:
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
-    decisions_by_file, shared = read_decisions_on(files), find_shared_folder(files)
+    decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
@@ -288,12 +288,12 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         except LabpipeError as error:
             tests.left_out[str(file)] = str(error)
             continue
-        specimen = add_sizes(result.specimen, protocol.specimen)
+        specimen = add_dimensions(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = make_sample(sized, source=str(file), label=find_home(file, shared)[1])
+        sample = make_sample(sized, source=str(file), label=find_decision_folder(file, shared)[1])
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
-        if decision := applicable_decision(decisions, run=result.run):
+        if decision := find_applicable_decision(decisions, run=result.run):
             sample = replace(sample, decision=decision.describe())
             if decision.decision == REJECT:
                 tests.rejected[str(file)] = sample.decision
@@ -481,7 +481,7 @@ def classify_results(protocol: Protocol) -> ResultKinds:
     )
 
 
-def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
+def add_dimensions(specimen: Specimen, block: SpecimenBlock) -> Specimen:
     """Add the sizes of the protocol to those of a specimen; its test sheet has priority.
 
     Parameters

@@ -29,7 +29,7 @@ from labpipe.campaign.catalog_rows import (
     FileState,
     TestRow,
     as_json,
-    encodable,
+    escape_surrogates,
     read_outcome,
 )
 from labpipe.campaign.decisions import (
@@ -37,7 +37,7 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
-    applicable_decision,
+    find_applicable_decision,
     find_unapplied_decisions,
     now,
     read_decisions,
@@ -86,7 +86,7 @@ class Overview:
     has_bad_input: bool
     has_failed_results: bool
 
-    def state_of(self, folder: str) -> str:
+    def find_state(self, folder: str) -> str:
         """Return the state of a test, ``running`` if a process works on it.
 
         Parameters
@@ -96,20 +96,20 @@ class Overview:
         return RUNNING if folder in self.claims else self.rows[folder].state
 
     @property
-    def unapplied(self) -> list[tuple[Decision, str]]:
+    def unapplied_decisions(self) -> list[tuple[Decision, str]]:
         """Return the decisions that are not applied, and why."""
-        runs = {folder: row.attempt for folder, row in self.rows.items()}
+        runs = {folder: row.attempt_key for folder, row in self.rows.items()}
         return list(find_unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
         """Return the number of tests by state."""
-        return Counter(map(self.state_of, self.rows))
+        return Counter(map(self.find_state, self.rows))
 
 
 @contextmanager
 def open_campaign(
-    campaign: CampaignFolders, *, start_empty: bool = False, is_changed: bool = False
+    campaign: CampaignFolders, *, start_empty: bool = False, for_writing: bool = False
 ) -> Iterator[CatalogSync]:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
@@ -117,7 +117,7 @@ def open_campaign(
     ----------
     campaign : its folders
     start_empty : whether to make an empty one in any case
-    is_changed : whether the campaign will be changed, so that it must be writable
+    for_writing : whether the campaign will be changed, so that it must be writable
 
     Raises
     ------
@@ -127,7 +127,7 @@ def open_campaign(
     """
     notes: list[str] = []
     with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
-        if is_changed and catalog.in_memory:
+        if for_writing and catalog.in_memory:
             raise StoreError.about("campaign.read_only", campaign.processed)
         yield CatalogSync(campaign, catalog, notes)
 
@@ -213,7 +213,7 @@ class CatalogSync:
         is_due = self.refresh_test(folder).is_due or is_forced
         if not is_due or not self.sheet(folder).is_file():
             return ""
-        content = self.catalog.read_file_states(folder).get(folder, FileState()).content
+        content = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
         inputs = self._input_reader.read_inputs(self.sheet(folder), parse_inputs(content))
         self._inputs_in_work[folder] = inputs
         return inputs.key
@@ -235,7 +235,7 @@ class CatalogSync:
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
         signature = files.signature if files is not None else ""
-        stored = parse_inputs(state.content) if state is not None else None
+        stored = parse_inputs(state.inputs_json) if state is not None else None
         inputs, key = self._inputs_in_work.pop(folder, stored), ""
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
@@ -243,10 +243,10 @@ class CatalogSync:
         decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
         decided = hash_text(repr(decisions)) if decisions else ""
         marks = f"{signature} {key or sheet is not None} {decided}"
-        if state is not None and state.marks == marks and inputs == stored:
+        if state is not None and state.fingerprint == marks and inputs == stored:
             return None
         entry = read_outcome(folder, files)
-        decision = applicable_decision(decisions, run=_last_key(entry.row))
+        decision = find_applicable_decision(decisions, run=_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
         content = inputs.to_json() if inputs is not None else ""
         return entry._replace(row=row, file_state=FileState(content, marks))
@@ -262,7 +262,7 @@ def _complete_row(
 ) -> TestRow:
     """Add the facts of the test sheet, outdated inputs and a rejection to the row of a test."""
     row, facts = outcome.row, {} if inputs is None else inputs.facts
-    row = row._replace(**{key: getattr(row, key) or encodable(facts[key]) for key in facts})
+    row = row._replace(**{key: getattr(row, key) or escape_surrogates(facts[key]) for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
@@ -300,7 +300,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
-        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).content))
+        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).inputs_json))
     }
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)
@@ -368,7 +368,7 @@ def run_campaign(
     LabpipeError
         If the catalog is from a newer labpipe, or the folder of results cannot be written.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         overview = sync.refresh()
         due = [
             folder
@@ -404,7 +404,7 @@ def run_test(
     LabpipeError
         As `run_campaign`.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         forced = [folder] if is_forced else []
         processed, elsewhere = _process(sync, executor, [folder], forced)
         return None if elsewhere else sync.refresh_test(folder), processed.get(folder)
@@ -508,7 +508,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     UsageError
         If `code` is not empty and no failure has it.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         rows = sync.refresh().rows
         failed = {folder: row for folder, row in rows.items() if row.state == FAILED}
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
@@ -546,11 +546,11 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     LabpipeError
         If there is no such test, it is not processed yet, or the decisions cannot be written.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         row = _find_row(campaign, sync.refresh(), test)
-        if not row.attempt:
+        if not row.attempt_key:
             raise UsageError.about("campaign.unprocessed_test", test)
-        entry = replace(decision, test=row.folder, run=row.attempt, when=now())
+        entry = replace(decision, test=row.folder, run=row.attempt_key, when=now())
         add_decisions(campaign.processed, campaign.name, [entry])
         return sync.refresh().rows[row.folder]
 

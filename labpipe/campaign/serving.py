@@ -20,10 +20,10 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
-    find_home,
+    find_decision_folder,
     import_decisions,
     parse_decisions,
-    read_decisions_on,
+    read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
@@ -280,7 +280,7 @@ def _find_file(path: list[str], site: Site) -> Path:
 def _find_result(page: str, site: Site) -> Path:
     """Find the result file of a test by the name of its page."""
     for file in list_files_below(site.results_folder, RESULT_FILE):
-        if name_page_file(find_home(file, site.results_folder)[1]) == page:
+        if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
             return file
     raise _not_found()
 
@@ -291,9 +291,11 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     if sent.faults:
         raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(sent.faults[:_MAX_LISTED]))
     imported = import_decisions(site.results_folder, site.campaign, sent.decisions)
-    stored = read_decisions_on(list_files_below(site.results_folder, RESULT_FILE))
+    stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
-    sentences = [f"{write_count(len(imported.added) + imported.n_known, 'decision')} saved."]
+    sentences = [
+        f"{write_count(len(imported.added) + imported.n_stored_before, 'decision')} saved."
+    ]
     refused = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]

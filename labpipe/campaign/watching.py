@@ -53,14 +53,14 @@ _MODULES = (
 """Modules that processing and figures need, besides those that this module imports."""
 
 
-def import_all() -> None:
+def import_modules() -> None:
     """Import all modules that tests need, and parse protocols and units once."""
     for name in _MODULES:
         import_module(name)
     load_all_protocols()
 
 
-def process_in(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
     """Process tests without figures one after another; an `Executor`.
 
     Parameters
@@ -69,7 +69,7 @@ def process_in(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, No
     tasks : the tests
     """
     for task in tasks:
-        call = pool.submit(partial(process_task, replace(task, figures=False)), about=task.sheet)
+        call = pool.submit(partial(process_task, replace(task, figures=False)), subject=task.sheet)
         yield await_outcome(task, call.result)
 
 
@@ -429,14 +429,14 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         def pair(candidate: Candidate, plan: CampaignPlan, waited: float) -> PairingOutcome:
             # in the other process, since a damaged export may crash it
             work = partial(pair_test, candidate, plan, waited=waited)
-            return pool.submit(work, about=candidate.folder).result()
+            return pool.submit(work, subject=candidate.folder).result()
 
         def draw(folder: Path) -> None:
             if figures:
-                pool.submit(partial(draw_figures, folder), about=folder)
+                pool.submit(partial(draw_figures, folder), subject=folder)
 
-        pool.submit(import_all, about="labpipe")
-        campaign = WatchedCampaign(folders, partial(process_in, pool))
+        pool.submit(import_modules, subject="labpipe")
+        campaign = WatchedCampaign(folders, partial(process_in_pool, pool))
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
         load_all_protocols()  # loads units and grammar before the first verdict

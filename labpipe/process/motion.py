@@ -186,12 +186,12 @@ def _fit_turn(
         return []
     corner_turn = None
     if turn_times[0] == turn_times[1]:
-        corner = fit_corner(motion.time, motion.values, near=turn_times[0], window=window)
+        corner = fit_corner(motion.time, motion.values, guess=turn_times[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return []
         corner_turn = Turn(number, corner, corner)
         turn_times = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
-    stop = fit_stop(motion.time, motion.values, near=turn_times, window=window)
+    stop = fit_stop(motion.time, motion.values, guesses=turn_times, window=window)
     return [(corner_turn, None if stop is None else Turn(number, *stop))]
 
 
@@ -375,7 +375,7 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
     first_corner = turning_points.find_turn_near(
-        force.time, force.values, near=rough_time, reach=reach, width=window, dwell=dwell
+        force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
     if first_corner is None:
         return np.zeros((0, 5))
@@ -389,7 +389,7 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         reach = window + fitted_dwell
         part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=guess, window=window, dwell=fitted_dwell)
+        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             corner = reversal.corner
             rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])

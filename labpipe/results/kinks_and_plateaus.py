@@ -894,7 +894,7 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
         replicates = test.require(test.replicates)
-        inputs = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
+        inputs = (*replicates.inputs, Input(TANGENT, shorten, distribution="ends"))
         decide = partial(self._decide_onset, initial=initial.decide)
         try:
             decide(replicates.measured)

@@ -221,7 +221,7 @@ def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, byte
     sheet = put(bench, "A2-085-1", exports) / "test.yaml"
     message = bench.go(20)
     assert message.startswith("campaign.yaml was read again")
-    assert message.splitlines()[-1] == "  to fill in: spool; it is processed then"
+    assert message.splitlines()[-1] == "  to fill in: spool; the test is then processed"
     assert bench.campaign.asked == []
     text = sheet.read_text("utf-8").replace("spool:   # to be filled in", "spool: s")
     sheet.write_text(text, "utf-8")

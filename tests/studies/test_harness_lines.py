@@ -194,7 +194,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert wire.limit == pytest.approx(table.doubtful_curvature)
     assert wire.limit_source == "the straight line of its insulation"
     assert wire.best == {"isotropic_share": 0.675}
-    assert wire.knows_only_share
+    assert wire.varies_only_share
     assert [file.role for file in wire.files] == ["wires"]
     other = tmp_path / "other.csv"
     other.write_text(

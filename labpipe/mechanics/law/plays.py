@@ -144,14 +144,14 @@ def is_within(law: PlayLaw, moment: float) -> bool:
     return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
 
-def require_within(law: PlayLaw, moment: Floats, what: str) -> None:
+def require_within(law: PlayLaw, moment: Floats, place: str) -> None:
     """Refuse moments beyond the end of a law.
 
     Parameters
     ----------
     law : the law
     moment : shape (n,), N m
-    what : place, for the message
+    place : place, for the message
 
     Raises
     ------
@@ -163,7 +163,7 @@ def require_within(law: PlayLaw, moment: Floats, what: str) -> None:
         return
     curvature, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
-        f"{what}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
+        f"{place}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
         f"found {curvature:.4g} 1/m"
     )
     raise ValueError(message)
