@@ -102,18 +102,18 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
         _print_errors(sync.refresh().notes)
-        answer = query_results(sync.catalog, options.where)
+        query_result = query_results(sync.catalog, options.where)
     if options.out == "xlsx":
-        write_workbook(answer, options.file)
+        write_workbook(query_result, options.file)
     elif options.file is not None:
         with (
-            replacing(options.file) as part,
-            part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
+            replacing(options.file) as temporary,
+            temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
         ):
-            write_query_result(answer, options.out, out)
+            write_query_result(query_result, options.out, out)
     else:
-        write_query_result(answer, options.out, sys.stdout)
-    print(f"{len(answer.rows)} rows", file=sys.stderr)
+        write_query_result(query_result, options.out, sys.stdout)
+    print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 
 

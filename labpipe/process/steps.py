@@ -370,7 +370,7 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     if turn_time is not None:
         part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=turn_time, window=window)
+        reversal = fit_reversal(*inside, guess=turn_time, window=window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
