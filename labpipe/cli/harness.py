@@ -1,4 +1,4 @@
-"""``labpipe harness``: shape, forces and bend radii of a line between clips."""
+"""``labpipe harness``: compute shape, forces and bend radii of a line between clips."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show progress: a bar over all steps on a terminal, a text for each line in a pipe."""
+    """Show progress: a bar over all steps on a terminal, one text per line in a pipe."""
     numbers = itertools.count(1)
     with progress_bar("step") as bar:
         n_lines = 0
@@ -67,7 +67,7 @@ def show_progress() -> Iterator[Progress]:
 
 
 def _find_faults(harness: HarnessSolution) -> Iterator[str]:
-    """Yield the faults that set the exit status, except one of an assumed bend radius."""
+    """Yield the faults that set the exit status, without faults of an assumed bend radius."""
     if harness.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
     elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
@@ -143,7 +143,7 @@ def _format_limit(harness: HarnessSolution) -> Iterator[str]:
 
 def _format_sweep(harness: HarnessSolution) -> Iterator[str]:
     if harness.sweep:
-        yield "  length of the line    smallest bend radius    on the way"
+        yield "  length of the line    smallest bend radius     in motion"
     for finding in harness.sweep:
         length = 1e3 * finding.harness.line.length
         if finding.status is Status.FAILED:

@@ -512,7 +512,9 @@ class LoadingStiffness(PerCycle):
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
         limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
-        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=trace.steps)
+        fit = choose_loading_window(
+            *parts, length=self.over, limit=limit, steps=trace.parts_per_step
+        )
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
@@ -728,7 +730,7 @@ class FromStiffness(Kind):
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_number)(test, stiffness)
         context = {"during": stiffness.during, **self.find_context(test, stiffness)}
-        slips = kinds.find_marked_slips(test, stiffness.bends_with)
+        slips = kinds.find_marked_slips(test, stiffness.slip_range)
         context["doubts"] = slips + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
