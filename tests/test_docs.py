@@ -24,7 +24,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.reference import list_note_kinds
-from labpipe.protocol.schema import RESULTS
+from labpipe.protocol.schema import KINDS_BY_NAME
 from labpipe.readers import READERS
 from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
 from labpipe.records.declarations import Step
@@ -224,7 +224,7 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
 
 def result_units() -> dict[str, str]:
     """Unit of every result by name, without the cycle; where the protocol names it, the usual."""
-    kinds = RESULTS.values()
+    kinds = KINDS_BY_NAME.values()
     assert len(kinds) > 15
     named = (
         (output.name_in(kind, {"of": "<stiffness>"}), output)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from labpipe.errors import StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.run import FIGURES, SUMMARY_FILE
+from labpipe.process.run import FIGURES_FOLDER, SUMMARY_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
 from labpipe.store.summaries import FAILURE_FILE
@@ -156,7 +156,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     Outcome files of each test that has any.
     """
     outcomes = {}
-    for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
+    for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
         if hidden & {*STAGES}:
             outcome = find_outcome(campaign, label)
         else:

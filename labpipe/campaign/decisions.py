@@ -60,7 +60,7 @@ class Decision:
         return f"{self.because} ({', '.join(filter(None, (self.by, self.when)))})"
 
 
-_KEYS: Final = tuple(entry.name for entry in fields(Decision))
+_DECISION_KEYS: Final = tuple(entry.name for entry in fields(Decision))
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,9 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
         if fault := _find_entry_fault(entry):
             faults.append(_format_fault(path, f"decisions.{number}", *fault))
         else:
-            decisions.append(Decision(*(escape_surrogates(entry.get(key) or "") for key in _KEYS)))
+            decisions.append(
+                Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
+            )
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
@@ -167,7 +169,7 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     """Return what was expected of an entry and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
-    missing = [key for key in _KEYS[:-1] if not str(entry.get(key) or "").strip()]
+    missing = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
     if missing:
         return "test, run, decision, because and by", f"missing or empty: {', '.join(missing)}"
     if entry["decision"] not in {ACCEPT, REJECT}:

@@ -17,7 +17,7 @@ from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.statistics.lots import PEAK_OVER_LIMIT
 from labpipe.store.replace import replacing
 
-COLUMNS: Final = {
+QUERY_COLUMNS: Final = {
     "test": "tests.test",
     "folder": "tests.folder",
     "state": "coalesce((select 'running' from running where running.folder = tests.folder),"
@@ -92,7 +92,7 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
     """
     base_checks, checks_per_result = 200, 0.05  # limit of the duration
     with catalog.copy() as connection:
-        columns = COLUMNS | _list_specimen_columns(connection)
+        columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
         max_checks, checks = base_checks + checks_per_result * results, count(1)
         connection.set_authorizer(_authorize_reads)
@@ -146,7 +146,7 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     ):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
-            if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
+            if name in QUERY_COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
                 continue
             path = ".".join(filter(None, ("$", place, json.dumps(key, ensure_ascii=False))))
             quoted = path.replace("'", "''")

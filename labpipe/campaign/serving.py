@@ -63,7 +63,7 @@ _PAGE_HEADERS: Final = {
     "Content-Security-Policy": "frame-ancestors 'none'",
 }
 """Headers of labpipe's own pages, which may run scripts."""
-_MAX_LISTED: Final = 10
+_MAX_LISTED_ERRORS: Final = 10
 """Largest number of decisions that a reply names as not saved."""
 
 
@@ -289,7 +289,9 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     """Import decisions from a page; return a message and all decisions of the campaign."""
     received = parse_decisions(body, Path("decisions"))
     if received.faults:
-        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED]))
+        raise _RefusedRequest(
+            HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED_ERRORS])
+        )
     imported = import_decisions(site.results_folder, site.campaign, received.decisions)
     stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
@@ -299,9 +301,9 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     refused = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]
-    sentences += refused[:_MAX_LISTED]
-    if len(refused) > _MAX_LISTED:
-        sentences.append(f"{len(refused) - _MAX_LISTED} more not saved.")
+    sentences += refused[:_MAX_LISTED_ERRORS]
+    if len(refused) > _MAX_LISTED_ERRORS:
+        sentences.append(f"{len(refused) - _MAX_LISTED_ERRORS} more not saved.")
     if imported.added:
         sentences.append(format_sentence("campaign.decisions_take_effect"))
     return {"message": " ".join(sentences), "decisions": entries}

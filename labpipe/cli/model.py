@@ -17,11 +17,11 @@ from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 
-_HEADING = (
+_TABLE_HEADING = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),
     *("first slip", "range", "force at 0.3 L"),
 )
-_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
+_TABLE_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
 _TIP_DEFLECTION_SHARE = 0.3
 """Tip deflection at which the force is printed, as a share of the free length."""
 
@@ -50,7 +50,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
     A line per wire, each note once, then the folder of the files.
     """
     n_text_columns, n_tables = 3, len(modelled.tables)
-    rows = [_HEADING, _UNITS, *map(_format_cells, modelled.tables)]
+    rows = [_TABLE_HEADING, _TABLE_UNITS, *map(_format_cells, modelled.tables)]
     aligned = [
         [
             f"{cell:{'<' if column < n_text_columns else '>'}{max(map(len, cells))}}"

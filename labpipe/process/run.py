@@ -52,7 +52,7 @@ from labpipe.store.summaries import FAILURE_FILE, FailedTest, write_failure, wri
 from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC0414 - as `FIGURES`
 from labpipe.store.write import write_result
 
-FIGURES = "figures"
+FIGURES_FOLDER = "figures"
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
 PROCESSING_VERSION = 2
@@ -166,7 +166,7 @@ def process(task: Task, say: Say) -> Processed:
                 say("draw")
                 from labpipe.report.figures import save_figures
 
-                figure_paths = tuple(save_figures(result, stage / FIGURES, png=task.png))
+                figure_paths = tuple(save_figures(result, stage / FIGURES_FOLDER, png=task.png))
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in figure_paths)
     return Processed(folder, result, files, finished)
@@ -193,7 +193,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
         with replacing_together(folder, owned=_list_figure_files()) as stage:
-            figure_paths = save_figures(result, stage / FIGURES)
+            figure_paths = save_figures(result, stage / FIGURES_FOLDER)
     return tuple(folder / path.relative_to(stage) for path in figure_paths)
 
 
@@ -331,7 +331,7 @@ def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_y
 
 def _list_figure_files() -> list[str]:
     names = get_args(FigureName)
-    return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
+    return [f"{FIGURES_FOLDER}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 
 
 def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:

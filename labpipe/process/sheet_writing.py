@@ -38,7 +38,7 @@ _KEY_PATHS = (
 """Place of each column in a test sheet, in the order of the sheet."""
 _DOTTED_BLOCKS = ("section", "labels", "observed")
 """Blocks of the specimen with columns such as ``section.area`` and ``labels.cured``."""
-COLUMNS = (*_KEY_PATHS, "because")
+TABLE_COLUMNS = (*_KEY_PATHS, "because")
 """Columns of a campaign table, in addition to blocks and dotted keys of the protocol."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
@@ -244,8 +244,8 @@ def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Ite
 
 def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
-    if name not in COLUMNS and "." not in name:
-        sorted_columns = sort_by_likeness(written, list(COLUMNS))
+    if name not in TABLE_COLUMNS and "." not in name:
+        sorted_columns = sort_by_likeness(written, list(TABLE_COLUMNS))
         similar_columns, nearest_column = ", ".join(map(repr, sorted_columns)), sorted_columns[0]
         yield str(
             ReadError.about(

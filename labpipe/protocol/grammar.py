@@ -100,7 +100,7 @@ SI_UNITS: Final = MappingProxyType(
 )
 """Quantities that protocols name, and their SI units."""
 
-NUMBER: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number with a decimal point."""
 _DIMENSION_NAMES = {si_unit: quantity for quantity, si_unit in SI_UNITS.items()} | {
     "m": "length",
@@ -114,7 +114,7 @@ _NUMBER_AND_UNIT = re.compile(
 """A number, perhaps with thousands separators or a decimal comma, and the text behind it."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
 """A number whose comma cannot separate thousands."""
-_RATIO_TEXT = re.compile(rf"\s*{NUMBER}\s*(1|%|percent|ppm)?\s*")
+_RATIO_TEXT = re.compile(rf"\s*{NUMBER_PATTERN}\s*(1|%|percent|ppm)?\s*")
 
 
 def suggest_number(number: str, unit: str = "") -> str:
@@ -129,7 +129,7 @@ def suggest_number(number: str, unit: str = "") -> str:
     -------
     The remedy; empty for a number with neither of them, and for any other text.
     """
-    if re.fullmatch(NUMBER, number) or not _NUMBER_AND_UNIT.fullmatch(number):
+    if re.fullmatch(NUMBER_PATTERN, number) or not _NUMBER_AND_UNIT.fullmatch(number):
         return ""
     if _DECIMAL_COMMA.fullmatch(number):
         return f"Write it with a decimal point: {number.replace(',', '.')} {unit}".rstrip() + "."
@@ -260,7 +260,7 @@ class QuantityText:
         unit = "(%|ppm)?" if is_pure else r"\S.*"
         return {
             "type": ["string", "number"] if is_pure else "string",
-            "pattern": rf"^\s*{NUMBER}\s*{unit}\s*$",
+            "pattern": rf"^\s*{NUMBER_PATTERN}\s*{unit}\s*$",
             "description": f"A {self._meaning}, {self._range}",
             "examples": [self.quantity.example],
         }

@@ -90,7 +90,7 @@ if TYPE_CHECKING:
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
 
-RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
+KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kinds of results by their name in YAML."""
 Faults: TypeAlias = Iterator[Fault]
 
@@ -611,7 +611,7 @@ def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
     -------
     A name per number; of numbers for several cycles or slips, the first. Empty for an unknown kind.
     """
-    kind = RESULTS.get(name)
+    kind = KINDS_BY_NAME.get(name)
     return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
 
 
@@ -635,7 +635,7 @@ def _check_needs(outline: Outline) -> Faults:
     for path, user, need in _list_needs(outline):
         if need not in provided:
             remedy = _REMEDIES.get(need, f"Add {need}.").replace("Add a ", "Add the ")
-            if user in RESULTS and need.startswith("a block 'curve."):
+            if user in KINDS_BY_NAME and need.startswith("a block 'curve."):
                 override = format_overrides(f"results.{user}", "null")
                 remedy = f"{remedy[:-1]}, or remove the result: {override}."
             yield Fault.of("protocol.lacking", path, need=need, user=user, remedy=remedy)
@@ -664,7 +664,7 @@ def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
 
 
 def _list_result_needs(name: str, curve: Values) -> list[str]:
-    needs = RESULTS[name].needs if name in RESULTS else Needs()
+    needs = KINDS_BY_NAME[name].needs if name in KINDS_BY_NAME else Needs()
     conditions = {
         **dict.fromkeys((_CURVE, _BRANCHES), needs.branches),
         _ALIGNMENT: needs.clocks,
@@ -742,7 +742,7 @@ def _check_results(outline: Outline) -> Faults:
     earlier, stiffnesses = set[str](), list[str]()
     displacement = str(outline.block("curve").get("displacement"))
     for path, kind_name, entry in outline.results:
-        kind = RESULTS.get(kind_name)
+        kind = KINDS_BY_NAME.get(kind_name)
         if kind is None:
             continue
         settings, place = {**list_defaults(kind), **entry}, (*path, "result")

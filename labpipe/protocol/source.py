@@ -46,7 +46,7 @@ from labpipe.units import find_si_factor, parse_quantity
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
 """Roles of the exports of a test."""
-READERS: Final = tuple(export_format.name for export_format in EXPORT_FORMATS)
+READER_NAMES: Final = tuple(export_format.name for export_format in EXPORT_FORMATS)
 """Readers that a protocol can name."""
 MARKER_READERS: Final = frozenset(
     export_format.name for export_format in EXPORT_FORMATS if export_format.has_markers
@@ -86,12 +86,12 @@ if TYPE_CHECKING:
     _ReaderName = str
     _Kind = str
 else:
-    _ReaderName = Literal[READERS]
+    _ReaderName = Literal[READER_NAMES]
     _Kind = Literal[tuple(PLAUSIBLE_RANGES)]
 
 ReaderNames = Annotated[
     tuple[_ReaderName, ...],
-    ShortForm(wrap_in_list, {"enum": list(READERS)}),
+    ShortForm(wrap_in_list, {"enum": list(READER_NAMES)}),
     Field(min_length=1),
 ]
 
@@ -516,7 +516,7 @@ class Source(_Channel, _Export):
         keys = [key for key in ChannelSource.model_fields if key in stated - own_keys]
         for key in {"dialect", "part"} & stated if "load-frame" not in self.reader else ():
             yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
-        valid = MARKER_READERS if has_markers else {*READERS} - MARKER_READERS
+        valid = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
         if not {*self.reader} <= valid:
             content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
             found, here = ", ".join(map(repr, self.reader)), ("reader",)

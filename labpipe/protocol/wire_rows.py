@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
-from labpipe.protocol.grammar import NUMBER, WINDOWS_DEVICE_NAME, Block, suggest_number
+from labpipe.protocol.grammar import NUMBER_PATTERN, WINDOWS_DEVICE_NAME, Block, suggest_number
 from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
@@ -95,7 +95,9 @@ class Column:
         return numbers if self.is_list else numbers[0]
 
     def _parse_number(self, part: str, cell: str) -> float:
-        is_valid = re.fullmatch(NUMBER, part) and self.minimum <= float(part) <= self.maximum
+        is_valid = (
+            re.fullmatch(NUMBER_PATTERN, part) and self.minimum <= float(part) <= self.maximum
+        )
         if not is_valid or (self.is_integer and float(part) % 1.0):
             remedy = suggest_number(part) or "Correct the cell; is the unit right?"
             if self.is_list and "," in part and ";" not in cell:
@@ -221,7 +223,7 @@ class WireRow(Block):
         return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
 
 
-COLUMNS: Final[Mapping[str, Column]] = {
+WIRE_COLUMNS: Final[Mapping[str, Column]] = {
     name: column
     for name, field in WireRow.model_fields.items()
     for column in field.metadata
@@ -338,16 +340,16 @@ def build_wire_spec(
     The wire; its `defaults` describe each default value, and mention blank cells, because these
     may be an oversight.
     """
-    cells = {name: getattr(row, name) for name in COLUMNS.keys() & row.model_fields_set}
+    cells = {name: getattr(row, name) for name in WIRE_COLUMNS.keys() & row.model_fields_set}
     cells |= {"lay_angles_deg": row.lay_angles_deg}
     values = {
-        get_spec_field(name): COLUMNS[name].to_si(value)
+        get_spec_field(name): WIRE_COLUMNS[name].to_si(value)
         for name, value in cells.items()
         if name not in ("strands", *STRAND_SIZE_COLUMNS)
     }
     values |= {
         "layer_counts": row.strands_per_layer,
-        "strand_diameters": COLUMNS["strand_diameters_mm"].to_si(row.strand_diameters),
+        "strand_diameters": WIRE_COLUMNS["strand_diameters_mm"].to_si(row.strand_diameters),
         "stress_table": curve,
         "insulation_table": insulation,
     }
@@ -378,7 +380,11 @@ _SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
 
 def get_spec_field(name: str) -> str:
     """Return the field of `WireSpec` for a column: its name without the unit."""
-    return name.removesuffix(_COLUMN_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
+    return (
+        name.removesuffix(_COLUMN_UNITS[WIRE_COLUMNS[name].unit][0])
+        if name in WIRE_COLUMNS
+        else name
+    )
 
 
 def describe_default(name: str) -> str:
@@ -391,7 +397,7 @@ def describe_default(name: str) -> str:
     field = get_spec_field(name)
     if field == "largest_curvature":
         return "largest curvature at a bending radius of five wire diameters"
-    value, column = _SPEC_DEFAULTS[field], COLUMNS.get(name)
+    value, column = _SPEC_DEFAULTS[field], WIRE_COLUMNS.get(name)
     value_text = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
     return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
@@ -418,7 +424,7 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     for number, name in enumerate(names):
         if name not in columns:
             fault = build_choice_fault((), headings[number], columns, "one of the columns")
-            unit = COLUMNS[meant[number]].unit if meant[number] in COLUMNS else ""
+            unit = WIRE_COLUMNS[meant[number]].unit if meant[number] in WIRE_COLUMNS else ""
             remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:

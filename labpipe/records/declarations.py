@@ -176,7 +176,7 @@ ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
 StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
 
 
-CURVE = ("force", "displacement", "clock")
+CURVE_QUANTITIES = ("force", "displacement", "clock")
 """Quantities that a number of the curve depends on."""
 
 
@@ -201,7 +201,7 @@ class Output:
     name: str
     unit: str
     label: str = ""
-    depends_on: tuple[str, ...] = CURVE
+    depends_on: tuple[str, ...] = CURVE_QUANTITIES
     first: int | None = None
     is_raised_by_slips: bool = False
     can_be_negative: bool = False

@@ -383,7 +383,7 @@ def _make_curve_plots(
     x_scale, y_scale = wording.find_units(display, "displacement", "force")
     name, heading = "Force", "First loading"
     if is_scaled:
-        y_scale, name, heading = plots.NUMBER, "Force / peak force", "Force / peak force"
+        y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
     lines, legend, bands = [], [], []
     count = wording.write_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):

@@ -76,7 +76,7 @@ _MAX_CYCLE_KEYS = 6
 
 More cycles have the colours of a colour map.
 """
-_DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+_BRANCH_DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
@@ -163,13 +163,18 @@ def _plot_branches(
         yield thinned_line("branch", x, y, n_bins=max_grey_bins, color=GREY, linewidth=0.5)
     for branch, part in zip(branches, parts, strict=True):
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
-        settings = {"color": colours[branch.cycle - 1], "linestyle": _DASHES[branch.direction]}
+        settings = {
+            "color": colours[branch.cycle - 1],
+            "linestyle": _BRANCH_DASHES[branch.direction],
+        }
         yield thinned_line("branch", x[part], y[part], label=label, **settings, **look)
     directions = {branch.direction for branch in branches}
-    for direction in _DASHES if count > 1 or len(directions) > 1 else ():
+    for direction in _BRANCH_DASHES if count > 1 or len(directions) > 1 else ():
         if direction in directions:
             colour = GREY if count > 1 else colours[0]
-            yield key("branch", label=str(direction), color=colour, linestyle=_DASHES[direction])
+            yield key(
+                "branch", label=str(direction), color=colour, linestyle=_BRANCH_DASHES[direction]
+            )
 
 
 def _find_branches(result: TestResult) -> tuple[Branch, ...]:

@@ -467,7 +467,9 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
         plots.make_axis(
             "Displacement", view.find_scale("displacement"), [line.x for line in lines]
         ),
-        _make_force_axis("Force / peak force", plots.NUMBER, [line.y for line in curves], band),
+        _make_force_axis(
+            "Force / peak force", plots.PLAIN_NUMBER, [line.y for line in curves], band
+        ),
     )
     mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
     title = "Force over peak force against displacement of"

@@ -16,7 +16,13 @@ from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, line
-from labpipe.report.wire_figures import FORCE, LENGTH, MOMENT, STIFFNESS, make_curvature_axis
+from labpipe.report.wire_figures import (
+    FORCE,
+    LENGTH_SCALE,
+    MOMENT,
+    STIFFNESS_SCALE,
+    make_curvature_axis,
+)
 from labpipe.report.wording import write_number
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
@@ -113,7 +119,7 @@ def make_harness_page(drawn: DrawnHarness) -> Page:
     """
     straight_radius_factor = 40.0  # times the allowed radius: larger radii have one colour
     ends = drawn.allowed, straight_radius_factor * drawn.allowed
-    colours = Axis("Bend radius", LENGTH, *ends, is_log=True)
+    colours = Axis("Bend radius", LENGTH_SCALE, *ends, is_log=True)
     views = [make_view(drawn, view) for view in _VIEWS]
     panels = [*views, _make_radius_plot(drawn)]
     return Page(
@@ -160,7 +166,7 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
     half = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_side_share * extent)
     x, y = (
-        Axis("xyz"[coordinate], LENGTH, *ends)
+        Axis("xyz"[coordinate], LENGTH_SCALE, *ends)
         for coordinate, *ends in zip(pair, middle - half, middle + half, strict=True)
     )
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
@@ -214,8 +220,8 @@ def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     low = 0.7 * min(allowed, float(radii.min()))
     high = max([100.0 * allowed, *(3.0 * radii[np.isfinite(radii)])])
     return Plot(
-        Axis("From the start", LENGTH, float(along[0]), float(along[-1])),
-        Axis("Bend radius", LENGTH, low, high, is_log=True),
+        Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1])),
+        Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True),
         lines,
         "Along the line",
     )
@@ -269,13 +275,13 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
         sweep.shapes, sweep.length, colours, sweep.is_doubtful, strict=True
     ):
         if len(positions):
-            label = f"{LENGTH.factor * length:.6g} {LENGTH.unit}"
+            label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
             settings: dict[str, Any] = {
                 "color": colour,
                 "linestyle": DASHED if is_doubtful else "-",
             }
             lines.append(line("line_of_length", *positions[:, pair].T, label=label, **settings))
-    x, y = (Axis("xyz"[coordinate], LENGTH) for coordinate in pair)
+    x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
     shapes = Plot(x, y, lines, f"From the {view}, by length", is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shapes, _make_sweep_plot(sweep)]
@@ -297,7 +303,10 @@ def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
     lines.append(plots.level("allowed_radius", sweep.allowed))
     if sweep.radius_band is not None:
         lines.append(plots.area("harness_band", length, *map(_mask_straight, sweep.radius_band)))
-    x, y = Axis("Length of the line", LENGTH), Axis("Smallest bend radius", LENGTH, low=0.0)
+    x, y = (
+        Axis("Length of the line", LENGTH_SCALE),
+        Axis("Smallest bend radius", LENGTH_SCALE, low=0.0),
+    )
     return Plot(x, y, lines, "Smallest bend radius")
 
 
@@ -322,10 +331,12 @@ def make_bundle_page(model: BundleModel) -> Page:
     panels = [_make_section_plot(model), _make_moment_plot(model)]
     title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
     if model.packing_fraction is not None:
-        bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
-        title += f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+        bore = LENGTH_SCALE.factor * (model.bundle.conduit_bore or 0.0)
+        title += (
+            f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH_SCALE.unit}"
+        )
     limitations = [
-        note.message.replace("N mm^2", STIFFNESS.unit)
+        note.message.replace("N mm^2", STIFFNESS_SCALE.unit)
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
@@ -362,7 +373,9 @@ def _make_section_plot(model: BundleModel) -> Plot:
         angle += math.pi / 2.0
     lines.append(line("neutral_point", *model.neutral))
     edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    x_axis, y_axis = (Axis(name, LENGTH, -edge, edge) for name in ("x", "y, direction of bending"))
+    x_axis, y_axis = (
+        Axis(name, LENGTH_SCALE, -edge, edge) for name in ("x", "y, direction of bending")
+    )
     return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
 
 
@@ -388,7 +401,7 @@ def _make_moment_plot(model: BundleModel) -> Plot:
 def describe_stiffness(model: BundleModel) -> str:
     """Describe the bounds of the bending stiffness of a bundle in a sentence."""
     all_slip, wires_slip, nothing_slips, smallest, largest = (
-        write_number(stiffness, None, STIFFNESS.factor, digits=4).value
+        write_number(stiffness, None, STIFFNESS_SCALE.factor, digits=4).value
         for stiffness in (model.low, model.free, model.high, *model.principal)
     )
     directions = f"{smallest} to {largest} over all directions"
@@ -417,7 +430,7 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
     name : name of the test
     fit : fit of the friction between the wires
     """
-    x, y = Axis("Deflection", LENGTH), Axis("Force at the tip", FORCE)
+    x, y = Axis("Deflection", LENGTH_SCALE), Axis("Force at the tip", FORCE)
     panels = []
     for rows, label, colour, heading, error in (
         (~fit.is_held_out, "fitted (one parameter)", "C0", "Fitted", fit.error_fitted),
@@ -436,12 +449,12 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
 
 def describe_friction(fit: FrictionFit) -> str:
     """Describe the friction between the wires of a bundle, and the errors of its prediction."""
-    slide_mm = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
+    slide_mm = LENGTH_SCALE.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
     held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
         composite=_format_percent(fit.composite_share),
-        kink=LENGTH.factor * fit.loop.kink[0],
+        kink=LENGTH_SCALE.factor * fit.loop.kink[0],
         tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
         held=held_share,
         work=1e3 * fit.loss,

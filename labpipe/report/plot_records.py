@@ -24,7 +24,7 @@ from labpipe.report.wording import Scale, write_footnote, write_title
 
 GRID_SIZE = 65535
 """Width and height of the area of a plot on the page, in 16-bit coordinates."""
-NUMBER = Scale(1.0, "")
+PLAIN_NUMBER = Scale(1.0, "")
 """Scale of a number without a unit."""
 
 
@@ -43,7 +43,7 @@ class Axis:
     """
 
     name: str = ""
-    scale: Scale = NUMBER
+    scale: Scale = PLAIN_NUMBER
     low: float = nan
     high: float = nan
     row_names: tuple[str, ...] = ()
@@ -447,7 +447,10 @@ def make_mean_strip(
 
 def write_sparkline(x: Floats, y: Floats) -> str:
     """Write a small curve without axes as a path of SVG that fills its frame."""
-    axes = make_axis("", NUMBER, [x], margin=0.0), make_axis("", NUMBER, [y], margin=0.05)
+    axes = (
+        make_axis("", PLAIN_NUMBER, [x], margin=0.0),
+        make_axis("", PLAIN_NUMBER, [y], margin=0.05),
+    )
     return Line("", x, y).write_path(*axes)
 
 

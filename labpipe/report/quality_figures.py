@@ -24,7 +24,7 @@ from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, key, line
 from labpipe.report.wording import Scale, explain_missing, find_unit
 from labpipe.statistics.means import sort_causes, summarise_budget
 
-_MARKS: dict[PointFlag, Any] = {
+_FLAG_MARKS: dict[PointFlag, Any] = {
     PointFlag.MEASURED: {"marker": "o"},
     PointFlag.RELABELLED: {"marker": "s"},
     PointFlag.FILLED: {"marker": "o", "markerfacecolor": "white"},
@@ -176,7 +176,7 @@ def plot_shapes(shape: Shape, steps: Steps, unit: Scale, *, plane: int) -> Itera
     colours = sample_colour_map(len(steps.frames))
     for frame, level, colour in zip(steps.frames.tolist(), steps.levels, colours, strict=True):
         yield line("fitted_curve", *_fitted_curve(shape, frame)[[0, plane]], color=colour)
-        for flag, mark in _MARKS.items():
+        for flag, mark in _FLAG_MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
                 x, y = shape.positions[frame][rows][:, [0, plane]].T
@@ -185,7 +185,7 @@ def plot_shapes(shape: Shape, steps: Steps, unit: Scale, *, plane: int) -> Itera
         label = f"{steps.name} {text}" if frame == steps.frames[0] else text
         yield key("fitted_curve", label=label, color=colour, linewidth=1.6)
     present = set(np.unique(shape.flags[steps.frames]))
-    for flag, mark in _MARKS.items():
+    for flag, mark in _FLAG_MARKS.items():
         if flag in present:
             yield key("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:

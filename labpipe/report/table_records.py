@@ -287,9 +287,9 @@ def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell
 
 READ_ME = "read me"
 """Name of the first sheet."""
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_CHART_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, as in the figures."""
-_DASHES = ("solid", "dash", "square_dot", "dash_dot")
+_CHART_DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
 @cache
@@ -488,9 +488,9 @@ def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
     for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
-        dash = _DASHES[number // len(_COLOURS) % len(_DASHES)]
+        dash = _CHART_DASHES[number // len(_CHART_COLOURS) % len(_CHART_DASHES)]
         line_properties = {
-            "color": _COLOURS[number % len(_COLOURS)],
+            "color": _CHART_COLOURS[number % len(_CHART_COLOURS)],
             "width": 1.5,
             "dash_type": dash,
         }

@@ -20,9 +20,9 @@ from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line
 from labpipe.report.wording import Scale, shorten, write_number
 
 CURVATURE = Scale(1.0, "1/m")
-LENGTH = Scale(1e3, "mm")
+LENGTH_SCALE = Scale(1e3, "mm")
 MOMENT = Scale(1e3, "N·mm")
-STIFFNESS = Scale(1e6, "N·mm²")
+STIFFNESS_SCALE = Scale(1e6, "N·mm²")
 _LARGE_STIFFNESS = Scale(1.0, "N·m²")
 FORCE = Scale(1.0, "N")
 
@@ -33,7 +33,7 @@ MAX_WIRES = 12
 def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
     """Choose the unit of bending stiffness of a figure: N·mm², or N·m² from 1 N·m² upwards."""
     largest = max(table.stick_stiffness for table in tables)
-    return STIFFNESS if largest < 1.0 else _LARGE_STIFFNESS
+    return STIFFNESS_SCALE if largest < 1.0 else _LARGE_STIFFNESS
 
 
 def _shorten_name(table: WireTable) -> str:
@@ -48,10 +48,10 @@ def describe_strands(table: WireTable) -> str:
     0.25 mm is ``1 × 0.3 + 6 × 0.25 mm``.
     """
     spec = table.spec
-    sizes = [f"{LENGTH.factor * diameter:.3g}" for diameter in spec.strand_diameters]
+    sizes = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
     layers = groupby(zip(sizes, spec.layer_counts, strict=True), key=lambda layer: layer[0])
     parts = [f"{sum(count for _, count in same)} \u00d7 {size}" for size, same in layers]
-    return f"{' + '.join(parts)} {LENGTH.unit}"
+    return f"{' + '.join(parts)} {LENGTH_SCALE.unit}"
 
 
 def join_warnings(table: WireTable) -> str:
@@ -118,7 +118,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     unit : of the bending stiffness
     """
     layout, edge = table.layout, 1.06 * reach
-    power = 10.0 ** math.floor(math.log10(LENGTH.factor * edge)) / LENGTH.factor
+    power = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * edge)) / LENGTH_SCALE.factor
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
     bar_height = -1.1 * edge
     lines = [
@@ -130,20 +130,20 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     ]
     if layout.kind == "compressed":
         lines.append(line("centroid", *_rotate_centres(layout, table.spec.orientation)))
-    bar_text = f"{LENGTH.factor * length:g} {LENGTH.unit}"
+    bar_text = f"{LENGTH_SCALE.factor * length:g} {LENGTH_SCALE.unit}"
     stick, slip = (
         write_number(value, None, unit.factor, digits=3).value
         for value in (table.stick_stiffness, table.slip_stiffness)
     )
-    diameter = 2.0 * LENGTH.factor * layout.wire_radius
+    diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
     heading = (
         f"{_shorten_name(table)}\n{describe_strands(table)}\n"
-        f"{layout.kind}, wire {diameter:.3g} {LENGTH.unit}\n"
+        f"{layout.kind}, wire {diameter:.3g} {LENGTH_SCALE.unit}\n"
         f"stick {stick}, slip {slip} {unit.unit}"
     )
     return Plot(
-        Axis(scale=LENGTH, low=-edge, high=edge),
-        Axis(scale=LENGTH, low=-1.22 * edge, high=edge),
+        Axis(scale=LENGTH_SCALE, low=-edge, high=edge),
+        Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge),
         lines,
         heading,
         [Label(bar_text, length - 0.95 * edge, bar_height)],
@@ -195,10 +195,10 @@ def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Flo
 def _make_wire_page(
     table: WireTable, kind: str, panels: Sequence[Plot], height: float, note: str = ""
 ) -> Page:
-    diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
+    diameter = 2.0 * LENGTH_SCALE.factor * table.layout.wire_radius
     title = (
         f"{_shorten_name(table)}  ·  wire model  ·  {describe_strands(table)}, {table.layout.kind}"
-        f"  ·  wire {diameter:.3g} {LENGTH.unit}"
+        f"  ·  wire {diameter:.3g} {LENGTH_SCALE.unit}"
     )
     name = f"{_INVALID_IN_FILE_NAME.sub('-', table.name)}.{kind}"
     notes = " ".join(filter(None, [note, join_warnings(table)]))
@@ -321,7 +321,7 @@ def make_cantilever_page(table: WireTable) -> Page:
     stiffness of all strands sticking and of all slipping without friction.
     """
     headroom, length, rest = 1.08, table.spec.length, table.rest
-    note = format_sentence("report.cantilever", length=LENGTH.factor * length)
+    note = format_sentence("report.cantilever", length=LENGTH_SCALE.factor * length)
     if rest is not None:
         force, sag = 1e3 * rest.force, 1e6 * rest.sag
         at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
@@ -338,7 +338,7 @@ def make_cantilever_page(table: WireTable) -> Page:
         *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
     panel = Plot(
-        Axis("Tip deflection", LENGTH, 0.0, end),
+        Axis("Tip deflection", LENGTH_SCALE, 0.0, end),
         Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force))),
         lines,
     )

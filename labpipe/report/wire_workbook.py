@@ -17,9 +17,9 @@ from labpipe.report.table_records import Record, Table, save_tables, tabulate, t
 from labpipe.report.wire_figures import (
     CURVATURE,
     FORCE,
-    LENGTH,
+    LENGTH_SCALE,
     MOMENT,
-    STIFFNESS,
+    STIFFNESS_SCALE,
     is_curved,
     join_warnings,
 )
@@ -91,8 +91,8 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 def make_summary_record(table: WireTable) -> Record:
     """Make the cells of a wire in the summary, after its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
-    area = LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
-    factor = STIFFNESS.factor
+    area = LENGTH_SCALE.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
+    factor = STIFFNESS_SCALE.factor
     spread = compute_orientation_spread(table)
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
@@ -103,17 +103,17 @@ def make_summary_record(table: WireTable) -> Record:
         "layers": " + ".join(map(str, spec.layer_counts)),
         "lay angles (deg)": "; ".join(f"{angle:.4g}" for angle in np.degrees(spec.lay_angles)),
         "layout": layout.kind,
-        "wire diameter (mm)": 2.0 * LENGTH.factor * layout.wire_radius,
-        "bore diameter (mm)": 2.0 * LENGTH.factor * layout.bore_radius,
-        "thinnest strand (mm)": LENGTH.factor * min(layout.diameter),
-        "thickest strand (mm)": LENGTH.factor * max(layout.diameter),
+        "wire diameter (mm)": 2.0 * LENGTH_SCALE.factor * layout.wire_radius,
+        "bore diameter (mm)": 2.0 * LENGTH_SCALE.factor * layout.bore_radius,
+        "thinnest strand (mm)": LENGTH_SCALE.factor * min(layout.diameter),
+        "thickest strand (mm)": LENGTH_SCALE.factor * max(layout.diameter),
         "conductor area (mm²)": area,
         "stick stiffness (N·mm²)": factor * table.stick_stiffness,
         "slip stiffness (N·mm²)": factor * table.slip_stiffness,
         "first slip (1/m)": table.slip_onset(0),
         "last slip (1/m)": table.slip_onset(-1),
         "range, curvature (1/m)": curvature,
-        "range, bending radius (mm)": LENGTH.factor / curvature,
+        "range, bending radius (mm)": LENGTH_SCALE.factor / curvature,
         "doubtful beyond, curvature (1/m)": limit,
         "insulation's share there (%)": None if share is None else 100.0 * float(share),
         "insulation's share at the end (%)": 100.0 * float(table.insulation_share[-1]),
@@ -126,14 +126,14 @@ def make_summary_record(table: WireTable) -> Record:
         "torsional stiffness, free length (N·mm²)": factor * table.free_torsional_stiffness,
         "coupling of stretch and twist (N·mm)": MOMENT.factor * table.stretch_twist_coupling,
         "mass per length (g/m)": 1e3 * table.mass_per_length,
-        "sag at rest (mm)": None if rest is None else LENGTH.factor * rest.sag,
+        "sag at rest (mm)": None if rest is None else LENGTH_SCALE.factor * rest.sag,
         "force at the tip at rest (mN)": None if rest is None else 1e3 * rest.force,
-        "cantilever length (mm)": LENGTH.factor * spec.length,
+        "cantilever length (mm)": LENGTH_SCALE.factor * spec.length,
         "doubtful beyond, deflection (mm)": (
-            LENGTH.factor * table.doubtful_deflection if has_doubtful else None
+            LENGTH_SCALE.factor * table.doubtful_deflection if has_doubtful else None
         ),
         **{
-            f"end load at {LENGTH.factor * at:g} {LENGTH.unit} ({FORCE.unit})": (
+            f"end load at {LENGTH_SCALE.factor * at:g} {LENGTH_SCALE.unit} ({FORCE.unit})": (
                 FORCE.factor * interpolate_end_load(table, at)
             )
             for at in REPORTED_DEFLECTIONS
@@ -151,8 +151,8 @@ _LAW_COLUMNS: tuple[tuple[str, str, Scale], ...] = (
     ("of the strands' own bending", "bending", MOMENT),
     ("lost to yielding", "plastic", MOMENT),
     ("of the insulation", "insulation", MOMENT),
-    ("secant stiffness", "secant_stiffness", STIFFNESS),
-    ("tangent stiffness", "tangent_stiffness", STIFFNESS),
+    ("secant stiffness", "secant_stiffness", STIFFNESS_SCALE),
+    ("tangent stiffness", "tangent_stiffness", STIFFNESS_SCALE),
     ("lowest moment of all orientations", "lowest_moment", MOMENT),
     ("highest moment of all orientations", "highest_moment", MOMENT),
     ("share of the insulation", "insulation_share", Scale(100.0, "%")),
@@ -229,7 +229,11 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
-    charted_columns = CURVATURE.label("curvature"), STIFFNESS.label("secant stiffness"), names[1]
+    charted_columns = (
+        CURVATURE.label("curvature"),
+        STIFFNESS_SCALE.label("secant stiffness"),
+        names[1],
+    )
     heads = ["wire", *names, "doubtful"]
     return tabulate_curves(
         "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True
@@ -238,9 +242,9 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
-    heads, blocks = (LENGTH.label("tip deflection"), FORCE.label("end load")), {}
+    heads, blocks = (LENGTH_SCALE.label("tip deflection"), FORCE.label("end load")), {}
     for table in tables:
-        x, y = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
+        x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
         columns = dict(zip(heads, (x, y), strict=True))
         blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)

@@ -175,7 +175,7 @@ def write_label(name: str) -> str:
     return f"{name_text} {part}" if stem in _SLIP_RESULTS else f"{name_text}, cycle {part}"
 
 
-_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
+_RESULT_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
 _FREE_PREFIXES = ("stiffness_", "modulus_")
 """Beginnings of names whose endings a protocol chooses."""
 
@@ -200,7 +200,7 @@ def replace_names(sentence: str) -> str:
         text = write_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
-    return _NAME.sub(write_label_of, sentence)
+    return _RESULT_NAME.sub(write_label_of, sentence)
 
 
 def is_main(name: str) -> bool:

@@ -18,7 +18,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import MARKER_SIDE, SCALE_OF_FORCE, SHAPE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import (
-    CURVE,
+    CURVE_QUANTITIES,
     Curvature,
     Distance,
     Length,
@@ -483,7 +483,7 @@ class MidSpan(Window):
             "mid_span_bending_stiffness",
             "N*m^2",
             "Mid-span bending stiffness",
-            (*CURVE, _SPAN),
+            (*CURVE_QUANTITIES, _SPAN),
         ),
         Output("mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _SPAN)),
     )

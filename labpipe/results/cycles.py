@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, as_slice, divide
 from labpipe.records.curve import Branch, Curve, Direction
-from labpipe.records.declarations import CURVE, Force, Output
+from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
@@ -402,7 +402,12 @@ class Energy(PerCycle):
     result: ClassVar = "energy"
     outputs: ClassVar = (
         Output(
-            "energy", "J", "Energy dissipated", (*CURVE, "start"), first=1, is_raised_by_slips=True
+            "energy",
+            "J",
+            "Energy dissipated",
+            (*CURVE_QUANTITIES, "start"),
+            first=1,
+            is_raised_by_slips=True,
         ),
     )
     complete_branches: ClassVar = 2

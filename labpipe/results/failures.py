@@ -19,7 +19,15 @@ import numpy as np
 from labpipe.errors import Fault
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Branch, Curve, Direction, Interval
-from labpipe.records.declarations import CURVE, Area, Force, FromCard, Needs, Output, WholeNumber
+from labpipe.records.declarations import (
+    CURVE_QUANTITIES,
+    Area,
+    Force,
+    FromCard,
+    Needs,
+    Output,
+    WholeNumber,
+)
 from labpipe.records.estimates import Failure, UnavailableError
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -389,7 +397,11 @@ class EnergyToBreak(Kind):
     result: ClassVar = "energy-to-break"
     outputs: ClassVar = (
         Output(
-            "energy_to_break", "J", "Energy to break", (*CURVE, "start"), is_raised_by_slips=True
+            "energy_to_break",
+            "J",
+            "Energy to break",
+            (*CURVE_QUANTITIES, "start"),
+            is_raised_by_slips=True,
         ),
     )
     needs: ClassVar = Needs(branches=True, correction="failure")

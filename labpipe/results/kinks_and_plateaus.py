@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine, Interval
-from labpipe.records.declarations import CURVE, Length, Output, Share, StiffnessName
+from labpipe.records.declarations import CURVE_QUANTITIES, Length, Output, Share, StiffnessName
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
@@ -759,7 +759,7 @@ class Plateau(Kind):
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         first, during = test.cycles[0][:1], test.find_loading_interval()
         slips, gap = find_marked_slips(test, initial.slip_range), _find_gap_at_end(test, first[0])
-        doubts = slips or find_cut_cycle(test, first, CURVE) or gap
+        doubts = slips or find_cut_cycle(test, first, CURVE_QUANTITIES) or gap
         end = self.make_result(test, outcome, during=during, doubts=doubts)
         yield end
         onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)

@@ -67,7 +67,9 @@ Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario | M
 S = TypeVar("S", bound=Scenario)
 
 SHEET_FILE, TRUTH_FILE, WIRE_SHEET = "test.yaml", "truth.json", "wires.csv"
-_HEAD = "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
+_SHEET_HEAD = (
+    "# A synthetic test, made by labpipe's virtual lab. Its true values are in truth.json.\n"
+)
 _NEWTONS = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
 _METRES_PER_INCH = 0.0254
 
@@ -182,7 +184,7 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
         "files": {role: names[0] if len(names) == 1 else [*names] for role, names in files.items()},
         **({"overrides": overrides} if overrides else {}),
     }
-    return _HEAD + yaml.safe_dump(
+    return _SHEET_HEAD + yaml.safe_dump(
         sheet, sort_keys=False, allow_unicode=True, default_flow_style=None, width=200
     )
 

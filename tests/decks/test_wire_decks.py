@@ -35,7 +35,7 @@ from labpipe.mechanics.decks.deck_law import (
     shorten_name,
 )
 from labpipe.mechanics.decks.lookup import (
-    COLUMNS,
+    LOOKUP_COLUMNS,
     write_lookup_csv,
     write_lookup_json,
     write_sliders_csv,
@@ -149,7 +149,7 @@ def test_a_name_breaks_nothing(name: str, tmp_path: Path) -> None:
     assert first[1][:3] == ["1", "GENB", "PLASTIC"]
     assert commands == parsed_of_ansys(write_ansys_deck(usual))[1:]
     frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
-    assert frame.shape == (len(usual.curvature), len(COLUMNS))
+    assert frame.shape == (len(usual.curvature), len(LOOKUP_COLUMNS))
     files = write_decks([replace(table, name=f"../../{name}")], tmp_path)
     assert {path.parent for path in files} == {tmp_path / "decks"}
 
@@ -466,8 +466,8 @@ def test_shares_in_words() -> None:
 def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
     table = wire_table()
     frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
-    assert list(frame.columns) == [f"{name} [{unit}]" for name, unit in COLUMNS.items()]
-    for name, unit in COLUMNS.items():
+    assert list(frame.columns) == [f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items()]
+    for name, unit in LOOKUP_COLUMNS.items():
         assert np.array_equal(frame[f"{name} [{unit}]"].to_numpy(), getattr(table, name))
 
 

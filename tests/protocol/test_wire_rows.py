@@ -10,8 +10,8 @@ import pytest
 
 from labpipe.errors import Fault
 from labpipe.protocol.wire_rows import (
-    COLUMNS,
     REQUIRED_CELLS,
+    WIRE_COLUMNS,
     StressPoint,
     WireRow,
     build_wire_spec,
@@ -47,7 +47,7 @@ def test_every_number_of_a_spec_has_a_column() -> None:
     elsewhere = {"name", "layout", "stress_table", "insulation_table", "defaults", "place"}
     merged = {"strands", "conductor_area", "strand_diameter"}
     numbers = {field.name for field in fields(WireSpec)} - elsewhere
-    assert {get_spec_field(name) for name in COLUMNS} - merged == numbers
+    assert {get_spec_field(name) for name in WIRE_COLUMNS} - merged == numbers
     assert get_args(WireRow.model_fields["layout"].annotation) == LAYOUTS
 
 
@@ -66,7 +66,7 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
     rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", page, flags=re.MULTILINE)
     documented = {name: cells.split(" | ") for name, cells in rows}
     assert set(documented) == set(WireRow.model_fields)
-    for name, column in COLUMNS.items():
+    for name, column in WIRE_COLUMNS.items():
         low, high, default = (
             column.minimum,
             column.maximum,

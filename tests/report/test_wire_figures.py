@@ -18,7 +18,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.plot_records import Line, split_at_gaps
 from labpipe.report.wire_figures import (
-    STIFFNESS,
+    STIFFNESS_SCALE,
     make_cantilever_page,
     make_comparison_page,
     make_moment_page,
@@ -71,7 +71,7 @@ def test_strands_wall_bore_and_bar_to_scale() -> None:
     assert [np.ptp(circle[:, 0]) for circle in circles] == pytest.approx([0.24e-3] * 19, rel=1e-3)
     centres = [circle[:-1].mean(axis=0) for circle in circles]
     np.testing.assert_allclose(centres, np.column_stack([layout.x, layout.y]), atol=1e-9)
-    lines = {line.look: line for line in make_section_plot(table, 9e-4, STIFFNESS).lines}
+    lines = {line.look: line for line in make_section_plot(table, 9e-4, STIFFNESS_SCALE).lines}
     sizes = {"insulation_wall": 1.8e-3, "bore": 1.2e-3, "scale_bar": 0.5e-3}
     for look, size in sizes.items():
         assert np.nanmax(lines[look].x) - np.nanmin(lines[look].x) == pytest.approx(size, rel=1e-3)

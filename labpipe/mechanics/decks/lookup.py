@@ -30,7 +30,7 @@ SCHEMA = 2
 """Version of the JSON table."""
 
 _UNITS = tomllib.loads((files("labpipe.mechanics.decks") / "units.toml").read_text("utf-8"))
-COLUMNS: Mapping[str, str] = _UNITS["columns"]
+LOOKUP_COLUMNS: Mapping[str, str] = _UNITS["columns"]
 """Columns of the CSV table, as the fields of `WireTable`, and their units."""
 
 
@@ -47,10 +47,10 @@ def write_lookup_csv(table: WireTable) -> str:
     """
     deck_loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
     deck_release = release_without_memory(table)
-    numbers = {name: getattr(table, name) for name in COLUMNS}
+    numbers = {name: getattr(table, name) for name in LOOKUP_COLUMNS}
     numbers["is_doubtful"] = table.is_doubtful.astype(int)
     columns = [map(repr, number.tolist()) for number in numbers.values()]
-    heading = ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())
+    heading = ",".join(f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items())
     return fill_template(
         "lookup.csv",
         table=table,

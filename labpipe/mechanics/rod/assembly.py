@@ -259,8 +259,8 @@ class Assembly:
         stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
         residual = join_unknowns(nodes, stretch, turns, gaps)
         drags = min_drag if drag is None else translation_drag * drag.size
-        by_turn[:, _AXES, _AXES] += drags * self._turn_drag
-        by_position[:, _AXES, _AXES] += drags * self._node_drag
+        by_turn[:, _AXIS_NUMBERS, _AXIS_NUMBERS] += drags * self._turn_drag
+        by_position[:, _AXIS_NUMBERS, _AXIS_NUMBERS] += drags * self._node_drag
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
         mirrored_blocks = [
@@ -335,7 +335,7 @@ class Assembly:
         """
         p, s = self.indices, self.supports
         right = -balance.residual
-        right[p.positions[s.held][:, None] + _AXES] = held_moves
+        right[p.positions[s.held][:, None] + _AXIS_NUMBERS] = held_moves
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamp_turns):
@@ -348,7 +348,7 @@ class Assembly:
             np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, imposed.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
-            right[p.forces[s.ends][:, None] + _AXES] += lengths[:, None] * change
+            right[p.forces[s.ends][:, None] + _AXIS_NUMBERS] += lengths[:, None] * change
         return right
 
     def _push(
@@ -357,7 +357,7 @@ class Assembly:
         """Subtract the effect of the turns of clamps on adjacent elements."""
         clamped = np.flatnonzero(neighbours < 0)
         push = np.matvec(across[clamped], clamp_turns[-1 - neighbours[clamped]])
-        np.subtract.at(right, self.indices.turns[elements[clamped]][:, None] + _AXES, push)
+        np.subtract.at(right, self.indices.turns[elements[clamped]][:, None] + _AXIS_NUMBERS, push)
 
     def reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
@@ -368,7 +368,7 @@ class Assembly:
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
             np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
-        return balance.residual[self.indices.positions[s.held][:, None] + _AXES], moments
+        return balance.residual[self.indices.positions[s.held][:, None] + _AXIS_NUMBERS], moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
         """Return the coupling energy of stretch and twist, J."""
@@ -536,7 +536,7 @@ class Assembly:
 
     def _fixed(self) -> Flags:
         fixed = np.zeros(self.indices.total, dtype=np.bool_)
-        fixed[self.indices.positions[self.supports.held][:, None] + _AXES] = True
+        fixed[self.indices.positions[self.supports.held][:, None] + _AXIS_NUMBERS] = True
         fixed[self.indices.stretches] = self.is_rigid
         return fixed
 
@@ -557,9 +557,9 @@ class Assembly:
         return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
 
 
-_AXES = np.arange(3)
+_AXIS_NUMBERS = np.arange(3)
 
 
 def _identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
     """Return rows and columns of three entries for each pair, one on each axis."""
-    return (rows[:, None] + _AXES).ravel(), (columns[:, None] + _AXES).ravel()
+    return (rows[:, None] + _AXIS_NUMBERS).ravel(), (columns[:, None] + _AXIS_NUMBERS).ravel()

@@ -57,7 +57,7 @@ from labpipe.store.read import read_outcome
 from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 
-STIFFNESS = "bending_stiffness"
+STIFFNESS_NAME = "bending_stiffness"
 _Bounds = BundleModel | tuple[Reason, ...]
 """Model of a bundle, or the reasons why there is none."""
 
@@ -126,7 +126,7 @@ def _strip_covers(sample: Sample) -> Bundle | None:
 
 
 def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
-    result = next((result for result in sample.results if result.name == STIFFNESS), None)
+    result = next((result for result in sample.results if result.name == STIFFNESS_NAME), None)
     reasons: tuple[Reason, ...]
     if result is None:
         reasons = (Reason.of("mechanics.studies.no_stiffness"),)
@@ -136,7 +136,7 @@ def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
 
 
 def _find_mean(group: Group) -> BoundedStiffness:
-    number = next((number for number in group.numbers if number.name == STIFFNESS), None)
+    number = next((number for number in group.numbers if number.name == STIFFNESS_NAME), None)
     if number is None or number.mean is None:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
         return BoundedStiffness(group.name, "", None, None, reasons=reasons)
@@ -329,7 +329,7 @@ def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel
     return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
-_NUMBERS = (
+_BOUND_NUMBERS = (
     *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
     *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
@@ -357,7 +357,9 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
         "wanted_packing_fraction": WANTED_FRACTION,
-        **select_json(model, *_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        **select_json(
+            model, *_BOUND_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
+        ),
         "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
         "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
         "friction": friction

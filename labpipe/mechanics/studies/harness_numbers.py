@@ -42,7 +42,7 @@ ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
 POSITIONS, CURVATURES = "positions", "curvature_vectors "
 SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
-_UNITS = {
+_NUMBER_UNITS = {
     RADIUS: "m",
     LOWEST_POINT: "m",
     FORCE: "N",
@@ -327,7 +327,7 @@ def compute_numbers(path: RodPath) -> tuple[Number, ...]:
 
 def find_unit(name: str) -> str:
     """Return the unit of a number."""
-    return next(unit for start, unit in _UNITS.items() if name.startswith(start))
+    return next(unit for start, unit in _NUMBER_UNITS.items() if name.startswith(start))
 
 
 def _describe_numbers(path: RodPath, end: Bend, overall: Bend) -> dict[str, str]:

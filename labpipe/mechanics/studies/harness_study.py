@@ -242,7 +242,7 @@ def as_json(solution: HarnessSolution) -> dict[str, object]:
         "sweep": _list_sweep(solution),
         "bands": _build_bands(solution),
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
-        "units": _UNITS,
+        "units": _TABLE_UNITS,
     }
 
 
@@ -261,7 +261,7 @@ def _build_bands(solution: HarnessSolution) -> dict[str, object]:
     return {"kind": "pointwise 95 %", "shares": to_json(solution.bands.line.states[-1].shares)}
 
 
-_UNITS: Mapping[str, str] = {
+_TABLE_UNITS: Mapping[str, str] = {
     "length": "m",
     "diameter": "m",
     "place": "m",
@@ -280,7 +280,7 @@ def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
     return text
 
 
-_AXES = "xyz"
+_AXIS_NAMES = "xyz"
 
 
 def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
@@ -302,7 +302,7 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
     sides = np.stack([np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])], axis=1)
     torque = np.vecdot(state.moments, sides)
     bending = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
-    places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXES)}
+    places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXIS_NAMES)}
     return {
         "along [m]": line.stations,
         **places,
@@ -330,7 +330,7 @@ def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateB
         columns |= compute_columns(path.states[step], path.line)
         if band := bands.get(step):
             ends = (band.positions.lower, band.positions.upper)
-            columns |= _build_band_columns([f"{axis} [m]" for axis in _AXES], *ends)
+            columns |= _build_band_columns([f"{axis} [m]" for axis in _AXIS_NAMES], *ends)
             ends = (band.curvature.lower[:, None], band.curvature.upper[:, None])
             columns |= _build_band_columns(["curvature [1/m]"], *ends)
         tables.append(pd.DataFrame(columns))
@@ -358,8 +358,8 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
     -----
     The weight is omitted; in each step it is minus the sum of all forces.
     """
-    force_names = [f"f{axis} [N]" for axis in _AXES]
-    moment_names = [f"m{axis} [N*m]" for axis in _AXES]
+    force_names = [f"f{axis} [N]" for axis in _AXIS_NAMES]
+    moment_names = [f"m{axis} [N*m]" for axis in _AXIS_NAMES]
     rows = []
     for step, state in enumerate(path.states):
         for number, boundary in enumerate(path.boundaries):
@@ -409,7 +409,7 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
         f"POINT_DATA {len(points)}",
     ]
     columns = pd.concat([pd.DataFrame(compute_columns(state, path.line)) for state in states])
-    for name in columns.columns.drop([f"{axis} [m]" for axis in _AXES]):
+    for name in columns.columns.drop([f"{axis} [m]" for axis in _AXIS_NAMES]):
         lines += _format_scalars(name.split()[0], columns[name].to_numpy())
     return "\n".join(lines) + "\n"
 

@@ -28,8 +28,8 @@ from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
-    COLUMNS,
     FIRST_SLOPES,
+    WIRE_COLUMNS,
     Column,
     Curve,
     StressPoint,
@@ -361,8 +361,8 @@ def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
         raise ReadError("\n".join(messages))
 
 
-_UNITS = {column.unit.casefold() for column in COLUMNS.values() if column.unit}
-_UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
+_COLUMN_UNITS = {column.unit.casefold() for column in WIRE_COLUMNS.values() if column.unit}
+_COLUMN_UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -505,7 +505,7 @@ def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
             Fault.of("mechanics.studies.title_above", title=title.text, heading=place),
         )
     below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
-    units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _UNITS]
+    units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _COLUMN_UNITS]
     if len(units) > 1 and len(units) >= len(below) - 1:
         written = ", ".join(cell.text for cell in units[:3])
         yield units[0].place, Fault.of("mechanics.studies.row_of_units", units=written)

@@ -27,7 +27,7 @@ from labpipe.readers.raw_files import reading
 
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
-_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_CARD_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def _require(is_right: bool, message: str) -> None:
@@ -184,7 +184,7 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         If the text is not TOML, keys are unknown, missing or of the wrong type (all are
         reported at once), or keys contradict each other.
     """
-    if not _NAME.fullmatch(name):
+    if not _CARD_NAME.fullmatch(name):
         raise ReadError.about("readers.name_of_card", source, name=name)
     try:
         keys = tomllib.loads(text)

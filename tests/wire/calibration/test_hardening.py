@@ -14,7 +14,7 @@ from labpipe.mechanics.wire.bending_law import cyclic_law
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
     ENERGY,
-    NUMBERS,
+    HARDENING_NUMBERS,
     RATIO,
     RESIDUAL,
     SHARES,
@@ -91,7 +91,7 @@ def measured(
     curves, changes = computed()
     off = random.multivariate_normal(np.zeros(2), COVARIANCE)
     numbers = {}
-    for number, name in enumerate(NUMBERS):
+    for number, name in enumerate(HARDENING_NUMBERS):
         exact = np.polyval(np.polyfit(SHARES, curves[:, number], 3), share)
         truth = float(exact + changes[:, number] @ off)
         truth *= 1.0 + creep * (-0.1 if name == RATIO else 1.0)

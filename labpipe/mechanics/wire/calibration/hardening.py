@@ -33,7 +33,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
-NUMBERS = (RESIDUAL, ENERGY, RATIO)
+HARDENING_NUMBERS = (RESIDUAL, ENERGY, RATIO)
 """Residual deflection, m; energy lost in the first cycle, J; second over first peak force."""
 SHARES = (0.0, 0.35, 0.7, 1.0)
 """Shares for which a test is computed; a cubic joins them."""
@@ -197,9 +197,9 @@ def calibrate_share(
         computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
     except ValueError:
         return None
-    rows = [(test, name) for test in tests for name in NUMBERS if name in test.numbers]
+    rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
-    columns = np.array([NUMBERS.index(name) for _, name in rows])
+    columns = np.array([HARDENING_NUMBERS.index(name) for _, name in rows])
     by_share, by_parameter = (
         np.stack(
             [
@@ -209,7 +209,7 @@ def calibrate_share(
         )
         for part in (0, 1)
     )
-    scale = np.where(columns == NUMBERS.index(RATIO), 0.0, measured * scatter)
+    scale = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
     noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
@@ -217,7 +217,7 @@ def calibrate_share(
     value, error = _estimate(grid, residuals, noise)
     parts = {}
     for name in (RESIDUAL, RATIO):
-        alone = columns == NUMBERS.index(name)
+        alone = columns == HARDENING_NUMBERS.index(name)
         if alone.any():
             parts[name] = _estimate(grid, residuals[alone], noise[np.ix_(alone, alone)])
     is_creep = False
@@ -244,11 +244,11 @@ def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tupl
     def compute(share: float, changes: Mapping[str, float]) -> list[float]:
         law, weight = law_at(changes, share), test.self_weight
         cycles = compute_cycles(law, test.length, test.peak, rig=test.rig, self_weight=weight)
-        return [cycles[name] for name in NUMBERS]
+        return [cycles[name] for name in HARDENING_NUMBERS]
 
     by_share = np.array([compute(share, {}) for share in SHARES])
     moved = np.array([compute(middle, {name: step}) for name in names])
-    return by_share, (moved.reshape(-1, len(NUMBERS)) - compute(middle, {})) / step
+    return by_share, (moved.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
 
 
 def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
