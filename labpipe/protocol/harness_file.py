@@ -35,7 +35,7 @@ from labpipe.protocol.grammar import (
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, find_repeated_names, raise_faults, refused
+from labpipe.protocol.yaml_text import Values, find_repeated_names, raise_faults, build_refusal
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -63,7 +63,7 @@ AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "
 def _normalise(vector: Vector3) -> Vector3:
     size = math.hypot(*vector)
     if size == 0.0:
-        raise refused("protocol.no_direction", found=list(vector))
+        raise build_refusal("protocol.no_direction", found=list(vector))
     x, y, z = vector
     return x / size, y / size, z / size
 
@@ -95,7 +95,7 @@ def _parse_place(value: object) -> float:
         return _LENGTH_FROM_START.parse(value)
     except ValueError as error:
         remedy = suggest_quantity(value, "m", "120 mm")
-        raise refused("protocol.no_place", found=value, remedy=remedy) from error
+        raise build_refusal("protocol.no_place", found=value, remedy=remedy) from error
 
 
 def _format_place(place: float) -> str:

@@ -49,7 +49,7 @@ from labpipe.protocol.yaml_text import (
     get_block,
     get_list,
     raise_faults,
-    refused,
+    build_refusal,
 )
 from labpipe.records.declarations import (
     LIMITS,
@@ -147,7 +147,7 @@ def _parse_marker_names(value: object) -> object:
         return value
     names = value if isinstance(value, list | tuple) else [value]
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise refused("protocol.no_markers", found=value)
+        raise build_refusal("protocol.no_markers", found=value)
     return tuple(names)
 
 
@@ -282,7 +282,7 @@ class Slack(Block):
 def _parse_reverse(value: object) -> object:
     names = value if isinstance(value, list | tuple) else [None]
     if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
-        raise refused("protocol.no_reverse", found=value)
+        raise build_refusal("protocol.no_reverse", found=value)
     return tuple(names)
 
 
@@ -406,7 +406,7 @@ class Groups(Block):
 def _parse_version(value: object) -> int:
     """Accept the only known version of the file format."""
     if str(value) != "1":
-        raise refused("protocol.unknown_version", found=value)
+        raise build_refusal("protocol.unknown_version", found=value)
     return 1
 
 
@@ -625,7 +625,9 @@ def _check_channels(outline: Outline) -> Faults:
         is_optional = str(outline.block("sources", role).get("optional")).lower() == "true"
         if not (name in from_speed and is_optional):
             if name in owners:
-                yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=owners[name])
+                yield Fault.of(
+                    "protocol.channel_taken", path, at="key", name=name, owner=owners[name]
+                )
             owners[name] = f"the source {role!r}"
 
 

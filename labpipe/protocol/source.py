@@ -37,7 +37,7 @@ from labpipe.protocol.yaml_text import (
     build_choice_fault,
     list_nearest,
     raise_faults,
-    refused,
+    build_refusal,
 )
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
@@ -282,7 +282,7 @@ class Certificate(Block):
     def _check_due_date(cls, due: Any, info: ValidationInfo) -> Any:
         calibrated = info.data.get("date")
         if due is not None and calibrated is not None and due <= calibrated:
-            raise refused("protocol.due_too_early", found=due, calibrated=calibrated)
+            raise build_refusal("protocol.due_too_early", found=due, calibrated=calibrated)
         return due
 
 
@@ -296,11 +296,11 @@ def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
 def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
     """Refuse a certified uncertainty that contradicts those stated for gain and scale."""
     calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
-    together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
+    stated = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
     certified = _find_standard_uncertainty(certificate)
-    if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
+    if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
         raise FaultsError(
-            Fault.of("protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together)
+            Fault.of("protocol.not_as_certified", certified=1e2 * certified, stated=1e2 * stated)
         )
     return certificate
 

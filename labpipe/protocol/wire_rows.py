@@ -23,7 +23,7 @@ from labpipe.protocol.yaml_text import (
     Values,
     build_choice_fault,
     raise_faults,
-    refused,
+    build_refusal,
 )
 from labpipe.records.wire import WireSpec
 
@@ -100,7 +100,9 @@ class Column:
             remedy = suggest_number(part) or "Correct the cell; is the unit right?"
             if self.is_list and "," in part and ";" not in cell:
                 remedy = f"Separate numbers by ';': {part.replace(',', ';')}."
-            raise refused("protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy)
+            raise build_refusal(
+                "protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy
+            )
         value = math.fmod(float(part), self.period)
         return int(value) if self.is_integer else value
 
@@ -121,7 +123,7 @@ def _parse_name(value: object) -> str:
         raise FaultsError(Fault.of("protocol.blank_name"))
     is_forbidden = _FORBIDDEN_IN_NAME.search(name) or WINDOWS_DEVICE_NAME.fullmatch(name)
     if is_forbidden or len(name) > max_length:
-        raise refused("protocol.no_wire_name", found=value, most=max_length)
+        raise build_refusal("protocol.no_wire_name", found=value, most=max_length)
     return name
 
 

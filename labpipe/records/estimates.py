@@ -51,7 +51,7 @@ class UnavailableError(Exception):
 
     @classmethod
     def of(cls, name: str, /, **facts: object) -> Self:
-        """Make the error from a template of a room: see `labpipe.records.quality.Reason.of`."""
+        """Make the error from a template, see `labpipe.records.quality.Reason.of`."""
         return cls(Failure.of(name, **facts))
 
 

@@ -39,7 +39,7 @@ class Reason:
 
     @classmethod
     def of(cls, name: str, /, **facts: object) -> Self:
-        """Make a reason from a template of a room.
+        """Make a reason from a template of a ``messages.toml``.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class QualityNote:
 
     @classmethod
     def of(cls, name: str, where: str, /, *stretches: tuple[float, float], **facts: object) -> Self:
-        """Make a note from a template of a room.
+        """Make a note from a template of a ``messages.toml``.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Finding:
         blocks: bool = False,
         **facts: object,
     ) -> Self:
-        """Make a finding from a template of a room.
+        """Make a finding from a template of a ``messages.toml``.
 
         Parameters
         ----------

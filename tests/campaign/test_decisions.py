@@ -193,9 +193,9 @@ def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path
     broken.write_text("{", "utf-8")
     own = saved(processed / "decisions.json", decision_on(processed, "T-1"))
     for given, message in (
-        (file, "expected a file saved by a report page, found nothing of that name"),
+        (file, "expected a file saved by a report page, found no such file"),
         (broken, "line 1, column 2: expected decisions in JSON"),
-        (own, r"found that of the campaign\. Its decisions are applied"),
+        (own, r"found the file of decisions of the campaign itself\. Its decisions are applied"),
     ):
         with pytest.raises(UsageError, match=message):
             import_decision_file(processed, "c", given)
@@ -204,6 +204,9 @@ def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
     assert "1 decision imported" in ran.out
     ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
-    assert "--from: expected no test together with it, found T-2" in ran.err
+    assert (
+        "--from: expected either a test or a file of decisions, found both, with the test 'T-2'"
+        in ran.err
+    )
     ran = run("campaign", "decide", processed)
     assert "expected a test and accept or reject, found none. Name both, or import" in ran.err

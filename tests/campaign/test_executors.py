@@ -92,7 +92,7 @@ def test_death_of_a_process_fails_its_call_only() -> None:
         died = future.exception()
         assert isinstance(died, ProcessingError)
         assert died.code == "process_died"
-        assert f"found that it was ended {how}. " in str(died)
+        assert f"found a process that was ended {how}. " in str(died)
     assert workers._describe_exit(-63) == "by the signal 63"
 
 
