@@ -57,9 +57,9 @@ from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
     build_choice_fault,
+    build_refusal,
     convert_errors,
     parse_yaml,
-    build_refusal,
 )
 from labpipe.records.declarations import (
     FromCard,

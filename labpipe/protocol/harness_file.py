@@ -35,7 +35,7 @@ from labpipe.protocol.grammar import (
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, find_repeated_names, raise_faults, build_refusal
+from labpipe.protocol.yaml_text import Values, build_refusal, find_repeated_names, raise_faults
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,

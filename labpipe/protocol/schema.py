@@ -46,10 +46,10 @@ from labpipe.protocol.source import (
 from labpipe.protocol.yaml_text import (
     Values,
     build_choice_fault,
+    build_refusal,
     get_block,
     get_list,
     raise_faults,
-    build_refusal,
 )
 from labpipe.records.declarations import (
     LIMITS,

@@ -48,11 +48,11 @@ from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.yaml_text import (
     Values,
+    build_refusal,
     describe_value,
     find_repeated_names,
     get_block,
     raise_faults,
-    build_refusal,
     suggest_word,
 )
 from labpipe.records.declarations import (

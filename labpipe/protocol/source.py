@@ -35,9 +35,9 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import (
     FaultsError,
     build_choice_fault,
+    build_refusal,
     list_nearest,
     raise_faults,
-    build_refusal,
 )
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS

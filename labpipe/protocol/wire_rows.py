@@ -22,8 +22,8 @@ from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
     build_choice_fault,
-    raise_faults,
     build_refusal,
+    raise_faults,
 )
 from labpipe.records.wire import WireSpec
 
