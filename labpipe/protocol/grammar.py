@@ -152,10 +152,10 @@ def suggest_unit(unit: str, si_unit: str) -> str:
     try:
         find_si_factor(unit or si_unit, si_unit)
     except DimensionError:
-        own_unit = find_si_unit(unit)
-        if (own_unit, si_unit) == ("kg", "N"):
+        base_unit = find_si_unit(unit)
+        if (base_unit, si_unit) == ("kg", "N"):
             return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
-        return f"{unit} is a unit of {_DIMENSION_NAMES[own_unit]}." if own_unit else ""
+        return f"{unit} is a unit of {_DIMENSION_NAMES[base_unit]}." if base_unit else ""
     except ValueError:
         return f"labpipe knows no unit {unit!r}."
     return ""
@@ -362,7 +362,7 @@ def _parse_day(value: object) -> date:
 def _parse_file_stem(value: object) -> str:
     text = _parse_text(value)
     if not is_test_name(text):
-        raise build_refusal("protocol.no_file_stem", found=value, most=MAX_NAME_BYTES)
+        raise build_refusal("protocol.no_file_stem", found=value, limit=MAX_NAME_BYTES)
     return text
 
 
@@ -617,7 +617,7 @@ def _check_larger(
     if bound_value is not None and value <= bound_value:
         bound_text, value_text = text.format(bound_value), text.format(value)
         raise build_refusal(
-            "protocol.not_larger", found=value_text, key=bound.key, least=bound_text
+            "protocol.not_larger", found=value_text, key=bound.key, bound=bound_text
         )
     return value
 

@@ -186,7 +186,7 @@ def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
         min_bore = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
         bore, path = 1e3 * bundle.conduit_bore, ("conduit_bore",)
         if bore < min_bore:
-            yield Fault.of("protocol.bore_too_small", path, least=min_bore, found=bore)
+            yield Fault.of("protocol.bore_too_small", path, smallest=min_bore, found=bore)
 
 
 def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
@@ -208,9 +208,13 @@ def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     overlaps = np.tril(depths > OVERLAP_TOLERANCE * np.minimum.outer(diameters, diameters), -1)
     for index in np.flatnonzero(overlaps.any(axis=1)):
         other = int(overlaps[index].argmax())
-        wire, beside, depth = names[index], names[other], 1e3 * depths[index, other]
-        place = (*path, int(index))
-        yield Fault.of("protocol.overlap", place, wire=wire, depth=depth, other=beside)
+        yield Fault.of(
+            "protocol.overlap",
+            (*path, int(index)),
+            wire=names[index],
+            depth=1e3 * depths[index, other],
+            other_wire=names[other],
+        )
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -646,7 +650,7 @@ def parse_name_pattern(text: str) -> NamePattern:
         If it is invalid.
     """
     if len(text) > MAX_PATTERN_LENGTH:
-        raise build_refusal("protocol.long_pattern", found=text, most=MAX_PATTERN_LENGTH)
+        raise build_refusal("protocol.long_pattern", found=text, limit=MAX_PATTERN_LENGTH)
     units: dict[str, str] = {}
 
     def to_expression(part: re.Match[str]) -> str:

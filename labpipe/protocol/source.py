@@ -1,4 +1,7 @@
-"""Sources of a protocol: exports, channels, calibrations; plausible ranges of dimensions."""
+"""Sources of a protocol: its exports, channels and calibrations, and the ranges of dimensions.
+
+Which export, channel and unit gives each quantity, and which dimensions are plausible?
+"""
 
 from __future__ import annotations
 
@@ -210,7 +213,7 @@ def find_implausible_sizes(
     path: KeyPath,
     ranges: Mapping[str, PlausibleRange],
     *,
-    others: Collection[str] = (),
+    other_lengths: Collection[str] = (),
     in_file: bool = False,
 ) -> Iterator[Fault]:
     """Find dimensions outside their plausible ranges.
@@ -220,13 +223,13 @@ def find_implausible_sizes(
     data : blocks, validated, or blocks by key
     path : of the data in their file
     ranges : plausible ranges by kind of dimension
-    others : names of further lengths, whose kind of dimension is ``other``
+    other_lengths : names of further lengths, whose kind of dimension is ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet
     """
     for place, size in _list_numbers(data, path):
         key = next(str(part) for part in reversed(place) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
-        kind = kind or ("other" if key in others else None)
+        kind = kind or ("other" if key in other_lengths else None)
         if kind is None:
             continue
         si_unit, ends = PLAUSIBLE_RANGES[kind][0], ranges[kind]
@@ -519,8 +522,10 @@ class Source(_Channel, _Export):
         valid = MARKER_READERS if has_markers else {*READERS} - MARKER_READERS
         if not {*self.reader} <= valid:
             content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
-            found, here = ", ".join(map(repr, self.reader)), ("reader",)
-            yield Fault.of("protocol.wrong_reader", here, content=content, found=found, valid=names)
+            found = ", ".join(map(repr, self.reader))
+            yield Fault.of(
+                "protocol.wrong_reader", ("reader",), content=content, found=found, valid=names
+            )
         elif has_markers:
             for key in ["channels"] * ("channels" in stated) or keys[:1]:
                 yield Fault.of("protocol.channel_of_markers", (key,), key=key)
