@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.cli import main as labpipe
-from labpipe.cli.demo import CAMPAIGNS, PLAN
+from labpipe.cli.demo import CALIBRATION_PLAN, CAMPAIGNS
 from labpipe.records.curve import Interval
 from labpipe.report.wording import make_number_writer
 from labpipe.units import find_si_factor
@@ -266,7 +266,7 @@ def _tour(folder: Path) -> None:
     _tubes(folder)
     simulate_campaigns(CAMPAIGNS["wires"], folder / "raw/demo/wires")
     write_wire_sheet(folder / "raw/demo/wires")
-    (folder / "raw/demo/wires/plan.yaml").write_text(PLAN, encoding="utf-8")
+    (folder / "raw/demo/wires/plan.yaml").write_text(CALIBRATION_PLAN, encoding="utf-8")
     run("labpipe process raw/demo/wires --no-figures")
 
 

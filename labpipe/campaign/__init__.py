@@ -1,1 +1,1 @@
-"""Many tests: which there are, running them, grouping and reporting them."""
+"""Process many tests: find, run, watch, query, group and report them."""

@@ -1,4 +1,4 @@
-"""Folders of a campaign: find them, list tests and files in them, without opening any file."""
+"""Find the folders of a campaign, and list its tests and files without opening any file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CampaignFolders:
     ----------
     name : the folder below ``raw`` and ``processed``, with slashes
     raw : exports and test sheets, a folder per test; may be missing
-    processed : results, a folder per test; made on first use
+    processed : results, a folder per test; made when results are first written
     """
 
     name: str
@@ -45,17 +45,20 @@ def find_campaign(folder: Path) -> CampaignFolders:
     Raises
     ------
     UsageError
-        If it is missing, below neither, or the folder of a single test.
+        If it is missing, is below neither of the two, or is the folder of a single test.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing of that name"
         raise UsageError.about("campaign.no_campaign", folder, found=found)
     start = folder.resolve()
-    tops = [above for above in (start, *start.parents) if above.name in {RAW, PROCESSED}]
-    if not tops:
+    top_folders = [parent for parent in (start, *start.parents) if parent.name in {RAW, PROCESSED}]
+    if not top_folders:
         raise UsageError.about("campaign.outside_campaigns", folder)
-    name = start.relative_to(tops[0])
-    current, paths = Path.cwd().resolve(), (tops[0].parent / top / name for top in (RAW, PROCESSED))
+    name = start.relative_to(top_folders[0])
+    current, paths = (
+        Path.cwd().resolve(),
+        (top_folders[0].parent / top / name for top in (RAW, PROCESSED)),
+    )
     raw, processed = (
         path.relative_to(current) if path.is_relative_to(current) else path for path in paths
     )
@@ -82,13 +85,13 @@ def find_campaign_name(folder: Path) -> str:
 
 @dataclass(slots=True)
 class RawContent:
-    """Content of the folder of exports.
+    """Test sheets and files below the folder of exports.
 
     Parameters
     ----------
-    sheets : path of the test sheet by test; a test is named by its folder below the campaign
+    sheets : path of each test sheet, by folder of the test below the campaign
     files : paths of all files except hidden ones, relative to the campaign, with slashes
-    problems : messages on files and folders that cannot be used
+    problems : messages about files and folders that cannot be used
     """
 
     sheets: dict[str, Path] = field(default_factory=dict)
@@ -97,7 +100,7 @@ class RawContent:
 
 
 def list_raw(campaign: CampaignFolders) -> RawContent:
-    """List tests and files of a campaign, without opening any.
+    """List the tests and files of a campaign without opening any file.
 
     Parameters
     ----------
@@ -112,13 +115,13 @@ def list_raw(campaign: CampaignFolders) -> RawContent:
         if sheet.is_file():
             listing.sheets[label] = sheet
         else:
-            listing.problems.append(str(StoreError.about("campaign.odd_sheet", sheet)))
+            listing.problems.append(str(StoreError.about("campaign.irregular_sheet", sheet)))
     return listing
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeFiles:
-    """Files that processing a test wrote: results, summary, failure.
+    """Files written when a test was processed: results, summary, failure.
 
     Parameters
     ----------
@@ -142,7 +145,7 @@ class OutcomeFiles:
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
-    """List the outcomes of a campaign by test, without opening any.
+    """List the outcome files of a campaign by test, without opening any file.
 
     Parameters
     ----------
@@ -150,21 +153,23 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 
     Returns
     -------
-    Outcome files of each folder that has any.
+    Outcome files of each test that has any.
     """
     outcomes = {}
     for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
         if hidden & {*STAGES}:
             outcome = find_outcome(campaign, label)
         else:
-            outcome = OutcomeFiles(Path(place), _sign_files(place, files))
+            outcome = OutcomeFiles(Path(place), _compute_signature(place, files))
         if outcome.signature:
             outcomes[label] = outcome
     return outcomes
 
 
 def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
-    """Find the outcome of one test; first complete a replacement that a killed process began.
+    """Find the outcome files of one test.
+
+    A replacement of files that a killed process left unfinished is completed first.
 
     Parameters
     ----------
@@ -172,14 +177,14 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     test : its folder below the campaign
     """
     folder = campaign.processed / test
-    if is_cut_off(folder):  # unless another process is still at work there
+    if is_cut_off(folder):  # unless another process still writes there
         with suppress(StoreError), locked(folder), storing(folder):
             finish_cut_off(folder)
     files = [name for name in _OUTCOME_FILES if (folder / name).is_file()]
-    return OutcomeFiles(folder, _sign_files(str(folder), files))
+    return OutcomeFiles(folder, _compute_signature(str(folder), files))
 
 
-def _sign_files(place: str, files: list[str]) -> str:
+def _compute_signature(place: str, files: list[str]) -> str:
     parts = []
     for name in _OUTCOME_FILES:
         if name not in files:
@@ -193,7 +198,7 @@ def _sign_files(place: str, files: list[str]) -> str:
 def _walk(
     top: Path, problems: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Walk through folders, except hidden ones, links, and those of a name to be skipped.
+    """Walk through folders, except hidden ones, links, and those with the name `skipped`.
 
     Yields label and path of each folder, and the names of its files and of its hidden entries.
     """
@@ -205,15 +210,15 @@ def _walk(
     for place, folders, files in os.walk(top, onerror=note_error):
         links = {name for name in folders if os.path.islink(f"{place}/{name}")}  # noqa: PTH114
         hidden = {name for name in (*folders, *files) if name.startswith(".")}
-        odd = {name for name in {*folders, *files} - hidden if not _is_text(name)}
-        for name in sorted(odd):
+        undecodable = {name for name in {*folders, *files} - hidden if not _is_text(name)}
+        for name in sorted(undecodable):
             printable = f"{place}/{name}".encode("utf-8", "backslashreplace").decode()
-            problems.append(str(StoreError.about("campaign.odd_name", printable)))
-        folders[:] = sorted({*folders} - links - hidden - odd - {skipped})
+            problems.append(str(StoreError.about("campaign.undecodable_name", printable)))
+        folders[:] = sorted({*folders} - links - hidden - undecodable - {skipped})
         label = place[len(str(top)) + 1 :].replace(os.sep, "/")
-        yield label, place, [*({*files} | links) - hidden - odd], hidden
+        yield label, place, [*({*files} | links) - hidden - undecodable], hidden
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a file name is valid text; on Linux it may be any bytes."""
+    """Return whether a file name could be decoded; on Linux, names may be any bytes."""
     return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)

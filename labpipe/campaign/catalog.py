@@ -1,8 +1,8 @@
 """The catalog of a campaign: an SQLite file with states and results, for fast status and queries.
 
-It can be rebuilt: tables ``tests``, ``results`` and ``inputs`` copy the content of the files of
-tests. Only two tables have no other source: ``seen`` (state of these files at the last update) and
-``running`` (claims of processes that work on tests).
+It can be rebuilt: the tables ``tests``, ``results`` and ``inputs`` copy the content of the files of
+the tests. Two tables exist only here: ``seen``, the state of these files at the last update, and
+``running``, the claims of processes on tests.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from labpipe.store.replace import locked, storing
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 2
 """Version of the tables, in ``user_version`` of the file; a newer one is refused."""
-PROGRAM: Final = 0x4C425043
+APPLICATION_ID: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
 
 
 def _columns(row: type[TestRow | ResultRow]) -> str:
-    """Return the columns of a table in SQL: text, or a number that may be missing."""
+    """Return the column definitions of a table in SQL: text, or a number that may be null."""
     return ", ".join(
         f"{name} {'real' if name in NUMBERS else 'text not null'}" for name in row._fields
     )
@@ -55,11 +55,11 @@ create table running (
 );
 """
 MAX_CLAIM_AGE = 24 * 3600.0
-"""Age of a claim of another host, s, above which it is ignored; no test takes as long."""
+"""Maximum age of a claim of another host, s; an older one is ignored, as no test takes so long."""
 
 
 class Claim(NamedTuple):
-    """The claim of a process on a test, which other processes then leave alone.
+    """The claim of a process on a test; other processes do not process a claimed test.
 
     Parameters
     ----------
@@ -80,27 +80,26 @@ class Claim(NamedTuple):
         return self.host.split()[0]
 
 
-def new_claim() -> Claim:
-    """Make a claim of this process."""
+def make_claim() -> Claim:
+    """Make a claim of this process, dated now."""
     return Claim(_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
 
 
 def is_alive(claim: Claim) -> bool:
-    """Return whether the process of a claim still works.
+    """Return whether the process of a claim is alive.
 
     Parameters
     ----------
-    claim : of any process
+    claim : of a process on any host
 
     Returns
     -------
-    For a process of this host, whether it is alive; for one of another host, whether its claim is
-    younger than `MAX_CLAIM_AGE`.
+    Whether a process of this host is alive. A process of another host counts as alive if its claim
+    is younger than `MAX_CLAIM_AGE`.
     """
     if claim.host != _host():
         return abs(time.time() - claim.since) < MAX_CLAIM_AGE
-    # s by which the start of a process moves when the clock of the machine is set
-    max_clock_step = 2.0
+    max_clock_step = 2.0  # s; the start of a process shifts when the system clock is set
     try:
         process = psutil.Process(claim.pid)
         is_dead = process.status() in {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
@@ -121,13 +120,13 @@ def _host() -> str:
 
 
 class Catalog:
-    """An open catalog. SQLite errors are raised as `StoreError`.
+    """An open catalog; its methods raise SQLite errors as `StoreError`.
 
     Parameters
     ----------
     connection : to the file, or to memory
     path : of the file, for messages
-    in_memory : whether it is a private copy in memory, which is lost at the end
+    in_memory : whether it is in memory only and is lost when the process ends
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, in_memory: bool) -> None:
@@ -139,18 +138,18 @@ class Catalog:
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Run several changes in one transaction."""
+        """Make several changes in one transaction."""
         with sqlite_errors(self.path), self._connection:  # commits, or rolls back
             self._connection.execute("begin immediate")
             yield self._connection
 
-    def _all(self, sql: str, *values: object) -> list[Any]:
+    def _fetch_all(self, sql: str, *values: object) -> list[Any]:
         with sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
     def _select(self, columns: str, table: str, folder: str | None) -> list[Any]:
         where, values = ("", ()) if folder is None else (" where folder = ?", (folder,))
-        return self._all(f"select {columns} from {table}{where}", *values)
+        return self._fetch_all(f"select {columns} from {table}{where}", *values)
 
     def read_rows(self, folder: str | None = None) -> dict[str, TestRow]:
         """Read rows of ``tests`` by folder.
@@ -181,7 +180,7 @@ class Catalog:
         """
         columns = ", ".join(ResultRow._fields)
         sql = f"select {columns} from results where folder = ? order by place"
-        return tuple(ResultRow(*row) for row in self._all(sql, folder))
+        return tuple(ResultRow(*row) for row in self._fetch_all(sql, folder))
 
     def has_failed_results(self) -> bool:
         """Return whether any result failed in a test that is not rejected."""
@@ -189,22 +188,25 @@ class Catalog:
             "select 1 from results join tests on tests.folder = results.folder"
             " where results.status = 'failed' and tests.state <> 'rejected' limit 1"
         )
-        return bool(self._all(sql))
+        return bool(self._fetch_all(sql))
 
-    def put(self, entries: Iterable[Entry], before: Mapping[str, FileState] | None = None) -> None:
+    def put(
+        self, entries: Iterable[Entry], states_at_start: Mapping[str, FileState] | None = None
+    ) -> None:
         """Write entries of tests.
 
         Parameters
         ----------
         entries : of the tests
-        before : recorded states when the update began; a test with another recorded state by now
-            was written by another process and is skipped. None to write all
+        states_at_start : recorded states of files when the update began; a test whose recorded
+            state has changed since was written by another process and is skipped. None to write
+            all tests
         """
         with self._writing() as connection:
-            stored = self.read_file_states() if before is not None else {}
+            stored = self.read_file_states() if states_at_start is not None else {}
             for entry in entries:
                 folder = entry.row.folder
-                if before is None or stored.get(folder) == before.get(folder):
+                if states_at_start is None or stored.get(folder) == states_at_start.get(folder):
                     _delete(connection, folder)
                     _insert(connection, "tests", [entry.row])
                     _insert(connection, "seen", [(folder, *entry.file_state)])
@@ -224,13 +226,15 @@ class Catalog:
                 _delete(connection, folder)
 
     def read_claims(self) -> dict[str, Claim]:
-        """Read claims of live processes by folder of the test; delete those of dead ones."""
-        claims = {folder: Claim(*rest) for folder, *rest in self._all("select * from running")}
+        """Read claims of live processes by folder of the test; delete those of dead processes."""
+        claims = {
+            folder: Claim(*rest) for folder, *rest in self._fetch_all("select * from running")
+        }
         live = {folder: claim for folder, claim in claims.items() if is_alive(claim)}
-        if dead := [(folder, *claims[folder]) for folder in claims.keys() - live.keys()]:
+        if dead_rows := [(folder, *claims[folder]) for folder in claims.keys() - live.keys()]:
             sql = "delete from running where (folder, host, pid, process, since) = (?, ?, ?, ?, ?)"
             with self._writing() as connection:
-                connection.executemany(sql, dead)
+                connection.executemany(sql, dead_rows)
         return live
 
     def claim(self, folder: str) -> bool:
@@ -242,13 +246,13 @@ class Catalog:
 
         Returns
         -------
-        False if another live process has claimed it.
+        True if the test was claimed; False if another live process has claimed it.
         """
         with self._writing() as connection:
-            claims = self._all("select * from running where folder = ?", folder)
+            claims = self._fetch_all("select * from running where folder = ?", folder)
             if any(is_alive(Claim(*claim[1:])) for claim in claims):
                 return False
-            _insert(connection, "running", [(folder, *new_claim())])
+            _insert(connection, "running", [(folder, *make_claim())])
         return True
 
     def release(self, *folders: str) -> None:
@@ -264,7 +268,7 @@ class Catalog:
 
     @contextmanager
     def copy(self) -> Iterator[sqlite3.Connection]:
-        """Open a copy in memory for a query, which locks no other process out."""
+        """Open a copy in memory, so that a query does not block other processes."""
         with sqlite_errors(self.path), closing(_connect(None)) as memory:
             self._connection.backup(memory)
             yield memory
@@ -283,14 +287,14 @@ def sqlite_errors(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         code = _error_code(error)
         raise StoreError.about(
-            "campaign.catalog_in_use" if code in _BUSY
-            else "campaign.catalog_refused" if code in _REFUSED else "campaign.bad_catalog",
+            "campaign.catalog_in_use" if code in _BUSY_CODES
+            else "campaign.catalog_refused" if code in _REFUSED_CODES else "campaign.bad_catalog",
             path, found=error,
         ) from error  # fmt: skip
 
 
-_BUSY: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
-_REFUSED: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
+_BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
+_REFUSED_CODES: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
 
 
 def _error_code(error: sqlite3.Error) -> int:
@@ -329,7 +333,7 @@ def _can_write(path: Path) -> bool:
 
 
 class _NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
-    """There is no usable catalog; the message says why."""
+    """The catalog is missing or unusable; the message states the reason."""
 
 
 def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -> Catalog:
@@ -338,8 +342,8 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
     Parameters
     ----------
     folder : of the results, made if missing; if read-only, the catalog is in memory
-    notes : gets a message on a rebuilt catalog, or one in memory
-    start_empty : whether to make an empty one in any case
+    notes : list to which a message is added if the catalog was rebuilt or is in memory
+    start_empty : whether to replace a usable catalog by an empty one
 
     Raises
     ------
@@ -355,14 +359,14 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
         folder.mkdir(parents=True, exist_ok=True)
     if not _can_write(path):
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
-        return new_catalog(folder)
+        return make_catalog(folder)
     with locked(folder, patience=lock_timeout):
         try:
             catalog = _open_file(path)
         except _NoCatalog as why:
             if path.exists():
                 notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
-            return new_catalog(folder)
+            return make_catalog(folder)
         if not start_empty:
             return catalog  # another process has just made it
         with closing(catalog):
@@ -371,32 +375,32 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
                     "campaign.process_at_work", path,
                     pid=claim.pid, host=claim.machine, test=test,
                 )  # fmt: skip
-        return new_catalog(folder, keep_old=False)
+        return make_catalog(folder, keep_old=False)
 
 
 def _open_file(path: Path) -> Catalog:
-    """Open a catalog; a copy in memory if its folder is read-only."""
+    """Open a catalog; if its folder is read-only, open a copy in memory."""
     if not path.is_file():
         raise _NoCatalog(format_sentence("campaign.missing_catalog"))
     is_writable = _can_write(path)
     try:
-        with ExitStack() as opened:
-            connection = opened.enter_context(closing(_connect(path)))
+        with ExitStack() as stack:
+            connection = stack.enter_context(closing(_connect(path)))
             _check_tables(connection, path)
             if is_writable:
-                opened.pop_all()
+                stack.pop_all()
                 return Catalog(connection, path, in_memory=False)
             memory = _connect(None)
             connection.backup(memory)
             return Catalog(memory, path, in_memory=True)
     except sqlite3.DatabaseError as error:
-        if is_writable and _error_code(error) in _BUSY | _REFUSED:
+        if is_writable and _error_code(error) in _BUSY_CODES | _REFUSED_CODES:
             with sqlite_errors(path):
                 raise
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
 
 
-def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
+def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     """Make an empty catalog.
 
     Parameters
@@ -407,7 +411,7 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     Raises
     ------
     StoreError
-        If the system refuses.
+        If the file cannot be made.
     """
     path = folder / CATALOG
     is_writable = _can_write(path)
@@ -420,21 +424,21 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     with sqlite_errors(path):
         connection = _connect(path if is_writable else None)
         connection.executescript(
-            f"begin immediate; {_TABLES} pragma application_id = {PROGRAM};"
+            f"begin immediate; {_TABLES} pragma application_id = {APPLICATION_ID};"
             f" pragma user_version = {SCHEMA}; commit;"
         )
     return Catalog(connection, path, in_memory=not is_writable)
 
 
 def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise for newer, foreign and damaged files."""
+    """Refuse files of a newer labpipe or another program, and damaged files."""
     (program,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()
     (n_tables,) = connection.execute("select count(*) from sqlite_schema").fetchone()
-    if program != PROGRAM and n_tables:
+    if program != APPLICATION_ID and n_tables:
         raise UsageError.about("campaign.foreign_catalog", path)
     if version > SCHEMA:
         raise UsageError.about("campaign.newer_catalog", path, known=SCHEMA, found=version)
-    (sound,) = connection.execute("pragma quick_check(1)").fetchone()
-    if version != SCHEMA or sound != "ok":
-        raise sqlite3.DatabaseError("without a version" if version != SCHEMA else sound)
+    (integrity,) = connection.execute("pragma quick_check(1)").fetchone()
+    if version != SCHEMA or integrity != "ok":
+        raise sqlite3.DatabaseError("without a version" if version != SCHEMA else integrity)

@@ -1,4 +1,4 @@
-"""Rows of the catalog, and their reading from ``summary.json`` and ``failure.json`` of a test."""
+"""Read rows of the catalog from ``summary.json`` and ``failure.json`` of a test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
 )
 NEWER_RESULT: Final = "newer_result"
-"""Code of a test whose results are from a newer labpipe and are not changed."""
+"""Code of a test whose results were made by a newer labpipe and are not replaced."""
 Inputs = tuple[tuple[str, str, str], ...]
 """Role, file and SHA-256 of the exports of a test."""
 
@@ -64,13 +64,13 @@ class TestRow(NamedTuple):
     decided: str = ""
 
     @property
-    def attempt(self) -> str:
-        """Return the key of the last attempt; empty without any."""
+    def attempt_key(self) -> str:
+        """Return the key of the last attempt; of the results if a failure has no key."""
         return self.failed_run or self.run
 
     @property
     def is_due(self) -> bool:
-        """Return whether the test is to be processed."""
+        """Return whether the test must be processed."""
         return self.state in {PENDING, STALE}
 
 
@@ -106,12 +106,12 @@ class FileState(NamedTuple):
 
     Parameters
     ----------
-    content : inputs of the test, from `HashedInputs.to_json`; empty if not determined
-    marks : all that the row depends on: outcome files, inputs, decisions
+    inputs_json : inputs of the test, from `HashedInputs.to_json`; empty if not determined
+    fingerprint : text that changes with outcome files, inputs and decisions of the test
     """
 
-    content: str = ""
-    marks: str = ""
+    inputs_json: str = ""
+    fingerprint: str = ""
 
 
 class Entry(NamedTuple):
@@ -131,8 +131,8 @@ class Entry(NamedTuple):
     results: tuple[ResultRow, ...] = ()
 
 
-def encodable(value: object) -> str:
-    """Convert to text that any file and database accepts; lone surrogates are escaped.
+def escape_surrogates(value: object) -> str:
+    """Convert a value to text with lone surrogates escaped, so that files and databases accept it.
 
     Parameters
     ----------
@@ -157,13 +157,13 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
     Parameters
     ----------
     folder : of the test below the campaign
-    files : of the outcome; None for none
+    files : outcome files of the test; None if it has none
 
     Returns
     -------
     Its entry: ``ok``, ``doubtful`` or ``failed``; ``pending`` without an outcome, or with one that
-    cannot be read. A failure with the key of the results is ignored: a process that wrote these
-    results was killed before it deleted the failure.
+    cannot be read. A failure with the same key as the results is ignored: the process that wrote
+    these results was killed before it deleted the older failure.
     """
     entry = Entry(TestRow(folder))
     if files is None:
@@ -206,11 +206,11 @@ def _read_summary(folder: str, path: Path) -> Entry:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
 
-_COPIED_TEXTS = (
+_TEXTS_OF_SUMMARY = (
     *("test", "protocol", "labpipe", "run", "date", "operator"),
     *("type", "spool", "sample"),
 )
-"""Columns of a test that summary.json states."""
+"""Columns of a test that are copied from summary.json."""
 
 
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
@@ -223,8 +223,8 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
         code="" if doubtful is None else doubtful.code,
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
-        specimen=encodable(as_json(specimen)),
-        **{key: str(texts.get(key) or "") for key in _COPIED_TEXTS},
+        specimen=escape_surrogates(as_json(specimen)),
+        **{key: str(texts.get(key) or "") for key in _TEXTS_OF_SUMMARY},
         **_parse_hashes(content),
     )
     return Entry(row, inputs=_parse_inputs(content["inputs"]), results=results)
@@ -256,7 +256,7 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
 
 
 def _read_object(path: Path) -> dict[str, Any] | None:
-    """Read the object of a JSON file, with encodable texts; return None if the file has none."""
+    """Read the object of a JSON file, with lone surrogates escaped; None if there is none."""
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text, object_hook=_escape_texts if "\\u" in text else None)
@@ -267,5 +267,6 @@ def _read_object(path: Path) -> dict[str, Any] | None:
 
 def _escape_texts(content: dict[str, Any]) -> dict[str, Any]:
     return {
-        key: encodable(value) if isinstance(value, str) else value for key, value in content.items()
+        key: escape_surrogates(value) if isinstance(value, str) else value
+        for key, value in content.items()
     }

@@ -1,7 +1,9 @@
-"""Decisions of people: accept or reject a test, with reason, person and the key of its results.
+"""Read, apply, store and import decisions to accept or reject tests.
 
-A campaign stores them in ``decisions.json`` beside its results. Decisions that a report page saved
-can be imported.
+A decision has a reason, a person and the key of the results to which it applies.
+
+A campaign stores decisions in ``decisions.json`` beside its results. A report page saves decisions
+in a file, which can be imported.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.catalog_rows import encodable
+from labpipe.campaign.catalog_rows import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, files_below
@@ -26,7 +28,7 @@ DECISIONS_FILE: Final = "decisions.json"
 ACCEPT, REJECT = "accept", "reject"
 _SCHEMA: Final = 1
 _MAX_FILE_BYTES: Final = 50_000_000
-"""Size of the largest file of decisions that is read or written."""
+"""Maximum size of a file of decisions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class Decision:
     when: str = ""
 
     def as_json(self) -> dict[str, str]:
-        """Return the entry of the decision in ``decisions.json``."""
+        """Return the entry of ``decisions.json`` for this decision."""
         return asdict(self)
 
     def describe(self) -> str:
@@ -63,12 +65,12 @@ _KEYS: Final = tuple(entry.name for entry in fields(Decision))
 
 @dataclass(frozen=True)
 class DecisionFile:
-    """Content of a file of decisions.
+    """Valid content of a file of decisions, and its faults.
 
     Parameters
     ----------
     decisions : the valid ones, in order
-    faults : messages on faults of the file or of single decisions
+    faults : messages about faults of the file or of single decisions
     is_readable : whether the file can be read; if not, `decisions` is empty
     document : parsed JSON of the file
     """
@@ -120,8 +122,8 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     ----------
     content : JSON in UTF-8
     path : of its file, for messages
-    campaign : name of the expected campaign; a file of another one has a fault, but its decisions
-        are returned; empty if unknown
+    campaign : name of the expected campaign, empty if unknown; a file of another campaign has a
+        fault, but its decisions are returned
 
     Returns
     -------
@@ -138,16 +140,16 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     if (schema := document.get("schema")) != _SCHEMA:
         return _unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
     faults, decisions = [], []
-    if campaign and (named := document.get("campaign", campaign)) != campaign:
-        other = UsageError.about(
-            "campaign.other_campaign", path, "campaign", own=campaign, found=named
+    if campaign and (stated_campaign := document.get("campaign", campaign)) != campaign:
+        mismatch = UsageError.about(
+            "campaign.other_campaign", path, "campaign", expected=campaign, found=stated_campaign
         )
-        faults.append(str(other))
+        faults.append(str(mismatch))
     for number, entry in enumerate(document["decisions"]):
         if fault := _find_entry_fault(entry):
             faults.append(_format_fault(path, f"decisions.{number}", *fault))
         else:
-            decisions.append(Decision(*(encodable(entry.get(key) or "") for key in _KEYS)))
+            decisions.append(Decision(*(escape_surrogates(entry.get(key) or "") for key in _KEYS)))
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
@@ -162,7 +164,7 @@ def _format_fault(path: Path, place: str, expected: str, found: str) -> str:
 
 
 def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
-    """Return what is expected of an entry, and what it is; None for a valid one."""
+    """Return what was expected of an entry and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
     missing = [key for key in _KEYS[:-1] if not str(entry.get(key) or "").strip()]
@@ -173,24 +175,24 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
     return None
 
 
-def applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision | None:
-    """Return the decision that applies to a test: the last one on the key of its results.
+def find_applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision | None:
+    """Find the decision that applies to a test: the last one with the key of its results.
 
     Parameters
     ----------
     decisions : on the test, in order
-    run : key of its results
+    run : key of its present results
 
     Returns
     -------
-    The decision; None without one. If the last decision rejected another key, the test stays
-    rejected until a person decides again, and the reason says so.
+    The decision; None if there is none. If the last decision rejected results with another key,
+    the test remains rejected until a person decides again, and the reason says so.
     """
-    current = next((made for made in reversed(decisions) if made.run == run), None)
-    if current is None and decisions and decisions[-1].decision == REJECT:
+    applicable = next((decision for decision in reversed(decisions) if decision.run == run), None)
+    if applicable is None and decisions and decisions[-1].decision == REJECT:
         because = f"{decisions[-1].because} ({format_sentence('campaign.needs_new_decision')})"
         return replace(decisions[-1], because=because)
-    return current
+    return applicable
 
 
 def find_unapplied_decisions(
@@ -205,7 +207,7 @@ def find_unapplied_decisions(
 
     Yields
     ------
-    The last decision on each test without an applicable one, and why it is not applied.
+    The last decision on each test that has no applicable decision, and why it is not applied.
     """
     last: dict[str, Decision] = {}
     for decision in decisions:
@@ -231,23 +233,26 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     Raises
     ------
     UsageError
-        If the existing file cannot be read, or the new one would be too large to read. The file is
-        not changed then.
+        If the existing file cannot be read, or the new file would exceed the maximum size. The file
+        is then unchanged.
     StoreError
         If it cannot be written, or another process holds the lock.
 
     Notes
     -----
-    All other content of the file is kept, also keys that this labpipe does not know.
+    All other content of the file is kept, including keys that this version of labpipe does not
+    know.
     """
-    # s to wait for another process that writes
-    lock_timeout = 30.0
+    lock_timeout = 30.0  # s to wait for another process that writes
     with locked(folder, patience=lock_timeout):
         stored = read_decisions(folder)
         if not stored.is_readable:
             raise UsageError("\n".join(stored.faults))
         document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
-        document["decisions"] = [*document["decisions"], *(made.as_json() for made in decisions)]
+        document["decisions"] = [
+            *document["decisions"],
+            *(decision.as_json() for decision in decisions),
+        ]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         content = text.encode("utf-8", "surrogatepass")
         path = folder / DECISIONS_FILE
@@ -260,31 +265,31 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
 
 
 def now() -> str:
-    """Return the time in the format of decisions."""
+    """Return the current time in the format of decisions."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
-def find_home(file: Path, shared: Path) -> tuple[Path, str]:
+def find_decision_folder(file: Path, default: Path) -> tuple[Path, str]:
     """Find the folder with the decisions on a test, and the label of the test in them.
 
     Parameters
     ----------
     file : result.h5 of the test
-    shared : folder of the campaign, used if no folder above the test contains decisions
+    default : folder of the campaign, used if no folder above the test contains decisions
 
     Returns
     -------
-    home : the nearest folder above the test with decisions, resolved
+    decision_folder : the nearest folder above the test with decisions, resolved
     label : folder of the test below it, with slashes
     """
     test = file.resolve().parent
-    homes = (above for above in test.parents if (above / DECISIONS_FILE).is_file())
-    home = next(homes, shared.resolve())
-    return home, test.relative_to(home).as_posix()
+    folders = (parent for parent in test.parents if (parent / DECISIONS_FILE).is_file())
+    decision_folder = next(folders, default.resolve())
+    return decision_folder, test.relative_to(decision_folder).as_posix()
 
 
-def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
-    """Read the decisions on tests.
+def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
+    """Read the decisions on tests by result file.
 
     Parameters
     ----------
@@ -292,8 +297,8 @@ def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
 
     Returns
     -------
-    Decisions on each test by result file, in order and for all keys. Files of campaigns without
-    decisions are left out.
+    Decisions on each test, in order and for all keys. Result files of campaigns without decisions
+    are left out.
 
     Raises
     ------
@@ -303,8 +308,8 @@ def read_decisions_on(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
     decisions: dict[Path, Sequence[Decision]] = {}
     read = cache(read_decisions)
     for file in files:
-        home, label = find_home(file, file.parent)
-        stored = read(home)
+        decision_folder, label = find_decision_folder(file, file.parent)
+        stored = read(decision_folder)
         if not stored.is_readable:
             raise StoreError("\n".join(stored.faults))
         if stored.document:
@@ -321,17 +326,17 @@ def exclude_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
     Returns
     -------
-    included : files of the other tests, in order
-    rejected : reason, person and time by file
+    included : files of the tests that were not rejected, in order
+    rejected : reason, person and time of each rejection, by file
 
     Raises
     ------
     LabpipeError
-        If all were rejected, or decisions cannot be read.
+        If all tests were rejected, or decisions cannot be read.
     """
     rejected = {}
-    for file, decisions in read_decisions_on(files).items():
-        decision = applicable_decision(decisions, run=read_run(file)) if decisions else None
+    for file, decisions in read_decisions_by_file(files).items():
+        decision = find_applicable_decision(decisions, run=read_run(file)) if decisions else None
         if decision is not None and decision.decision == REJECT:
             rejected[file] = decision.describe()
     included = [file for file in files if file not in rejected]
@@ -349,19 +354,19 @@ class ImportedDecisions:
     Parameters
     ----------
     added : new decisions, in order
-    n_known : number of decisions that were stored already
+    n_stored_before : number of imported decisions that were stored already
     not_imported : decisions that were not imported, and why
-    faults : messages on faults of the imported file or of single decisions
+    faults : messages about faults of the imported file or of single decisions
     """
 
     added: list[Decision] = field(default_factory=list)
-    n_known: int = 0
+    n_stored_before: int = 0
     not_imported: list[tuple[Decision, str]] = field(default_factory=list)
     faults: tuple[str, ...] = ()
 
 
 def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDecisions:
-    """Import the decisions of a file that a page saved.
+    """Import decisions from a file that a report page saved.
 
     Parameters
     ----------
@@ -377,7 +382,7 @@ def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDec
     if not file.is_file():
         raise UsageError.about("campaign.no_saved_file", file)
     if file.resolve() == (folder / DECISIONS_FILE).resolve():
-        raise UsageError.about("campaign.own_decisions", file)
+        raise UsageError.about("campaign.file_of_campaign", file)
     saved = _read_file(file, campaign)
     if not saved.is_readable:
         raise UsageError("\n".join(saved.faults))
@@ -387,7 +392,7 @@ def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDec
 def import_decisions(
     folder: Path, campaign: str, decisions: Iterable[Decision]
 ) -> ImportedDecisions:
-    """Add new decisions on the present results to those of a campaign.
+    """Add decisions that apply to the present results of a campaign and are not yet stored.
 
     Parameters
     ----------
@@ -407,29 +412,31 @@ def import_decisions(
     file and each file of decisions is read once, for any number of decisions.
     """
     files = files_below(folder, RESULT_FILE)
-    homes = {file: find_home(file, folder) for file in files}
+    decision_folders = {file: find_decision_folder(file, folder) for file in files}
     files_by_label = defaultdict[str, list[Path]](list)
-    for file, (_, label) in homes.items():
+    for file, (_, label) in decision_folders.items():
         for name in {label, file.parent.relative_to(folder).as_posix()}:
             files_by_label[name].append(file)
-    stored = {file: set(earlier) for file, earlier in read_decisions_on(files).items()}
+    stored = {file: set(made) for file, made in read_decisions_by_file(files).items()}
     read_key = cache(_read_key)
     imported = ImportedDecisions()
     added = defaultdict[Path, list[Decision]](list)
     for decision in dict.fromkeys(decisions):
-        decided, reason = _find_result(decision, files_by_label.get(decision.test, ()), read_key)
-        if decided is None:
+        result_file, reason = _find_result(
+            decision, files_by_label.get(decision.test, ()), read_key
+        )
+        if result_file is None:
             imported.not_imported.append((decision, reason))
             continue
-        home, label = homes[decided]
-        labelled = replace(decision, test=label)
-        if labelled in stored.get(decided, ()):
-            imported.n_known += 1
+        decision_folder, label = decision_folders[result_file]
+        relabelled = replace(decision, test=label)
+        if relabelled in stored.get(result_file, ()):
+            imported.n_stored_before += 1
         else:
             imported.added.append(decision)
-            added[home].append(labelled)
-    for home, new in added.items():
-        add_decisions(home, campaign, new)
+            added[decision_folder].append(relabelled)
+    for decision_folder, new in added.items():
+        add_decisions(decision_folder, campaign, new)
     return imported
 
 

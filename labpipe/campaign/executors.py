@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 BYTES_PER_TEST = 750_000_000
-"""Memory for the process of one test: a cantilever test of full size (70 MB of exports, figures as
-SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
+"""Memory for the process of one test, bytes. A cantilever test of full size (70 MB of exports,
+figures as SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
 _CONTROL_GROUP = Path("/sys/fs/cgroup")
 """Folder in which Linux states the memory limit of a container."""
 
@@ -77,7 +77,7 @@ class Outcome:
     sheet : as in its task
     folder : of its results; None if not known
     state : ``failed`` without new results; ``doubtful`` if a result is doubtful or failed
-    code : of the failure, or of the first result that is not ok; else empty
+    code : of the failure, or of the first result that is not ok; empty if all are ok
     reason : its message
     run : key of the results, or of the failed attempt; empty if not known
     """
@@ -105,15 +105,18 @@ def process_task(task: Task) -> Outcome:
     if isinstance(attempted, Refused):
         return _describe_refusal(attempted)
     results, run = attempted.result.results, attempted.result.run
-    bad = next((result for result in results if result.status is not Status.OK), None)
-    if bad is None:
+    first_issue = next((result for result in results if result.status is not Status.OK), None)
+    if first_issue is None:
         return Outcome(task.sheet, attempted.folder, "ok", run=run)
-    code, reason = bad.reasons[0].code, f"{bad.name}: {bad.reasons[0].message}"
+    code, reason = (
+        first_issue.reasons[0].code,
+        f"{first_issue.name}: {first_issue.reasons[0].message}",
+    )
     return Outcome(task.sheet, attempted.folder, "doubtful", code, reason, run)
 
 
 def record_failure(task: Task, error: LabpipeError) -> Refused:
-    """Record why a test failed, without reading its exports, which may have killed a process.
+    """Record why a test failed, without reading its exports again, since these may crash a process.
 
     Parameters
     ----------
@@ -129,7 +132,7 @@ def _describe_refusal(refused: Refused) -> Outcome:
 
 
 def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
-    """Wait for the outcome of a test that another process makes.
+    """Wait for the outcome of a test from another process.
 
     Parameters
     ----------
@@ -138,24 +141,25 @@ def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
 
     Returns
     -------
-    The outcome; a failure if the process died. Any other error of the call is raised, as a fault
-    of labpipe.
+    The outcome; a failure if the process died. Any other error of the call is raised, since it is
+    a fault of labpipe.
     """
     try:
         return call()
-    except ProcessingError as died:
-        return _describe_refusal(record_failure(task, died))
+    except ProcessingError as error:
+        return _describe_refusal(record_failure(task, error))
 
 
 Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
-"""Takes a task whenever it can start one; yields outcomes in the order of completion."""
+"""Processes tasks: takes the next one whenever it can be started, and yields the outcomes in the
+order of completion."""
 
 
 def _run_tasks(
     work: Callable[[Task], T], tasks: Iterable[Task], *, jobs: int, limit: float | None
 ) -> Generator[tuple[Task, Future[T]], None, None]:
     """Call a function on tests in parallel processes, see `run_as_completed`."""
-    return run_as_completed(work, tasks, jobs=jobs, limit=limit, about=lambda task: task.sheet)
+    return run_as_completed(work, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet)
 
 
 def local(jobs: int, *, limit: float | None = None) -> Executor:
@@ -176,7 +180,7 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
 
 
 _CLUSTERS = {"dask": "", "dask+tls": "tls://"}
-"""Prefix of the address of a scheduler, by scheme."""
+"""Prefix of the address of a dask scheduler, by scheme of the URL."""
 
 
 def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
@@ -213,14 +217,14 @@ def process_tests(
     limit: float | None = None,
     on_outcome: Callable[[Path], None] = lambda _: None,
 ) -> list[Processed | Refused]:
-    """Process tests; a faulty one does not stop the others.
+    """Process tests; if one fails, the others are still processed.
 
     Parameters
     ----------
     tests : test.yaml or result.h5 files
     out : gets a folder per test; None for the folder beside ``raw``
     figures, png, follow_links : see `labpipe.process.run.Task`
-    jobs : number of tests at the same time; each of several has its own process
+    jobs : number of tests at the same time; each has its own process if there are several tests
     limit : s, time limit of each of several tests; None for no limit
     on_outcome : called with each test at its end
 
@@ -241,10 +245,10 @@ def process_tests(
             tasks.append(Task(test, folder, figures, png, follow_links))
         except LabpipeError as error:
             outcomes[test] = Refused(test, error.code, str(error))
-    goals = [
+    named_tests = [
         (str(task.results_folder and task.results_folder.absolute()), task.sheet) for task in tasks
     ]
-    refuse_duplicates(goals, "folder of results")
+    refuse_duplicates(named_tests, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
     with closing(_run_tasks(attempt, tasks, jobs=jobs, limit=limit)) as completed:
@@ -252,8 +256,8 @@ def process_tests(
             on_outcome(task.sheet)
             try:
                 outcomes[task.sheet] = future.result()
-            except ProcessingError as died:
-                outcomes[task.sheet] = record_failure(task, died)
+            except ProcessingError as error:
+                outcomes[task.sheet] = record_failure(task, error)
     return [outcomes[test] for test in tests]
 
 
@@ -261,13 +265,13 @@ Versions: TypeAlias = tuple[str, int]
 _VERSIONS: Versions = (__version__, PROCESSING_VERSION)
 """Version of labpipe, and processing version."""
 _CONNECT_TIMEOUT = 10.0
-"""s to wait for the scheduler, and for a first worker."""
-_OF_THREAD = threading.local()
-"""The process of each thread of a worker; it has imported all modules."""
+"""Time to wait for the scheduler, and then for a first worker, s."""
+_THREAD_DATA = threading.local()
+"""The `WorkerProcess` of each thread of a worker; it is kept, since its modules are imported."""
 
 
 def check_worker(sheet: Path) -> tuple[Versions, bool]:
-    """Return the versions of a worker, and whether it sees a test sheet.
+    """Return the versions of a worker, and whether it can read a test sheet.
 
     Parameters
     ----------
@@ -277,37 +281,39 @@ def check_worker(sheet: Path) -> tuple[Versions, bool]:
 
 
 def process_on_worker(
-    task: Task, home: Path, limit: float | None, versions: Versions
+    task: Task, working_folder: Path, limit: float | None, versions: Versions
 ) -> Outcome | None:
     """Process a test on a worker.
 
     Parameters
     ----------
     task : the test
-    home : working folder of the client; relative paths start there
+    working_folder : of the client, in which relative paths start
     limit : s, time limit; None for no limit
     versions : of the client
 
     Returns
     -------
-    The outcome; None if the worker has other versions, or does not see the test sheet.
+    The outcome; None if the worker has other versions, or cannot read the test sheet.
 
     Raises
     ------
     ProcessingError
         If the process of the test died.
     """
-    if check_worker(home / task.sheet) != (versions, True):
+    if check_worker(working_folder / task.sheet) != (versions, True):
         return None
-    process = vars(_OF_THREAD).setdefault("process", WorkerProcess())
-    outcome = process.call(partial(_process_at, home, task), about=task.sheet, limit=limit)
+    process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
+    outcome = process.call(
+        partial(_process_at, working_folder, task), subject=task.sheet, limit=limit
+    )
     return cast("Outcome", outcome)
 
 
-def _process_at(home: Path, task: Task) -> Outcome:
+def _process_at(working_folder: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
-    with suppress(OSError):  # it may be missing if all paths are absolute
-        os.chdir(home)
+    with suppress(OSError):  # a missing folder does no harm if all paths are absolute
+        os.chdir(working_folder)
     return process_task(task)
 
 
@@ -330,7 +336,7 @@ def process_on_cluster(
     ------
     UsageError
         If `distributed` is not installed, there is no scheduler at the address, or no worker; or if
-        a worker has another labpipe or does not see the first test.
+        a worker has another version of labpipe or cannot read the first test.
     ProcessingError
         If the scheduler or all workers are lost during the run, or a worker cannot run labpipe.
     """
@@ -344,7 +350,7 @@ def process_on_cluster(
                     yield from outcomes
             except LabpipeError:
                 raise
-            except Exception as error:  # whatever a client raises that has lost its scheduler
+            except Exception as error:  # a client that has lost its scheduler raises various errors
                 raise ProcessingError.about(
                     "campaign.lost_scheduler", "--executor", address=address
                 ) from error
@@ -378,7 +384,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _check_workers(client: Client, task: Task) -> None:
-    """Refuse workers with another labpipe, and workers that do not see a test."""
+    """Refuse workers with another version of labpipe, and workers that cannot read a test."""
     answers = client.run(check_worker, Path.cwd() / task.sheet, on_error="return")
     for answer in answers.values():
         if isinstance(answer, Exception):
@@ -396,17 +402,18 @@ def _check_workers(client: Client, task: Task) -> None:
 def _process_all(
     client: Client, tasks: Iterator[Task], limit: float | None
 ) -> Generator[Outcome, None, None]:
-    """Yield outcomes until all tests are done."""
+    """Submit tests as workers become free, and yield their outcomes."""
     from distributed import wait
 
-    look_interval = 5.0  # s between looks at the workers
-    max_looks_without_worker = 24
-    looks_without_worker = 0
+    check_interval = 5.0  # s between checks for workers
+    max_checks_without_worker = 24
+    checks_without_worker = 0
     submitted: dict[Any, Task] = {}
-    while looks_without_worker < max_looks_without_worker:
+    while checks_without_worker < max_checks_without_worker:
         n_threads = sum(client.nthreads().values())
-        looks_without_worker = 0 if n_threads else looks_without_worker + 1
-        for task in islice(tasks, max(0, 2 * n_threads - len(submitted))):
+        checks_without_worker = 0 if n_threads else checks_without_worker + 1
+        # tests in the queue of a worker would be counted as failed when the worker dies
+        for task in islice(tasks, max(0, n_threads - len(submitted))):
             future = client.submit(
                 process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
             )
@@ -414,17 +421,17 @@ def _process_all(
         if n_threads and not submitted:
             return
         if not n_threads:
-            time.sleep(look_interval)
+            time.sleep(check_interval)
             continue
         completed: Iterable[Any] = ()
         with suppress(TimeoutError), client.as_current():
-            completed = wait([*submitted], look_interval, "FIRST_COMPLETED").done
+            completed = wait([*submitted], check_interval, "FIRST_COMPLETED").done
         for future in completed:
-            yield _collect(submitted.pop(future), future)
+            yield _fetch_outcome(submitted.pop(future), future)
     raise TimeoutError
 
 
-def _collect(task: Task, future: Any) -> Outcome:
+def _fetch_outcome(task: Task, future: Any) -> Outcome:
     """Return the outcome of a completed test."""
     from distributed import KilledWorker
 
@@ -437,24 +444,24 @@ def _collect(task: Task, future: Any) -> Outcome:
     if error is not None:
         raise _describe_fault(error) from error
     outcome = cast("Outcome | None", future.result())
-    if outcome is not None and _is_visible(outcome):
+    if outcome is not None and _can_see_results(outcome):
         return outcome
     if not task.sheet.exists():
         return process_task(task)
-    unseen = UsageError.about("campaign.without_data", task.sheet)
-    return _describe_refusal(record_failure(task, unseen))
+    error = UsageError.about("campaign.without_data", task.sheet)
+    return _describe_refusal(record_failure(task, error))
 
 
 def _describe_fault(error: BaseException) -> ProcessingError:
-    """Describe the error of a worker that cannot run labpipe."""
+    """Make an error from that of a worker that cannot run labpipe."""
     message = (str(error).splitlines() or [""])[0]
     return ProcessingError.about(
         "campaign.bad_cluster", "--executor", kind=type(error).__name__, message=message
     )
 
 
-def _is_visible(outcome: Outcome) -> bool:
-    """Return whether the results of a worker are visible here; wait for a slow drive."""
+def _can_see_results(outcome: Outcome) -> bool:
+    """Return whether the results of a worker can be read here; wait for a slow drive."""
     if outcome.folder is None or outcome.state == "failed":
         return True
     end, key = time.monotonic() + 5.0, json.dumps(outcome.run)

@@ -1,4 +1,4 @@
-"""Divide the samples of a report into groups, compare their settings, and compare the groups."""
+"""Divide the samples of a report into groups, check their settings, and compare the groups."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from labpipe.statistics.two_groups import judge_family
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """Sections of a protocol that control processing; the rest describes the sample and files."""
 
-_ABSENT = "none"
+_NO_VALUE = "none"
 """Value of a setting that a protocol does not have."""
 Settings = Mapping[str, str]
 """Value by dotted key."""
@@ -55,31 +55,31 @@ def list_settings(protocol: Protocol) -> Settings:
 
 def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
     """Yield dotted keys and values of nested data below a path."""
-    inner: dict[str, Any] = {}
+    items: dict[str, Any] = {}
     if isinstance(data, dict):
-        inner = data
+        items = data
     elif isinstance(data, list) and any(isinstance(item, dict) for item in data):
-        times: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for item in data:
             label = next((str(item[key]) for key in ("name", "step", "result") if key in item), "")
-            times[label] += 1
-            inner[label if times[label] == 1 else f"{label} {times[label]}"] = item
-        yield path, ", ".join(inner)
+            counts[label] += 1
+            items[label if counts[label] == 1 else f"{label} {counts[label]}"] = item
+        yield path, ", ".join(items)
     else:
         yield path, str(data)
-    for key, value in inner.items():
+    for key, value in items.items():
         yield from _flatten(value, f"{path}.{key}" if path else key)
 
 
 def note_differing_settings(
-    settings: Mapping[str, Settings], noted: Sequence[str] = ()
+    settings: Mapping[str, Settings], noted_results: Sequence[str] = ()
 ) -> list[QualityNote]:
-    """Warn if tests of a group were processed with different settings.
+    """Make quality notes on settings of processing that differ among the tests of a group.
 
     Parameters
     ----------
     settings : by test
-    noted : results, or ``slips``, whose settings have a note already
+    noted_results : results, or ``slips``, whose differing settings already have a note
 
     Returns
     -------
@@ -87,7 +87,7 @@ def note_differing_settings(
     placed at the key of the setting, or at the block if several settings differ.
     """
     noted_keys = tuple(
-        key for name in noted for key in (f"results.{name}.", f"curve.{name}.decision")
+        key for name in noted_results for key in (f"results.{name}.", f"curve.{name}.decision")
     )
     blocks = defaultdict[str, dict[str, TestsByValue]](dict)
     for key, tests in find_differing_settings(settings).items():
@@ -120,8 +120,8 @@ def find_differing_settings(settings: Mapping[str, Settings]) -> dict[str, Tests
     for key in dict.fromkeys(key for values in settings.values() for key in values):
         tests = defaultdict[str, list[str]](list)
         for test, values in settings.items():
-            tests[values.get(key, _ABSENT)].append(test)
-        is_in_list = _ABSENT in tests and any(key.startswith(f"{path}.") for path in differing)
+            tests[values.get(key, _NO_VALUE)].append(test)
+        is_in_list = _NO_VALUE in tests and any(key.startswith(f"{path}.") for path in differing)
         if len(tests) > 1 and not is_in_list:
             differing[key] = tests
     return differing
@@ -152,13 +152,13 @@ class GroupKey(NamedTuple):
     ----------
     fields : name and value of each grouping field; an empty value if the sheet does not state it
     protocol : name of the protocol
-    further : fields and values that divide samples of one type, such as a length; empty if the
-        grouping fields were chosen
+    subdivision : name and value of each field that divides the samples of one type, such as a
+        length; empty if the grouping fields were chosen
     """
 
     fields: tuple[tuple[str, str], ...]
     protocol: str
-    further: tuple[tuple[str, str], ...] = ()
+    subdivision: tuple[tuple[str, str], ...] = ()
 
     @property
     def missing_fields(self) -> list[str]:
@@ -167,12 +167,12 @@ class GroupKey(NamedTuple):
 
     @property
     def rank(self) -> tuple[object, ...]:
-        """Return the key to sort by: types alphabetically, other fields by their sizes or words."""
+        """Return the sort key: types alphabetically, other fields by size or alphabetically."""
         ranks = [
             value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in self.fields
         ]
-        return (*ranks, self.protocol, *(make_field_sort_key(*field) for field in self.further))
+        return (*ranks, self.protocol, *(make_field_sort_key(*field) for field in self.subdivision))
 
 
 def divide_into_groups(
@@ -188,7 +188,7 @@ def divide_into_groups(
 
     Returns
     -------
-    Samples by group, sorted. Tests of two protocols are in two groups.
+    Samples by group, sorted. Tests of different protocols are in different groups.
     """
     members = defaultdict[GroupKey, list[Sample]](list)
     for sample in samples:
@@ -198,7 +198,7 @@ def divide_into_groups(
     if by:
         return {key: members[key] for key in sorted(members, key=lambda key: key.rank)}
     parts = {
-        key._replace(further=tuple(part.fields.items())): list(part.samples)
+        key._replace(subdivision=tuple(part.fields.items())): list(part.samples)
         for key, group_samples in members.items()
         for part in divide_samples(group_samples)
     }
@@ -206,11 +206,11 @@ def divide_into_groups(
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
-    """Name groups by their fields, and by their protocol if two share all fields.
+    """Name groups by their fields, and by their protocol if groups of two share all fields.
 
     Parameters
     ----------
-    keys : of the groups; the name of a type, or of a length within a type, is its value
+    keys : of the groups; a type, and a length within a type, are written without the field name
 
     Examples
     --------
@@ -222,37 +222,37 @@ def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
     n_protocols = Counter(fields for fields, _ in {key[:2] for key in keys})
     names = {}
     for key in keys:
-        labels = [_name_field(*field, plain=TYPE) for field in key.fields]
+        labels = [_name_field(*field, unlabelled=TYPE) for field in key.fields]
         labels += [key.protocol] if n_protocols[key.fields] > 1 else []
         names[key] = ", ".join(
-            [*labels, *(_name_field(*field, plain="length") for field in key.further)]
+            [*labels, *(_name_field(*field, unlabelled="length") for field in key.subdivision)]
         )
     return names
 
 
-def _name_field(name: str, value: str, *, plain: str) -> str:
+def _name_field(name: str, value: str, *, unlabelled: str) -> str:
     label = name.replace("_", " ")
     if not value:
         return f"without {label}"
-    return value if name == plain else f"{label} {value}"
+    return value if name == unlabelled else f"{label} {value}"
 
 
-def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) -> None:
+def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: str) -> None:
     """Refuse fields that no test sheet has.
 
     Parameters
     ----------
-    wanted : as typed
+    requested : as typed
     samples : all of the report
     option : of the command line
 
     Raises
     ------
     UsageError
-        If there is one; the message lists the fields that exist.
+        If there is such a field; the message lists the existing fields.
     """
     fields = list_field_names(sample.specimen for sample in samples)
-    unknown = [name for name in wanted if name not in fields]
+    unknown = [name for name in requested if name not in fields]
     if not unknown:
         return
     raise UsageError.about(
@@ -262,7 +262,7 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
 
 
 def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
-    """Rename spools whose name occurs in several types.
+    """Rename spools of different types that have the same name.
 
     Parameters
     ----------
@@ -270,7 +270,8 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
 
     Returns
     -------
-    The samples, with the type before the name of such spools; and the original names of these.
+    The samples, with the type before the name of such spools; and the original names of these
+    spools.
     """
     specimens = [sample.specimen for sample in samples]
     n_types = Counter(
@@ -292,7 +293,7 @@ _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape"
 QUESTIONS = "answers to questions"
 TYPES = "differences of types"
 OTHERS = "other main numbers"
-"""Families of differences, whose verdicts are corrected for their number together."""
+"""Families of differences: verdicts are corrected for the number of differences in their family."""
 
 
 def find_differences(
@@ -303,7 +304,7 @@ def find_differences(
     by: Sequence[str],
     alone: str = "",
 ) -> tuple[tuple[Difference, ...], int]:
-    """Compare groups of the same protocol in its main numbers.
+    """Compare the main numbers of groups that have the same protocol.
 
     Parameters
     ----------
@@ -311,7 +312,7 @@ def find_differences(
     group_settings : settings of groups, by protocol
     settings : processing settings, by test
     by : grouping fields
-    alone : list only pairs that differ in this field alone; empty for all
+    alone : list only pairs that differ in no other field; empty for all
 
     Returns
     -------
@@ -320,10 +321,11 @@ def find_differences(
 
     Notes
     -----
-    First the pairs that differ in one field, field by field, with the lower value first: none
-    before half-lap, 7 before 12. Only these are judged, in three families: `QUESTIONS`, the first
-    main number in pairs that differ in a field of the sheets; `TYPES`, the same in pairs of types;
-    `OTHERS`, the other main numbers in all these pairs. Pairs that `alone` excludes are not judged.
+    Pairs that differ in one field come first, sorted by field; in each pair the lower value comes
+    first: none before half-lap, 7 before 12. Only these pairs are judged, in three families:
+    `QUESTIONS`, the first main number in pairs that differ in a field of the sheets; `TYPES`, the
+    same in pairs of types; `OTHERS`, the other main numbers in all these pairs. Pairs that `alone`
+    excludes are not judged.
     """
     pairs = [
         _compare(first, second, group_settings[first.protocol], settings, by)
@@ -334,18 +336,18 @@ def find_differences(
     shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
     differences = [difference for pair in sorted(shown, key=_rank_pair) for difference in pair]
     for family in (QUESTIONS, TYPES, OTHERS):
-        places = [n for n, difference in enumerate(differences) if difference.family == family]
-        judged = judge_family(family, [differences[n] for n in places]) if places else []
-        for place, difference in zip(places, judged, strict=True):
-            differences[place] = difference
+        indices = [n for n, difference in enumerate(differences) if difference.family == family]
+        judged = judge_family(family, [differences[n] for n in indices]) if indices else []
+        for index, difference in zip(indices, judged, strict=True):
+            differences[index] = difference
     return tuple(differences), len(pairs) - len(shown)
 
 
 def _rank_pair(pair: Sequence[Difference]) -> tuple[int, str]:
-    """Return the rank of a pair: fields in their order, others, the type, several fields."""
+    """Return the sort key of a pair: known fields, other fields, the type, then several fields."""
     order = (*_FIELD_ORDER, None, TYPE, "")
-    question = pair[0].single_field
-    return (order.index(question), "") if question in order else (len(_FIELD_ORDER), question)
+    field = pair[0].single_field
+    return (order.index(field), "") if field in order else (len(_FIELD_ORDER), field)
 
 
 def _compare(
@@ -355,7 +357,7 @@ def _compare(
     settings: Mapping[str, Settings],
     by: Sequence[str],
 ) -> list[Difference]:
-    """Return the differences of a pair, with their family and caveats."""
+    """Compare a pair of groups; add the family and the caveats to each difference."""
     fields, family = find_differing_fields(first, second, by), ""
     if len(fields) == 1:
         ((name, (low, high)),) = fields.items()

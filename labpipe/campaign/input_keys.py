@@ -28,9 +28,9 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 
-_UNRESOLVED_SHEET_KEYS = {"test", "date", "operator", "files"}
+_SHEET_KEYS_WITHOUT_EFFECT = {"test", "date", "operator", "files"}
 """Keys of a test sheet that do not affect the resolved protocol; of ``files``, the roles do."""
-_UNRESOLVED_SPECIMEN_KEYS = {"spool", "sample", "labels"}
+_SPECIMEN_KEYS_WITHOUT_EFFECT = {"spool", "sample", "labels"}
 """Keys of a specimen that do not affect the resolved protocol."""
 
 
@@ -170,11 +170,11 @@ class InputReader:
         if previous is None:
             return self._read_new_inputs(sheet_path, {})
         stamps = {name: take_stamp(folder / name, stamp) for name, stamp in previous.stamps.items()}
-        is_same = all(
+        is_unchanged = all(
             stamps[name].sha256 == stamp.sha256 for name, stamp in previous.stamps.items()
         )
         dependencies = previous.dependencies
-        if is_same and dependencies == self._hash_dependencies(folder, *dependencies[:1]):
+        if is_unchanged and dependencies == self._hash_dependencies(folder, *dependencies[:1]):
             return previous if stamps == previous.stamps else replace(previous, stamps=stamps)
         return self._read_new_inputs(sheet_path, stamps)
 
@@ -232,10 +232,10 @@ class InputReader:
     ) -> tuple[str, Protocol]:
         """Resolve the protocol of a test, once for all tests with the same keys that affect it."""
         sheet_data: Any = parse_yaml(text, str(sheet_path)).data
-        keys = {key: sheet_data[key] for key in sheet_data.keys() - _UNRESOLVED_SHEET_KEYS}
+        keys = {key: sheet_data[key] for key in sheet_data.keys() - _SHEET_KEYS_WITHOUT_EFFECT}
         specimen = keys.get("specimen") or {}
         keys["specimen"] = {
-            key: specimen[key] for key in specimen.keys() - _UNRESOLVED_SPECIMEN_KEYS
+            key: specimen[key] for key in specimen.keys() - _SPECIMEN_KEYS_WITHOUT_EFFECT
         }
         protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
         cache_key = json.dumps([protocol_hash, sorted(sheet.files), keys], sort_keys=True)
@@ -291,12 +291,12 @@ def describe_changes(
     A text such as ``export changed (force.mat), sheet changed``. It is ``newer labpipe`` if neither
     files nor texts changed, and ``something changed`` if the changed file is unknown.
     """
-    earlier = {name: sha256 for _, name, sha256 in files}
+    processed_hashes = {name: sha256 for _, name, sha256 in files}
     changed = sorted(
-        {name for _, name, sha256 in current.files if earlier.get(name) != sha256}
-        | earlier.keys() - {name for _, name, _ in current.files}
+        {name for _, name, sha256 in current.files if processed_hashes.get(name) != sha256}
+        | processed_hashes.keys() - {name for _, name, _ in current.files}
     )
-    can_compare = bool(earlier and current.files)
+    can_compare = bool(processed_hashes and current.files)
     reasons = [f"export changed ({', '.join(changed)})"] if changed and can_compare else []
     if not sheet_sha256 or not current.sheet_sha256:
         return ", ".join(reasons) or "something changed"

@@ -1,4 +1,4 @@
-"""Pair exports into tests, by folder or by patterns of file names, and write their test sheets."""
+"""Assign exports to tests by folder or by patterns of file names, and write the test sheets."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Candidate:
 
     Parameters
     ----------
-    folder : of the test, below that of the campaign; may be missing
+    folder : of the test, below the folder of the campaign; may be missing
     files : path of each export, by role if the plan states roles, else by name
     values : facts from the names, by column of a campaign sheet
     by_role : whether the keys of `files` are roles
@@ -66,7 +66,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class CandidateListing:
-    """Exports of a campaign by the rules of its plan.
+    """Exports of a campaign, assigned to tests by the rules of its plan.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class PairingOutcome:
 
     Parameters
     ----------
-    sheet : new or existing; None while exports are missing
+    sheet : path of the new or existing test sheet; None while exports are missing
     messages : remarks on the content of the sheet, or on changed exports
     is_new : whether the sheet was written
     open_keys : keys to fill in before the test can be processed
@@ -109,12 +109,12 @@ def read_plan(folder: Path) -> CampaignPlan:
 
     Returns
     -------
-    The plan; without a file, that of a campaign with one folder per test.
+    The plan; if there is no file, the plan of a campaign with one folder per test.
 
     Raises
     ------
     ProtocolError
-        If it has a fault.
+        If the file has a fault.
     """
     path = folder / PLAN_NAME
     return load_campaign_plan(path) if path.exists() else CampaignPlan(version=1)
@@ -141,19 +141,19 @@ def list_candidates(
     return _list_by_name(folder, plan.pair, is_skipped)
 
 
-_BAD_NAME = "its name has control characters; rename it"
+_CONTROL_CHARACTERS_IN_NAME = "its name has control characters; rename it"
 
 
 def _list_by_folder(
     folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
-    loose = filter(_may_be_export, _scan(folder)[1])
-    unmatched = {folder / name: "it is not in the folder of a test" for name in loose}
+    top_files = filter(_could_be_export, _scan(folder)[1])
+    unmatched = {folder / name: "it is not in the folder of a test" for name in top_files}
     candidates = []
     for place, names in _walk_test_folders(folder, is_skipped):
-        files = {name: place / name for name in names if _may_be_export(name)}
+        files = {name: place / name for name in names if _could_be_export(name)}
         for name in filter(has_control_characters, list(files)):
-            unmatched[files.pop(name)] = _BAD_NAME
+            unmatched[files.pop(name)] = _CONTROL_CHARACTERS_IN_NAME
         values = {} if pair.name is None else pair.name.match(place.name)
         if pair.name is not None and values is None:
             reason = f"the name of its folder does not fit {pair.name.text!r}"
@@ -187,7 +187,7 @@ def _list_by_name(
         matches = {role: pattern.match(name) for role, pattern in patterns.items()}
         fits = {role: values for role, values in matches.items() if values is not None}
         if has_control_characters(name):
-            unmatched[top / name] = _BAD_NAME
+            unmatched[top / name] = _CONTROL_CHARACTERS_IN_NAME
         elif not fits:
             unmatched[top / name] = "its name fits no pattern in campaign.yaml"
         elif len(fits) > 1:
@@ -211,7 +211,7 @@ def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
     folders, names = _scan(top)
     if prefix and SHEET_NAME in names:
         return
-    yield from (f"{prefix}{name}" for name in names if _may_be_export(name))
+    yield from (f"{prefix}{name}" for name in names if _could_be_export(name))
     for place in folders if depth > 1 else ():
         yield from _walk_exports(place, depth - 1, f"{prefix}{place.name}/")
 
@@ -228,12 +228,12 @@ def _scan(folder: Path) -> tuple[list[Path], list[str]]:
     return folders, [name for name, _, is_file in visible if is_file]
 
 
-def _may_be_export(name: str) -> bool:
+def _could_be_export(name: str) -> bool:
     return not name.casefold().endswith((".yaml", ".yml", ".md", ".ini"))
 
 
 def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
-    """Collect the facts on a test from plan and names, by column of a campaign sheet.
+    """Collect facts about a test from the plan and the names of its files.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
     Parameters
     ----------
-    candidate : the test; its files no longer change
+    candidate : the test, whose files no longer change
     plan : of the campaign
     waited : s since its last file appeared
 
@@ -271,8 +271,8 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
         return _check_sheet(candidate)
     if candidate.by_role and isinstance(plan.pair, ByName):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
-        if absent := tuple(role for role in roles if role not in candidate.files):
-            return PairingOutcome(None, missing=absent)
+        if missing_roles := tuple(role for role in roles if role not in candidate.files):
+            return PairingOutcome(None, missing=missing_roles)
     copies = _copy_exports(candidate)
     neighbours = read_neighbours(candidate.folder.resolve().parent)
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
@@ -282,7 +282,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
-    # facts of the plan that have no column
+    # facts of the plan for which a campaign sheet has no column
     blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
     planned = replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
@@ -291,15 +291,15 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
 
 def _check_sheet(candidate: Candidate) -> PairingOutcome:
-    """Find the missing and the changed exports of a test that has a sheet."""
+    """Find missing and changed exports of a test that has a sheet."""
     try:
         sheet = load_test_sheet(candidate.sheet)
     except ProtocolError:
         return PairingOutcome(candidate.sheet)  # processing reports the fault
-    names = [name for several in sheet.files.values() for name in several]
-    absent = tuple(name for name in names if not (candidate.folder / name).exists())
-    if absent:
-        return PairingOutcome(None, missing=absent)
+    names = [name for names_of_role in sheet.files.values() for name in names_of_role]
+    missing = tuple(name for name in names if not (candidate.folder / name).exists())
+    if missing:
+        return PairingOutcome(None, missing=missing)
     originals = [path for path in candidate.files.values() if path.parent != candidate.folder]
     messages = [
         format_sentence("campaign.newer_export", file=path.name)
@@ -318,39 +318,41 @@ def _differs(path: Path, copy: Path) -> bool:
 
 
 def _find_missing_roles(
-    inferred: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
+    inferred: InferredTest, plan: CampaignPlan, protocol_counts: Mapping[str, int], waited: float
 ) -> tuple[str, ...]:
     """Find the missing roles, from the inferred test and the protocols of other tests.
 
     If the plan names no protocol, the most frequent one of the other tests is assumed if its roles
-    include the exports. An optional export is awaited for a while if the plan names the protocol,
-    or if another protocol with these exports requires it: one of the other tests, or, if none
-    fits, any protocol.
+    include the exports. An optional export counts as missing for the `patience` of the plan if
+    the plan names the protocol, or if another protocol with these exports requires it: a protocol
+    of the other tests or, if none has these exports, any protocol.
     """
     needed: list[str] = [*(plan.wait_for or ())]
-    late: list[str] = []
+    optional: list[str] = []
     if plan.wait_for is None and plan.protocol:
         sources = _find_sources(plan.protocol, inferred.folder)
-        needed, late = _list_required_roles(sources), [*sources]
+        needed, optional = _list_required_roles(sources), [*sources]
     elif plan.wait_for is None:
-        possible = _filter_sources(
-            inferred, (_find_sources(name, inferred.folder) for name in others)
+        possible_sources = _filter_sources(
+            inferred, (_find_sources(name, inferred.folder) for name in protocol_counts)
         ) or _filter_sources(inferred, (protocol.sources for protocol in load_all_protocols()))
-        sources = _find_sources(find_majority(others), inferred.folder)
-        if sources not in possible:
+        sources = _find_sources(find_majority(protocol_counts), inferred.folder)
+        if sources not in possible_sources:
             sources = _find_sources(inferred.values.get("protocol", ""), inferred.folder)
-        required_elsewhere = {role for other in possible for role in _list_required_roles(other)}
+        required_elsewhere = {
+            role for other in possible_sources for role in _list_required_roles(other)
+        }
         needed = _list_required_roles(sources)
-        late = [role for role in sources if role in required_elsewhere]
+        optional = [role for role in sources if role in required_elsewhere]
     missing = [role for role in needed if role not in inferred.files]
-    late = [role for role in late if role not in inferred.files and waited < plan.patience]
-    return tuple(missing or late)
+    optional = [role for role in optional if role not in inferred.files and waited < plan.patience]
+    return tuple(missing or optional)
 
 
 def _filter_sources(
     inferred: InferredTest, candidates: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
-    """Return the sources of protocols that have all roles of the exports of a test."""
+    """Return the sources of those protocols that have all roles of the exports of a test."""
     return [
         sources for sources in candidates if sources and sources.keys() >= inferred.files.keys()
     ]
@@ -388,7 +390,7 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
 
 
 def _remove_copies(copies: Sequence[Path], folder: Path) -> None:
-    """Remove copies of exports that may still be written."""
+    """Remove copies of exports, since the originals may still be written."""
     for path in copies:
         path.unlink(missing_ok=True)
     with suppress(OSError):  # not empty

@@ -44,7 +44,7 @@ COLUMNS: Final = {
     "labpipe": "tests.labpipe",
     "run": "tests.run",
 }
-"""SQL expression of each column. Dimensions, labels and answers of the tests are more columns."""
+"""SQL expression of each column; dimensions, labels and answers of the tests are added to them."""
 _MAX_SHEET_ROWS: Final = 1_048_575
 """Largest number of rows of a worksheet below its heading."""
 _ALLOWED_ACTIONS: Final = frozenset(
@@ -54,7 +54,7 @@ _CONTROL_CHARACTERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\
 """Characters that control a terminal or change the direction of text."""
 
 _FORMULA_START = re.compile(r"(?![-+]\d+(?:\.\d*)?\Z)[=+\-@\t\r\n]")
-"""Start of text that a spreadsheet evaluates, after OWASP; a signed number is no formula."""
+"""Start of text that a spreadsheet evaluates, as listed by OWASP; signed numbers are excluded."""
 _STEPS_PER_CHECK = 1_000_000
 """SQLite steps between checks of the duration of a query."""
 
@@ -65,7 +65,7 @@ class QueryResult:
 
     Parameters
     ----------
-    columns : names
+    columns : their names
     rows : cells in the order of the columns: text, a number, or None
     """
 
@@ -83,18 +83,18 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
 
     Returns
     -------
-    A row per result, sorted by test; a single row for a test without results, such as a failed one.
+    A row per result, sorted by test. A test without results, such as a failed one, has one row.
 
     Raises
     ------
     UsageError
         If the condition is invalid or takes too long.
     """
-    base_steps, steps_per_result = 200, 0.05  # of `_STEPS_PER_CHECK`
+    base_checks, checks_per_result = 200, 0.05  # limit of the duration
     with catalog.copy() as connection:
         columns = COLUMNS | _list_specimen_columns(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
-        max_checks, checks = base_steps + steps_per_result * results, count(1)
+        max_checks, checks = base_checks + checks_per_result * results, count(1)
         connection.set_authorizer(_authorize_reads)
         connection.set_progress_handler(lambda: next(checks) > max_checks, _STEPS_PER_CHECK)
         selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
@@ -132,7 +132,7 @@ def _authorize_reads(action: int, *_: str | None) -> int:
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
-    """List SQL expressions for the dimensions, labels and answers of the tests."""
+    """Return the SQL expressions of dimensions, labels and answers of the tests, by column."""
     max_columns = 200
     numbers = (
         "select distinct key from tests, json_each(tests.specimen)"
@@ -140,7 +140,10 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     )
     texts = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
-    for sql, place in ((numbers, ""), *((texts.format(x), x) for x in ("labels", "observed"))):
+    for sql, place in (
+        (numbers, ""),
+        *((texts.format(block), block) for block in ("labels", "observed")),
+    ):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             if name in COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
@@ -151,31 +154,36 @@ def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     return fields
 
 
-def write_answer(answer: QueryResult, form: str, out: IO[str]) -> None:
+def write_query_result(query_result: QueryResult, form: str, out: IO[str]) -> None:
     """Write rows as text.
 
     Parameters
     ----------
-    answer : the rows
+    query_result : the rows
     form : ``table``, ``csv`` or ``json``
     out : text stream
     """
     if form == "csv":
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerows(map(_quote_formula, row) for row in (answer.columns, *answer.rows))
+        writer.writerows(
+            map(_quote_formula, row) for row in (query_result.columns, *query_result.rows)
+        )
     elif form == "json":
-        entries = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+        entries = [dict(zip(query_result.columns, row, strict=True)) for row in query_result.rows]
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
         out.write(f"[{lines}\n]\n")
     else:
-        out.writelines(_format_table(answer))
+        out.writelines(_format_table(query_result))
 
 
-def _format_table(answer: QueryResult) -> Iterator[str]:
-    """Yield aligned lines without the column ``run`` and empty or repeated columns."""
-    cells = [map(_format_cell, column) for column in zip(answer.columns, *answer.rows, strict=True)]
-    tests, *others = map(list, cells)
-    visible = [tests, *(column for column in others if column[1:] != tests[1:])]
+def _format_table(query_result: QueryResult) -> Iterator[str]:
+    """Yield aligned lines, without ``run``, empty columns, and columns equal to the first one."""
+    cells = [
+        map(_format_cell, column)
+        for column in zip(query_result.columns, *query_result.rows, strict=True)
+    ]
+    tests, *other_columns = map(list, cells)
+    visible = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
     aligned = [
         [f"{cell:<{max(map(len, column))}}" for cell in column]
         for column in visible
@@ -209,12 +217,12 @@ def _quote_formula(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and _FORMULA_START.match(value) else value
 
 
-def write_workbook(answer: QueryResult, path: Path) -> None:
+def write_workbook(query_result: QueryResult, path: Path) -> None:
     """Write rows as a workbook.
 
     Parameters
     ----------
-    answer : the rows
+    query_result : the rows
     path : of the file; an existing file is replaced at the end
 
     Raises
@@ -226,12 +234,12 @@ def write_workbook(answer: QueryResult, path: Path) -> None:
     """
     from xlsxwriter import Workbook
 
-    if len(answer.rows) > _MAX_SHEET_ROWS:
+    if len(query_result.rows) > _MAX_SHEET_ROWS:
         raise UsageError.about("campaign.too_many_rows", path, limit=_MAX_SHEET_ROWS)
-    # Text is text, even with a leading =.
+    # a text that starts with = is not a formula
     options = {"strings_to_formulas": False, "strings_to_urls": False, "constant_memory": True}
     with replacing(path) as temporary, Workbook(str(temporary), options) as book:
         sheet = book.add_worksheet("results")
-        for number, row in enumerate((answer.columns, *answer.rows)):
+        for number, row in enumerate((query_result.columns, *query_result.rows)):
             cells = [escape_controls(value) if isinstance(value, str) else value for value in row]
             sheet.write_row(number, 0, cells)

@@ -1,4 +1,4 @@
-"""The verdict of a watch on a new test: status, numbers against its group, what to check."""
+"""Judge a newly processed test: status, comparison with its group, and what to check."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Values: TypeAlias = Mapping[str, Sequence[float]]
 
 
 def make_group_key(row: TestRow) -> str:
-    """Make the key of the group of a test: its protocol and specimen, except spool and sample.
+    """Make the key of the group of a test from its protocol and specimen without spool and sample.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class DisplaySettings(NamedTuple):
     Parameters
     ----------
     display : unit by quantity
-    main : results by which the protocol compares groups, in order
+    main : names of the main results, by which the protocol compares groups, in order
     """
 
     display: Mapping[str, str] = MappingProxyType({})
@@ -71,7 +71,7 @@ def read_display_settings(sheet: Path) -> DisplaySettings:
 
 
 def describe_test(
-    name: str, summary: Mapping[str, Any], others: Values, settings: DisplaySettings
+    name: str, summary: Mapping[str, Any], group_values: Values, settings: DisplaySettings
 ) -> list[str]:
     """Describe a processed test for the person at the bench.
 
@@ -79,16 +79,16 @@ def describe_test(
     ----------
     name : of the test
     summary : content of its summary.json
-    others : ok values of each result in the other tests of its group
+    group_values : values of each result in the other tests of its group, if ok
     settings : of its protocol
 
     Returns
     -------
-    Three lines: status; main results compared with the group; what to check.
+    Three lines: status, comparison of the main results with the group, and what to check.
     """
     results = summary["results"]
     numbers = [
-        _compare_with_group(result, others, settings.display)
+        _compare_with_group(result, group_values, settings.display)
         for result in _select_main_results(results, settings.main)
     ]
     outside = [number.name for number in numbers if number.is_outside]
@@ -99,7 +99,7 @@ def describe_test(
     n_ok = len(results) - sum(map(len, names.values()))
     parts = [f"{len(bad)} {status} ({_join_names(bad)})" for status, bad in names.items() if bad]
     parts += [f"outside the group: {_join_names(outside)}"] if outside else []
-    head = f"{name}: {'LOOK' if parts else 'WELL'}, {', '.join([f'{n_ok} ok', *parts])}"
+    headline = f"{name}: {'CHECK' if parts else 'OK'}, {', '.join([f'{n_ok} ok', *parts])}"
     group_sizes = list(dict.fromkeys(number.group_size for number in numbers))
     if len(group_sizes) == 1:  # written once for all
         texts = [*(number.text for number in numbers), *group_sizes]
@@ -108,7 +108,7 @@ def describe_test(
     codes = [reason["code"] for result in results for reason in result["reasons"]]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
     actions = describe_actions(codes, outside=bool(outside))
-    return [head, f"  {'; '.join(texts)}", f"  {actions}"]
+    return [headline, f"  {'; '.join(texts)}", f"  {actions}"]
 
 
 def describe_failure(name: str, code: str, reason: str) -> list[str]:
@@ -123,8 +123,8 @@ def describe_failure(name: str, code: str, reason: str) -> list[str]:
     -------
     Three lines, as of `describe_test`.
     """
-    first = " ".join(reason.splitlines()[0].split()) if reason else code
-    return [f"{name}: FAILED ({code})", f"  {first}", f"  {describe_actions([code])}"]
+    first_line = " ".join(reason.splitlines()[0].split()) if reason else code
+    return [f"{name}: FAILED ({code})", f"  {first_line}", f"  {describe_actions([code])}"]
 
 
 def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
@@ -133,7 +133,7 @@ def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
     Parameters
     ----------
     codes : of notes, reasons and failures, most important first
-    outside : whether a result is outside the spread of its group
+    outside : whether a result is outside the prediction interval of its group
 
     Returns
     -------
@@ -152,14 +152,14 @@ def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
 
 @cache
 def read_actions() -> dict[str, str]:
-    """Read what to do at the bench, by code."""
+    """Read the checks at the bench by code of a note, reason or failure."""
     text = (files("labpipe.campaign") / "bench_actions.toml").read_text(encoding="utf-8")
     entries = tomllib.loads(text)["action"]
     return {code: entry["do"] for entry in entries for code in entry["codes"]}
 
 
 class _Comparison(NamedTuple):
-    """A result as text, the size of its group, and whether it is outside the spread."""
+    """A result as text, the size of its group, and whether it is outside that group."""
 
     name: str
     text: str
@@ -168,7 +168,7 @@ class _Comparison(NamedTuple):
 
 
 def _select_main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
-    """Select the results by which the protocol compares, then those of the first cycle."""
+    """Select main results of the protocol first, then results of the first cycle."""
     candidates = {
         result["name"]: result
         for result in results
@@ -179,26 +179,30 @@ def _select_main_results(results: Sequence[_Entry], main: Sequence[str]) -> list
     return [candidates[name] for name in ranked][:MAX_NUMBERS]
 
 
-def _compare_with_group(result: _Entry, others: Values, display: Mapping[str, str]) -> _Comparison:
-    """Compare a result with the other tests of its group, by the prediction interval of Student."""
-    min_group_tests = 6  # of fewer tests, only the range is shown
+def _compare_with_group(
+    result: _Entry, group_values: Values, display: Mapping[str, str]
+) -> _Comparison:
+    """Compare a result with the other tests of its group by a Student prediction interval."""
+    min_group_tests = 6  # for a prediction interval; below, the range is shown
     name, value = result["name"], float(result["value"])
     factor, unit = find_display_unit(name, result["unit"], display)
-    values = factor * np.array(others.get(name, ()))
+    values = factor * np.array(group_values.get(name, ()))
     n, text = len(values), f"{name} {factor * value:.4g} {unit}".rstrip()
     if n == 0:
         return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
         low, high = sorted([values.min(), values.max()])
-        so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
-        return _Comparison(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
-    false_alarm_rate = 0.05  # of all numbers of a verdict together
+        range_text = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
+        return _Comparison(
+            name, f"{text} (so far {range_text})", f"n = {n} so far, too few to judge"
+        )
+    false_alarm_rate = 0.05  # per verdict, shared by its numbers
     quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
     low, high = values.mean() - half_width, values.mean() + half_width
     is_outside = not low <= factor * value <= high
-    place = "OUTSIDE" if is_outside else "within"
-    text += f" ({place} {low:.4g} to {high:.4g})"
+    position = "OUTSIDE" if is_outside else "within"
+    text += f" ({position} {low:.4g} to {high:.4g})"
     return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 

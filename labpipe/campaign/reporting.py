@@ -1,4 +1,4 @@
-"""Make the report of a campaign: read processed tests, group and compare them, write the files."""
+"""Make the report of a campaign: read processed tests, group and compare them, write its files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from labpipe.campaign.campaign_folders import find_campaign_name
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
-    applicable_decision,
-    find_home,
-    read_decisions_on,
+    find_applicable_decision,
+    find_decision_folder,
+    read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
@@ -58,14 +58,14 @@ OPTIONS_FILE = "report.json"
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """Options of a report, stored beside it so that it can be made again.
+    """Options of a report, stored in its folder so that it can be made again.
 
     Parameters
     ----------
     title : of the report; if empty, the name of the common folder of the tests
     by : fields of the test sheets to group by; if empty, the type and all fields of the specimen
         that differ within a type
-    alone : show only pairs of groups that differ in this field alone; empty for all
+    alone : show only pairs of groups that differ in no other field; empty for all
     wires : wire sheet, to compare harness bundles with their bounds; None without one
     letterhead : laboratory, customer, order and logo
     formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
@@ -82,14 +82,14 @@ class ReportOptions:
 
     @classmethod
     def read(cls, folder: Path) -> ReportOptions:
-        """Read the options of the report in a folder; return `DEFAULT_OPTIONS` without any."""
+        """Read the options of the report in a folder; `DEFAULT_OPTIONS` if there are none."""
         try:
             stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
             facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
             stored["letterhead"] = Letterhead(tuple((name, text) for name, text in facts), logo)
             stored["wires"] = stored["wires"] and folder / stored["wires"]
             return cls(**stored | {key: tuple(stored[key]) for key in ("by", "formats")})
-        except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or edited
+        except (OSError, ValueError, KeyError, TypeError):  # earlier labpipe, or edited
             return cls()
 
     def text(self, folder: Path) -> str:
@@ -97,12 +97,12 @@ class ReportOptions:
         wires = self.wires and os.path.relpath(self.wires, folder)
         return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
-    def or_earlier(self, earlier: ReportOptions) -> ReportOptions:
-        """Return the options, with missing ones from an earlier report.
+    def fill_from(self, earlier: ReportOptions) -> ReportOptions:
+        """Return the options, with empty ones replaced by those of an earlier report.
 
         Parameters
         ----------
-        earlier : options
+        earlier : options of the earlier report
         """
         facts = dict(earlier.letterhead.facts) | dict(self.letterhead.facts)
         logo = self.letterhead.logo or earlier.letterhead.logo
@@ -121,9 +121,9 @@ class WrittenReport:
 
     Parameters
     ----------
-    folder : with report.html, tables.xlsx, and optional figures and pages of tests
-    campaign : its content
-    files : the page first
+    folder : contains report.html, tables.xlsx, and figures and pages of tests if requested
+    campaign : content of the report
+    files : paths of all files; the first one is report.html
     """
 
     folder: Path
@@ -142,7 +142,7 @@ def report_tests(
 
     Parameters
     ----------
-    targets : result.h5 files, or folders with some
+    targets : result.h5 files, or folders that contain some
     out : folder of the report; None for ``report`` in the common folder of the tests
     say : called with the name of each test when it is read
     options : title, groups, letterhead and further files
@@ -154,9 +154,9 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, two have the same name, no test sheet has a
-        requested field, the wire sheet has faults, or the report cannot be written; an earlier
-        report is then unchanged.
+        If there is no processed test, no test can be read, two tests have the same name, no test
+        sheet has a requested field, the wire sheet has faults, or the report cannot be written. An
+        earlier report is then unchanged.
     """
     files = find_results(targets)
     shared = shared_folder(files)
@@ -258,10 +258,10 @@ class _Tests:
     ----------
     samples : in order, without those left out or rejected
     protocols : by name
-    settings : of processing, by test
-    left_out, rejected : the reason, by file
+    settings : settings of processing, by test
+    left_out, rejected : reason by file
     rejected_samples : in order
-    decisions : all on these tests
+    decisions : all decisions on these tests
     """
 
     samples: list[Sample] = field(default_factory=list)
@@ -275,25 +275,27 @@ class _Tests:
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
-    decisions_by_file, shared = read_decisions_on(files), shared_folder(files)
+    decisions_by_file, shared = read_decisions_by_file(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
         try:
-            drawable = read_reported(file, choose_frames)
-            result = drawable.result
+            reported_test = read_reported(file, choose_frames)
+            result = reported_test.result
             check_summary(result, file.parent / SUMMARY_FILE)
             # Group settings come from the protocol stored in each result.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             tests.left_out[str(file)] = str(error)
             continue
-        specimen = add_sizes(result.specimen, protocol.specimen)
-        sized = replace(drawable, result=replace(result, specimen=specimen))
-        sample = make_sample(sized, source=str(file), label=find_home(file, shared)[1])
+        specimen = add_dimensions(result.specimen, protocol.specimen)
+        completed_test = replace(reported_test, result=replace(result, specimen=specimen))
+        sample = make_sample(
+            completed_test, source=str(file), label=find_decision_folder(file, shared)[1]
+        )
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
-        if decision := applicable_decision(decisions, run=result.run):
+        if decision := find_applicable_decision(decisions, run=result.run):
             sample = replace(sample, decision=decision.describe())
             if decision.decision == REJECT:
                 tests.rejected[str(file)] = sample.decision
@@ -317,9 +319,9 @@ def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
     members, groups = grouping.divide_into_groups(tests.samples, by), []
     for key, name in grouping.name_groups(list(members)).items():
         group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)
-        noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
+        noted_results = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         settings = {sample.test: tests.settings[sample.test] for sample in group.samples}
-        notes = grouping.note_differing_settings(settings, noted)
+        notes = grouping.note_differing_settings(settings, noted_results)
         groups.append(replace(group, notes=(*notes, *group.notes)))
     return mark_outliers(groups)
 
@@ -356,19 +358,19 @@ def _make_group(
     )
 
 
-_SHARED_FACTS = (
+_SHARED_FIELDS = (
     *("test", "specimen", "protocol", "results", "slips", "lines", "quality", "run", "date"),
     *("operator", "instruments", "inputs"),
 )
-"""Fields of a result that its sample has as well."""
+"""Fields that a test result and a sample have in common."""
 
 
 def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
-    """Make the sample of a report from a processed test.
+    """Make a sample of a report from a processed test.
 
     Parameters
     ----------
-    test : as read for a report
+    test : read for a report
     source : its file
     label : of the test in its campaign
     """
@@ -376,8 +378,8 @@ def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
     if curve is not None:
         for branch in curve.branches:
-            curves[branch.direction].append(_thin(result, curve, branch))
-    shared = {name: getattr(result, name) for name in _SHARED_FACTS}
+            curves[branch.direction].append(_average_branch(result, curve, branch))
+    shared = {name: getattr(result, name) for name in _SHARED_FIELDS}
     return Sample(
         **shared,
         loading=tuple(curves[Direction.LOADING]),
@@ -391,7 +393,7 @@ def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
 
 
 def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
-    """Choose the frames at equal, round steps of deflection in the first loading.
+    """Choose frames at equal, round steps of deflection in the first loading branch.
 
     Parameters
     ----------
@@ -403,15 +405,15 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     frames : index of the first frame at or beyond each step; none without a loading branch
     deflection : shape of `frames`, m, of the curve at these frames
     """
-    none = np.empty(0, dtype=np.int64), np.empty(0)
+    no_frames = np.empty(0, dtype=np.int64), np.empty(0)
     branches = result.curve.branches if result.curve is not None else ()
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if first is None or result.curve is None:
-        return none
+        return no_frames
     deflection: Floats = np.interp(time, result.curve.time, result.curve.displacement)
     deflection[(time < first.start_time) | (time > first.stop_time)] = np.nan
     if not np.isfinite(deflection).any():
-        return none
+        return no_frames
     levels = _round_levels(float(np.nanmax(deflection)))
     beyond = [np.flatnonzero(deflection >= level) for level in levels]
     frames = np.unique([indices[0] for indices in beyond if len(indices)]).astype(np.int64)
@@ -419,20 +421,22 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
 
 
 def _round_levels(largest: float) -> Floats:
-    """Return deflections at round steps from zero to the largest one, m."""
+    """Return deflections at equal, round steps from zero up to the largest one, m."""
     max_steps = 6
     if not largest > 0.0:
         return np.zeros(1)
-    power = 10.0 ** floor(log10(largest / max_steps))
+    decade = 10.0 ** floor(log10(largest / max_steps))
     step = next(
-        factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power * max_steps >= largest
+        factor * decade
+        for factor in (1.0, 2.0, 5.0, 10.0)
+        if factor * decade * max_steps >= largest
     )
     return np.arange(0.0, largest, step)
 
 
-def _thin(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
-    """Average a branch over blocks of samples, up to the failure."""
-    max_points = 2000  # blocks smear a slip or a corner by less than a line width
+def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
+    """Average a branch over blocks of samples; a loading branch ends at the failure."""
+    max_points = 2000  # a block is narrower than a line in a figure
     is_loading, stop = branch.direction is Direction.LOADING, branch.stop
     values = {entry.name: entry.value for entry in result.results}
     failure = values.get("failure_displacement")
@@ -449,7 +453,7 @@ def _thin(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
 
 @dataclass(frozen=True, slots=True)
 class ResultKinds:
-    """Names of results that groups treat specially, without cycle and part.
+    """Names of results that groups treat differently, without cycle and part.
 
     Parameters
     ----------
@@ -481,8 +485,8 @@ def classify_results(protocol: Protocol) -> ResultKinds:
     )
 
 
-def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
-    """Add the sizes of the protocol to those of a specimen; its test sheet has priority.
+def add_dimensions(specimen: Specimen, block: SpecimenBlock) -> Specimen:
+    """Add the dimensions of the protocol to a specimen; those of its test sheet have priority.
 
     Parameters
     ----------
@@ -497,7 +501,7 @@ def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
 
 
 def make_test_page(file: Path, report: str = "") -> str:
-    """Make the page of a test: facts, numbers and figures.
+    """Make the HTML page of a test with facts, numbers and figures.
 
     Parameters
     ----------

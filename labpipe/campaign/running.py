@@ -1,4 +1,4 @@
-"""Keep the catalog of a campaign up to date with its files, and process what is new or changed."""
+"""Update the catalog of a campaign from its files, and process new and changed tests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from labpipe.campaign.catalog_rows import (
     FileState,
     TestRow,
     as_json,
-    encodable,
+    escape_surrogates,
     read_outcome,
 )
 from labpipe.campaign.decisions import (
@@ -37,7 +37,7 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
-    applicable_decision,
+    find_applicable_decision,
     find_unapplied_decisions,
     now,
     read_decisions,
@@ -59,7 +59,7 @@ from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
-"""Time between attempts to process a test that another process still writes, s."""
+"""Time between attempts to process a test whose results another process still writes, s."""
 _MAX_RETRIES = 60
 
 
@@ -70,11 +70,11 @@ class Overview:
     Parameters
     ----------
     rows : of all tests, by folder
-    claims : of processes at work, by folder of the test
+    claims : of live processes, by folder of the test
     raw : test sheets and files
-    decisions : all of the campaign, in order
-    notes : messages, such as on a rebuilt catalog or unreadable decisions
-    has_bad_input : whether a note is on a file that needs repair
+    decisions : all decisions of the campaign, in order
+    notes : messages, such as about a rebuilt catalog or unreadable decisions
+    has_bad_input : whether a note is about a file that must be repaired
     has_failed_results : whether any result failed in a test that is not rejected
     """
 
@@ -86,7 +86,7 @@ class Overview:
     has_bad_input: bool
     has_failed_results: bool
 
-    def state_of(self, folder: str) -> str:
+    def find_state(self, folder: str) -> str:
         """Return the state of a test, ``running`` if a process works on it.
 
         Parameters
@@ -96,28 +96,28 @@ class Overview:
         return RUNNING if folder in self.claims else self.rows[folder].state
 
     @property
-    def unapplied(self) -> list[tuple[Decision, str]]:
+    def unapplied_decisions(self) -> list[tuple[Decision, str]]:
         """Return the decisions that are not applied, and why."""
-        runs = {folder: row.attempt for folder, row in self.rows.items()}
+        runs = {folder: row.attempt_key for folder, row in self.rows.items()}
         return list(find_unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
         """Return the number of tests by state."""
-        return Counter(map(self.state_of, self.rows))
+        return Counter(map(self.find_state, self.rows))
 
 
 @contextmanager
 def open_campaign(
-    campaign: CampaignFolders, *, start_empty: bool = False, is_changed: bool = False
+    campaign: CampaignFolders, *, start_empty: bool = False, for_writing: bool = False
 ) -> Iterator[CatalogSync]:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
     ----------
     campaign : its folders
-    start_empty : whether to make an empty one in any case
-    is_changed : whether the campaign will be changed, so that it must be writable
+    start_empty : whether to replace a usable catalog by an empty one
+    for_writing : whether the campaign will be changed; its folder of results must then be writable
 
     Raises
     ------
@@ -127,29 +127,29 @@ def open_campaign(
     """
     notes: list[str] = []
     with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
-        if is_changed and catalog.in_memory:
+        if for_writing and catalog.in_memory:
             raise StoreError.about("campaign.read_only", campaign.processed)
         yield CatalogSync(campaign, catalog, notes)
 
 
 class CatalogSync:
-    """Keeps the catalog of a campaign up to date with its files.
+    """Updates the catalog of a campaign from its files.
 
     Parameters
     ----------
     campaign : its folders
     catalog : open
-    notes : messages so far
+    notes : messages from opening the catalog
     """
 
     def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._input_reader = InputReader()
-        self._inputs_in_work: dict[str, HashedInputs] = {}
+        self._inputs_just_read: dict[str, HashedInputs] = {}
         self._decisions: DecisionFile | None = None
 
     def refresh(self) -> Overview:
-        """Update the catalog from all files.
+        """Update the catalog from the files of all tests.
 
         Returns
         -------
@@ -167,8 +167,8 @@ class CatalogSync:
                 changed[folder] = entry
         if changed:
             self.catalog.put(changed.values(), states)
-        if gone := rows.keys() - folders:
-            self.catalog.remove(gone)
+        if removed := rows.keys() - folders:
+            self.catalog.remove(removed)
         rows |= {folder: entry.row for folder, entry in changed.items()}
         return Overview(
             {folder: rows[folder] for folder in folders},
@@ -199,23 +199,25 @@ class CatalogSync:
         return entry.row
 
     def read_due_key(self, folder: str, *, is_forced: bool) -> str:
-        """Read the key of the inputs of a test; its next update does not read them again.
+        """Read the key of the inputs of a test if it must be processed.
+
+        The next update of the test uses these inputs and does not read them again.
 
         Parameters
         ----------
         folder : of the test
-        is_forced : whether it is to be processed even if nothing changed
+        is_forced : whether it must be processed even if nothing changed
 
         Returns
         -------
-        The key; empty if the test is not to be processed.
+        The key; empty if the test need not be processed.
         """
         is_due = self.refresh_test(folder).is_due or is_forced
         if not is_due or not self.sheet(folder).is_file():
             return ""
-        content = self.catalog.read_file_states(folder).get(folder, FileState()).content
+        content = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
         inputs = self._input_reader.read_inputs(self.sheet(folder), parse_inputs(content))
-        self._inputs_in_work[folder] = inputs
+        self._inputs_just_read[folder] = inputs
         return inputs.key
 
     def sheet(self, folder: str) -> Path:
@@ -235,34 +237,34 @@ class CatalogSync:
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
         signature = files.signature if files is not None else ""
-        stored = parse_inputs(state.content) if state is not None else None
-        inputs, key = self._inputs_in_work.pop(folder, stored), ""
+        stored = parse_inputs(state.inputs_json) if state is not None else None
+        inputs, key = self._inputs_just_read.pop(folder, stored), ""
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
         decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
-        decided = hash_text(repr(decisions)) if decisions else ""
-        marks = f"{signature} {key or sheet is not None} {decided}"
-        if state is not None and state.marks == marks and inputs == stored:
+        decisions_hash = hash_text(repr(decisions)) if decisions else ""
+        fingerprint = f"{signature} {key or sheet is not None} {decisions_hash}"
+        if state is not None and state.fingerprint == fingerprint and inputs == stored:
             return None
         entry = read_outcome(folder, files)
-        decision = applicable_decision(decisions, run=_last_key(entry.row))
+        decision = find_applicable_decision(decisions, run=_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
         content = inputs.to_json() if inputs is not None else ""
-        return entry._replace(row=row, file_state=FileState(content, marks))
+        return entry._replace(row=row, file_state=FileState(content, fingerprint))
 
 
 def _last_key(row: TestRow) -> str:
-    """Return the key of the last attempt of a test; empty for a failure without a key."""
+    """Return the key of the last attempt of a test; empty if a failure has no key."""
     return row.failed_run if row.state == FAILED else row.run
 
 
 def _complete_row(
     outcome: Entry, inputs: HashedInputs | None, decision: Decision | None
 ) -> TestRow:
-    """Add the facts of the test sheet, outdated inputs and a rejection to the row of a test."""
+    """Add facts of the sheet to the row of a test, and whether it is outdated or rejected."""
     row, facts = outcome.row, {} if inputs is None else inputs.facts
-    row = row._replace(**{key: getattr(row, key) or encodable(facts[key]) for key in facts})
+    row = row._replace(**{key: getattr(row, key) or escape_surrogates(facts[key]) for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
@@ -279,12 +281,16 @@ def _complete_row(
         return row._replace(state=STALE, why=changes)
     if decision is None or decision.decision != REJECT:
         return row
-    by, when = decision.by, decision.when
-    return row._replace(state=REJECTED, why=decision.because, decided_by=by, decided=when)
+    return row._replace(
+        state=REJECTED,
+        why=decision.because,
+        decided_by=decision.by,
+        decided=decision.when,
+    )
 
 
 def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
-    """Find the files below the exports of a campaign that belong to no test.
+    """Find the files in the folder of exports of a campaign that belong to no test.
 
     Parameters
     ----------
@@ -293,14 +299,14 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
 
     Returns
     -------
-    Sorted paths below the campaign. The files that a test sheet names, the campaign YAML and the
-    exports that it pairs are known.
+    Sorted paths below the campaign, except test sheets and the exports that they name, the
+    campaign YAML and the exports that it assigns to tests.
     """
     raw, states = sync.campaign.raw, sync.catalog.read_file_states()
     known_files = {
         f"{folder}/{name}" if folder else name
         for folder, sheet in overview.raw.sheets.items()
-        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).content))
+        for name in _list_files(sheet, parse_inputs(states.get(folder, FileState()).inputs_json))
     }
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)
@@ -313,7 +319,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
 
 
 def _list_files(sheet: Path, inputs: HashedInputs | None) -> list[str]:
-    """List test sheet and exports of a test; only the sheet if it is faulty."""
+    """List the test sheet and the exports of a test; if the sheet is faulty, only the sheet."""
     if inputs is not None and inputs.stamps:
         return [*inputs.stamps]
     with suppress(LabpipeError):
@@ -329,8 +335,8 @@ class RunSummary:
     Parameters
     ----------
     overview : the campaign after the run
-    processed : outcomes of the tests that were processed, by folder
-    elsewhere : tests that another labpipe processes
+    processed : outcomes of the tests that this run processed, by folder
+    elsewhere : folders of tests that another labpipe processes
     """
 
     overview: Overview
@@ -353,10 +359,10 @@ def run_campaign(
     ----------
     campaign : its folders
     executor : processes the tests
-    forced : tests to process even if nothing changed
-    make_task : makes the task of a test from its sheet, folder of results and key, such as a
-        partial of `Task` with figures and links
-    begin : called with the number of tests to process
+    forced : folders of tests to process even if nothing changed
+    make_task : makes the task of a test from its sheet, folder of results and key; such as a
+        partial of `Task`
+    begin : called once with the number of tests to process
     on_outcome : called with each processed test and its outcome
 
     Returns
@@ -366,9 +372,9 @@ def run_campaign(
     Raises
     ------
     LabpipeError
-        If the catalog is from a newer labpipe, or the folder of results cannot be written.
+        If the catalog was made by a newer labpipe, or the folder of results cannot be written.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         overview = sync.refresh()
         due = [
             folder
@@ -385,7 +391,7 @@ def run_campaign(
 def run_test(
     campaign: CampaignFolders, executor: Executor, folder: str, *, is_forced: bool = False
 ) -> tuple[TestRow | None, Outcome | None]:
-    """Process one test if it is new or changed, without checking all others.
+    """Process one test if it is new or changed, without checking the other tests.
 
     Parameters
     ----------
@@ -404,7 +410,7 @@ def run_test(
     LabpipeError
         As `run_campaign`.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         forced = [folder] if is_forced else []
         processed, elsewhere = _process(sync, executor, [folder], forced)
         return None if elsewhere else sync.refresh_test(folder), processed.get(folder)
@@ -419,7 +425,7 @@ def _process(
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
 ) -> tuple[dict[str, Outcome], list[str]]:
-    """Process tests that no other labpipe has claimed; retry those that are being written.
+    """Process tests that no other labpipe has claimed; retry those whose results are being written.
 
     Returns the outcomes by folder, and the tests that another labpipe processes.
     """
@@ -429,7 +435,7 @@ def _process(
     retries = 0
 
     def claim_tasks() -> Generator[Task, None, None]:
-        """Claim tests one by one; skip those that another run has processed meanwhile."""
+        """Claim tests one by one; skip those that another run has processed in the meantime."""
         for folder in due:
             if not sync.catalog.claim(folder):
                 elsewhere.append(folder)
@@ -443,18 +449,18 @@ def _process(
     try:
         while due and retries <= _MAX_RETRIES:
             time.sleep(_RETRY_DELAY if retries else 0.0)
-            busy = []
+            postponed = []
             with closing(claim_tasks()) as tasks:
                 for outcome in executor(tasks):
                     folder = claimed.pop(outcome.sheet)
-                    if outcome.code == "in_use":  # a process that outlived its killed run
-                        busy.append(folder)
+                    if outcome.code == "in_use":  # a killed run still writes
+                        postponed.append(folder)
                     else:
                         sync.refresh_test(folder)
                         outcomes[folder] = outcome
                         on_outcome(folder, outcome)
                     sync.catalog.release(folder)
-            due, retries = busy, retries + 1
+            due, retries = postponed, retries + 1
     finally:
         sync.catalog.release(*claimed.values())
     return outcomes, elsewhere + due
@@ -465,7 +471,7 @@ def read_overview(campaign: CampaignFolders) -> Overview:
 
     Parameters
     ----------
-    campaign : its folders; they need not be writable
+    campaign : its folders, which need not be writable
     """
     with open_campaign(campaign) as sync:
         return sync.refresh()
@@ -485,14 +491,14 @@ def rebuild(campaign: CampaignFolders) -> Overview:
     Raises
     ------
     LabpipeError
-        If a process works on the campaign, or the catalog is from a newer labpipe.
+        If a process works on the campaign, or the catalog was made by a newer labpipe.
     """
     with open_campaign(campaign, start_empty=True) as sync:
         return sync.refresh()
 
 
 def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
-    """Delete failures, so that their tests are processed again.
+    """Delete the stored failures of tests, so that these tests are processed again.
 
     Parameters
     ----------
@@ -501,14 +507,14 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
 
     Returns
     -------
-    The tests.
+    Folders of the tests.
 
     Raises
     ------
     UsageError
         If `code` is not empty and no failure has it.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         rows = sync.refresh().rows
         failed = {folder: row for folder, row in rows.items() if row.state == FAILED}
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
@@ -544,13 +550,13 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     Raises
     ------
     LabpipeError
-        If there is no such test, it is not processed yet, or the decisions cannot be written.
+        If there is no such test, it has not been processed, or the decisions cannot be written.
     """
-    with open_campaign(campaign, is_changed=True) as sync:
+    with open_campaign(campaign, for_writing=True) as sync:
         row = _find_row(campaign, sync.refresh(), test)
-        if not row.attempt:
+        if not row.attempt_key:
             raise UsageError.about("campaign.unprocessed_test", test)
-        entry = replace(decision, test=row.folder, run=row.attempt, when=now())
+        entry = replace(decision, test=row.folder, run=row.attempt_key, when=now())
         add_decisions(campaign.processed, campaign.name, [entry])
         return sync.refresh().rows[row.folder]
 

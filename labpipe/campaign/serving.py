@@ -1,7 +1,7 @@
-"""The HTTP server of ``labpipe serve``: shows a report and saves decisions on its tests.
+"""Serve a report by HTTP for ``labpipe serve``, and save decisions on its tests.
 
-Only a browser on the same machine that knows the secret address gets an answer. The server of the
-standard library suffices: one person, a few requests a minute.
+The server answers only browsers of the same machine that know the secret address. The server of
+the standard library suffices for one person and a few requests a minute.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from labpipe.campaign.decisions import (
-    find_home,
+    find_decision_folder,
     import_decisions,
     parse_decisions,
-    read_decisions_on,
+    read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
@@ -46,7 +46,7 @@ _INLINE_CONTENT_TYPES: Final = {
     ".yaml": "text/plain; charset=utf-8",
     ".csv": "text/plain; charset=utf-8",
 }
-"""Content types that a browser may display, by ending; other files are downloads."""
+"""Content types that a browser may display, by file ending; other files are downloaded."""
 _COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -110,7 +110,7 @@ class ReportServer(ThreadingHTTPServer):
     Raises
     ------
     UsageError
-        If the port is in use or impossible.
+        If the port is in use or not valid.
     """
 
     daemon_threads = True
@@ -131,7 +131,7 @@ class ReportServer(ThreadingHTTPServer):
         self.server_name, self.server_port = LOOPBACK_ADDRESS, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print errors, except lost and timed-out connections."""
+        """Print errors, except those of lost or timed-out connections."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
@@ -174,7 +174,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _send(
         self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
     ) -> None:
-        """Send content; headers replace the common ones."""
+        """Send content; `headers` replace common headers with the same name."""
         self.send_response(status)
         for header in (_COMMON_HEADERS | {"Content-Length": str(len(content))} | headers).items():
             self.send_header(*header)
@@ -188,14 +188,14 @@ class _RequestHandler(BaseHTTPRequestHandler):
         self._send(html.encode(), _PAGE_HEADERS)
 
     def _read_authorised_path(self) -> list[str]:
-        """Check sender and token of a request; return the path after the token in parts."""
-        _require_own_page(self.headers, self.server.server_port)
+        """Check origin and token of a request; return the parts of the path after the token."""
+        _require_same_origin(self.headers, self.server.server_port)
         try:
             token, *path = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
         except ValueError:
             raise _not_found() from None
-        own_token = self.server.site.token
-        if not secrets.compare_digest(token.encode("utf-8", "replace"), own_token.encode()):
+        expected_token = self.server.site.token
+        if not secrets.compare_digest(token.encode("utf-8", "replace"), expected_token.encode()):
             raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
         return path
 
@@ -245,8 +245,8 @@ class _RequestHandler(BaseHTTPRequestHandler):
         return self.rfile.read(length)
 
 
-def _require_own_page(headers: Any, port: int) -> None:
-    """Refuse requests of the pages of other sites, also under a host name of theirs."""
+def _require_same_origin(headers: Any, port: int) -> None:
+    """Refuse requests from pages of other sites, and requests to a foreign host name."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
     reason = ""
     if host not in {f"{name}:{port}" for name in (LOOPBACK_ADDRESS, "localhost")}:
@@ -266,12 +266,12 @@ def _not_found() -> _RefusedRequest:
 
 
 def _find_file(path: list[str], site: Site) -> Path:
-    """Find a file of the report or the campaign; refuse hidden files and files elsewhere."""
+    """Find a file of the report or the campaign; refuse hidden files and files outside of both."""
     if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in path):
         raise _not_found()
-    is_of_report = path[0] == REPORT_FOLDER
-    top = (site.report_folder if is_of_report else site.results_folder).resolve()
-    file = top.joinpath(*path[1:] if is_of_report else path).resolve()
+    is_report_file = path[0] == REPORT_FOLDER
+    top = (site.report_folder if is_report_file else site.results_folder).resolve()
+    file = top.joinpath(*path[1:] if is_report_file else path).resolve()
     if not file.is_relative_to(top) or not file.is_file():
         raise _not_found()
     return file
@@ -280,20 +280,22 @@ def _find_file(path: list[str], site: Site) -> Path:
 def _find_result(page: str, site: Site) -> Path:
     """Find the result file of a test by the name of its page."""
     for file in files_below(site.results_folder, RESULT_FILE):
-        if name_page_file(find_home(file, site.results_folder)[1]) == page:
+        if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
             return file
     raise _not_found()
 
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
-    """Import the decisions of a page; return a message, and all decisions of the campaign."""
-    sent = parse_decisions(body, Path("decisions"))
-    if sent.faults:
-        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(sent.faults[:_MAX_LISTED]))
-    imported = import_decisions(site.results_folder, site.campaign, sent.decisions)
-    stored = read_decisions_on(files_below(site.results_folder, RESULT_FILE))
+    """Import decisions from a page; return a message and all decisions of the campaign."""
+    received = parse_decisions(body, Path("decisions"))
+    if received.faults:
+        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED]))
+    imported = import_decisions(site.results_folder, site.campaign, received.decisions)
+    stored = read_decisions_by_file(files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
-    sentences = [f"{write_count(len(imported.added) + imported.n_known, 'decision')} saved."]
+    sentences = [
+        f"{write_count(len(imported.added) + imported.n_stored_before, 'decision')} saved."
+    ]
     refused = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]

@@ -1,4 +1,4 @@
-"""Watch the exports of a campaign: process and judge each test seconds after its recording ends."""
+"""Watch the exports of a campaign, and process and judge each test soon after its recording."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
 
-_MODULES = (
+_MODULES_TO_IMPORT = (
     "labpipe.process.story",
     "labpipe.process.camera_steps",
     "labpipe.markers.specimen_shape",
@@ -50,18 +50,18 @@ _MODULES = (
     "scipy.interpolate",
     "scipy.stats",
 )
-"""Modules that processing and figures need, besides those that this module imports."""
+"""Modules for processing and figures that this module does not import."""
 
 
-def import_all() -> None:
+def import_modules() -> None:
     """Import all modules that tests need, and parse protocols and units once."""
-    for name in _MODULES:
+    for name in _MODULES_TO_IMPORT:
         import_module(name)
     load_all_protocols()
 
 
-def process_in(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-    """Process tests without figures one after another; an `Executor`.
+def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+    """Process tests without figures one after another in a pool; a partial is an `Executor`.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ def process_in(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, No
     tasks : the tests
     """
     for task in tasks:
-        call = pool.submit(partial(process_task, replace(task, figures=False)), about=task.sheet)
+        call = pool.submit(partial(process_task, replace(task, figures=False)), subject=task.sheet)
         yield await_outcome(task, call.result)
 
 
 class WatchedCampaign:
-    """The campaign of a watch: processes its tests and knows the values of the others.
+    """A watched campaign: processes its tests and reads the results of their groups.
 
     Parameters
     ----------
@@ -91,15 +91,15 @@ class WatchedCampaign:
         """Return the folder of the exports."""
         return self._folders.raw
 
-    def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        """Return the test sheets without results for their present files."""
+    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
+        """List the test sheets whose present files have not been processed."""
         rows = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
         return [
             sheet for sheet, row in rows.items() if row is None or row.state in {PENDING, STALE}
         ]
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
-        """Process a test, and store its row.
+        """Process a test and keep its row.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class WatchedCampaign:
         return outcome
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
-        """Read the ok values of each result in the other tests of the group of a test.
+        """Read the values of each result, if ok, in the other tests of the group of a test.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ def _can_open(path: Path) -> bool:
 
 
 def _require_readable(paths: Iterable[Path]) -> None:
-    """Raise an `OSError` if files are missing or locked, which is no fault of their test."""
+    """Raise an `OSError` if a file is missing or locked: the test is then tried again later."""
     for path in paths:
         with path.open("rb") as stream:
             stream.read(1)
@@ -171,35 +171,35 @@ def _read_signature(path: Path) -> Signature:
 
 @dataclass(slots=True)
 class _WatchedTest:
-    """A test in the watch, or a file of no test.
+    """State of a watched test, or of a file that belongs to no test.
 
     Parameters
     ----------
-    files : signatures of its files at the last look
-    changed_at : time of the watch when they changed, since the clock of a drive may differ
-    done, tried : signatures when it was handled, and at the last attempt
+    files : signatures of its files in the last scan
+    changed_at : when a change was seen; not the time of the file, as a drive may have another clock
+    handled_files, tried_files : signatures when the test was handled and at the last attempt
     handled_at : time when it was handled
-    next_try : time of the next attempt if nothing changes
-    is_forced : whether its files were missing during processing, so that it is processed again
+    next_try : time of the next attempt if its files do not change
+    is_forced : whether it must be processed again, because files were missing during processing
     """
 
     files: dict[Path, Signature] = field(default_factory=dict)
     changed_at: float = 0.0
-    done: dict[Path, Signature] = field(default_factory=dict)
-    tried: dict[Path, Signature] = field(default_factory=dict)
+    handled_files: dict[Path, Signature] = field(default_factory=dict)
+    tried_files: dict[Path, Signature] = field(default_factory=dict)
     handled_at: float = 0.0
     next_try: float = 0.0
     is_forced: bool = False
 
 
 class Watcher:
-    """Looks at the folder of a campaign repeatedly, and handles tests whose files are stable.
+    """Scans the folder of a campaign repeatedly, and handles tests whose files are stable.
 
     Parameters
     ----------
     campaign : to watch
     pair : writes the sheet of a test, as `pair_test`
-    draw : called with the folder of results after the verdict on a test
+    draw : draws figures; called with the folder of results after the verdict on a test
     say : called with each message
     clock : monotonic, s
     """
@@ -219,17 +219,17 @@ class Watcher:
         self.plan = read_plan(campaign.raw)
         self._tests = defaultdict[Path, _WatchedTest](_WatchedTest)
         self._printed = set[str]()
-        self._n_looks = 0
-        self._is_folder_missing = self._has_begun = False
+        self._n_scans = 0
+        self._is_folder_missing = self._has_found_ready = False
 
-    def look(self) -> bool:
-        """Look once, and handle the newest test that is ready.
+    def scan(self) -> bool:
+        """Scan the folder once, and handle the newest test that is ready.
 
         Returns
         -------
-        Whether more tests are ready, so that there is no pause.
+        Whether more tests are ready, so that the next scan must not wait.
         """
-        self._n_looks += 1
+        self._n_scans += 1
         raw = self._campaign.raw
         try:
             raw.stat()
@@ -256,16 +256,16 @@ class Watcher:
             self._say(text)
 
     def _is_skipped(self, folder: Path) -> bool:
-        """Return whether a test that was handled a while ago is skipped in this look."""
-        looks_between = 40  # ten thousand tests are too many to check in every look
+        """Return whether this scan skips a test that was handled long ago."""
+        scans_between_checks = 40  # ten thousand tests are too many to check in every scan
         test = self._tests[folder]
         is_recent = self._clock() - test.handled_at < self.plan.patience
-        if not test.done or test.files != test.done or is_recent:
+        if not test.handled_files or test.files != test.handled_files or is_recent:
             return False
-        return (hash(folder) - self._n_looks) % looks_between != 0
+        return (hash(folder) - self._n_scans) % scans_between_checks != 0
 
     def _read_plan(self) -> None:
-        """Read a changed campaign YAML; report a faulty one and keep the last."""
+        """Read a changed campaign YAML; if it is faulty, report it and keep the last plan."""
         signature = _read_signature(self._plan_file)
         if signature == self._plan_signature:
             return
@@ -277,65 +277,70 @@ class Watcher:
             return
         self._printed.clear()
         for test in self._tests.values():
-            test.tried = {}
+            test.tried_files = {}
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
         """Find the tests that are ready, the newest first.
 
-        The first look leaves out tests whose results are up to date.
+        The first scan that finds any leaves out tests whose results are up to date.
         """
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
         for path, reason in listing.unmatched.items():
-            if self._look_at(path, [path]) > self.plan.patience:
-                file = self._below(path)
+            if self._measure_stable_time(path, [path]) > self.plan.patience:
+                file = self._format_path(path)
                 self._say_once(format_sentence("campaign.unused_file", file=file, why=reason))
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
-        if ready and not self._has_begun:
-            self._has_begun = True
+        if ready and not self._has_found_ready:
+            self._has_found_ready = True
             sheets = {candidate.sheet: candidate for candidate in ready if candidate.sheet.exists()}
-            for sheet in sheets.keys() - self._campaign.unprocessed(sheets):
+            for sheet in sheets.keys() - self._campaign.list_unprocessed(sheets):
                 ready.remove(sheets[sheet])
                 test = self._tests[sheets[sheet].folder]
-                test.done, test.handled_at = test.files, -self.plan.patience
-        newest_first = {candidate.folder: self._age(candidate) for candidate in ready}
-        return sorted(ready, key=lambda candidate: newest_first[candidate.folder])
+                test.handled_files, test.handled_at = test.files, -self.plan.patience
+        stable_times = {candidate.folder: self._read_stable_time(candidate) for candidate in ready}
+        return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
 
-    def _look_at(self, key: Path, paths: Iterable[Path]) -> float:
-        """Return for how long files have not changed, s."""
+    def _measure_stable_time(self, key: Path, paths: Iterable[Path]) -> float:
+        """Read the signatures of files; return for how long they have not changed, s."""
         test, files = self._tests[key], {path: _read_signature(path) for path in paths}
         if test.files != files:
             test.files, test.changed_at = files, self._clock()
         return self._clock() - test.changed_at
 
-    def _age(self, candidate: Candidate) -> float:
-        """Return for how long the files of a test have not changed as of the last look, s."""
+    def _read_stable_time(self, candidate: Candidate) -> float:
+        """Return for how long the files of a test had not changed at the last scan, s."""
         return self._clock() - self._tests[candidate.folder].changed_at
 
     def _is_ready(self, candidate: Candidate) -> bool:
-        """Return whether all files of a test are stable, and were not handled in this state."""
-        age = self._look_at(candidate.folder, candidate.paths)
+        """Return whether all files of a test are stable and were not yet handled in this state."""
+        stable_time = self._measure_stable_time(candidate.folder, candidate.paths)
         test = self._tests[candidate.folder]
-        is_tried = test.files == test.tried and self._clock() < test.next_try
+        is_tried = test.files == test.tried_files and self._clock() < test.next_try
         is_complete = all(test.files[path] for path in candidate.files.values())
-        if test.files == test.done or is_tried or not is_complete or age < self.plan.still_for:
+        if (
+            test.files == test.handled_files
+            or is_tried
+            or not is_complete
+            or stable_time < self.plan.still_for
+        ):
             return False
         paths = [path for path, signature in test.files.items() if signature is not None]
         locked = [path for path in paths if not _can_open(path)]
-        for path in locked if age > self.plan.patience else ():
+        for path in locked if stable_time > self.plan.patience else ():
             label, file = _printable(candidate.name), _printable(path.name)
             self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
         return not locked
 
     def _handle(self, candidate: Candidate) -> None:
-        """Pair a test, process it and report the verdict, as far as its files permit."""
+        """Write the sheet of a test, process it and report the verdict, if its files permit."""
         retry_delay = 5.0  # s
         test = self._tests[candidate.folder]
-        test.tried, test.next_try = test.files, self._clock() + retry_delay
+        test.tried_files, test.next_try = test.files, self._clock() + retry_delay
         try:
-            pairing = self._pair(candidate, self.plan, self._age(candidate))
+            pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
         except LabpipeError as error:
-            test.done = test.files
+            test.handled_files = test.files
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
@@ -345,7 +350,7 @@ class Watcher:
         # exports may change while they are processed
         files = test.files | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
-            test.done, test.handled_at = files, self._clock()
+            test.handled_files, test.handled_at = files, self._clock()
 
     def _process(self, candidate: Candidate) -> bool:
         """Process a test and report the verdict; return False if it must be tried again."""
@@ -367,7 +372,7 @@ class Watcher:
         """Report once which files a test waits for."""
         label = _printable(candidate.name)
         for name, reason in pairing.unreadable.items():
-            if self._age(candidate) > self.plan.patience:
+            if self._read_stable_time(candidate) > self.plan.patience:
                 file = _printable(name)
                 self._say_once(
                     format_sentence("campaign.unread_file", test=label, file=file, why=reason)
@@ -379,8 +384,8 @@ class Watcher:
     def _say_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         lines = [*pairing.messages]
         if pairing.is_new:
-            head = f"{_printable(candidate.name)}: wrote {self._below(candidate.sheet)}"
-            lines = [head, *(f"  {message}" for message in lines)]
+            headline = f"{_printable(candidate.name)}: wrote {self._format_path(candidate.sheet)}"
+            lines = [headline, *(f"  {message}" for message in lines)]
         if pairing.open_keys:
             keys = ", ".join(pairing.open_keys)
             lines.append(format_sentence("campaign.keys_to_fill_in", keys=keys))
@@ -398,19 +403,19 @@ class Watcher:
             self._draw(outcome.folder)
         self._say("\n".join(lines))
 
-    def _below(self, path: Path) -> str:
+    def _format_path(self, path: Path) -> str:
         """Return a path below the campaign, or the whole path, as printable text."""
         raw = self._campaign.raw
         return _printable((path.relative_to(raw) if path.is_relative_to(raw) else path).as_posix())
 
 
 def _printable(name: str) -> str:
-    """Escape a name that a terminal cannot show."""
+    """Return a name with unprintable characters escaped."""
     return name if name.isprintable() else repr(name)[1:-1]
 
 
 def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
-    """Watch a campaign until an interrupt.
+    """Watch a campaign until interrupted.
 
     Parameters
     ----------
@@ -423,24 +428,24 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     LabpipeError
         If the campaign YAML has a fault, or the catalog cannot be used.
     """
-    max_duration = 3600.0  # s, of a call
+    max_duration = 3600.0  # s, of a call in the worker process
     with Pool(1, limit=max_duration) as pool:
 
         def pair(candidate: Candidate, plan: CampaignPlan, waited: float) -> PairingOutcome:
-            # in the other process, since a damaged export may crash it
+            # in the worker process, since a damaged export may crash it
             work = partial(pair_test, candidate, plan, waited=waited)
-            return pool.submit(work, about=candidate.folder).result()
+            return pool.submit(work, subject=candidate.folder).result()
 
         def draw(folder: Path) -> None:
             if figures:
-                pool.submit(partial(draw_figures, folder), about=folder)
+                pool.submit(partial(draw_figures, folder), subject=folder)
 
-        pool.submit(import_all, about="labpipe")
-        campaign = WatchedCampaign(folders, partial(process_in, pool))
+        pool.submit(import_modules, subject="labpipe")
+        campaign = WatchedCampaign(folders, partial(process_in_pool, pool))
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")
         load_all_protocols()  # loads units and grammar before the first verdict
         while True:
-            began = time.monotonic()
-            if not watcher.look():  # looks at a slow drive take at most a third of the time
-                time.sleep(max(watcher.plan.look_every, 2.0 * (time.monotonic() - began)))
+            start_time = time.monotonic()
+            if not watcher.scan():  # scans of a slow drive take at most a third of the time
+                time.sleep(max(watcher.plan.look_every, 2.0 * (time.monotonic() - start_time)))

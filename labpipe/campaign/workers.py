@@ -1,4 +1,4 @@
-"""Run calls in processes; if a process dies, only its call fails."""
+"""Run calls in child processes, so that the death of a process fails only its call."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class WorkerProcess:
-    """A child process that runs calls one after another; replaced if it dies.
+    """A child process that runs calls one after another and is replaced if it dies.
 
     Notes
     -----
@@ -39,13 +39,14 @@ class WorkerProcess:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
-    def call(self, work: Callable[[], T], *, about: object, limit: float | None = None) -> T:
+    def call(self, work: Callable[[], T], *, subject: object, limit: float | None = None) -> T:
         """Run a call in the process and wait for it.
 
         Parameters
         ----------
-        work : can be pickled, such as a partial of a module-level function; so can its result
-        about : subject of the call for messages, such as the file of a test
+        work : call to run; it and its result must be picklable, such as a partial of a module-level
+            function
+        subject : what the call works on, for messages, such as the file of a test
         limit : s, time limit, after which the process is killed; None for no limit
 
         Raises
@@ -60,8 +61,8 @@ class WorkerProcess:
             self.close()
             self.process = _start_process()
         begin = time.monotonic()
-        longest = min(limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
-        timer = threading.Timer(longest, _kill, [self.process])
+        kill_delay = min(limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
+        timer = threading.Timer(kill_delay, _kill, [self.process])
         timer.daemon = True
         timer.start()
         reply: bytes | None = None
@@ -73,11 +74,11 @@ class WorkerProcess:
             timer.cancel()
             timer.join()
             exit_code = self.close() if reply is None else 0
-        if reply is None and time.monotonic() - begin >= longest:
-            raise ProcessingError.about("campaign.time_limit", about, minutes=longest / 60.0)
+        if reply is None and time.monotonic() - begin >= kill_delay:
+            raise ProcessingError.about("campaign.time_limit", subject, minutes=kill_delay / 60.0)
         if reply is None:
-            how = _describe_exit(exit_code)
-            raise ProcessingError.about("campaign.process_died", about, how=how)
+            ending = _describe_exit(exit_code)
+            raise ProcessingError.about("campaign.process_died", subject, ending=ending)
         result, error = pickle.loads(reply)
         if error is not None:
             raise error
@@ -89,7 +90,7 @@ class WorkerProcess:
         if process is None:
             return 0
         if process.returncode is None:
-            _kill(process)  # a process that died already keeps its exit code
+            _kill(process)  # a process that has died keeps its own exit code
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):
                 cast("IO[bytes]", pipe).close()
@@ -103,7 +104,7 @@ def _describe_exit(code: int) -> str:
 
 
 class Pool:
-    """Processes that run calls in parallel, each with a thread that waits for it.
+    """Worker processes that run calls in parallel; a thread waits for each process.
 
     Parameters
     ----------
@@ -112,13 +113,13 @@ class Pool:
     """
 
     def __init__(self, jobs: int, *, limit: float | None = None) -> None:
-        self._limit, self._of_thread = limit, threading.local()
+        self._limit, self._thread_data = limit, threading.local()
         self._workers: list[WorkerProcess] = []
         self._threads = ThreadPoolExecutor(jobs, initializer=self._add_worker)
 
     def _add_worker(self) -> None:
-        self._of_thread.worker = WorkerProcess()
-        self._workers.append(self._of_thread.worker)
+        self._thread_data.worker = WorkerProcess()
+        self._workers.append(self._thread_data.worker)
 
     def __enter__(self) -> Self:
         return self
@@ -131,18 +132,18 @@ class Pool:
             for worker in self._workers:
                 worker.close()
 
-    def submit(self, work: Callable[[], T], *, about: object) -> Future[T]:
-        """Start a call, which raises as `WorkerProcess.call`; do not wait.
+    def submit(self, work: Callable[[], T], *, subject: object) -> Future[T]:
+        """Start a call without waiting for it; its future raises as `WorkerProcess.call`.
 
         Parameters
         ----------
-        work, about : see `WorkerProcess.call`
+        work, subject : see `WorkerProcess.call`
         """
-        return self._threads.submit(self._call, work, about)
+        return self._threads.submit(self._call, work, subject)
 
-    def _call(self, work: Callable[[], T], about: object) -> T:
-        worker: WorkerProcess = self._of_thread.worker
-        return worker.call(work, about=about, limit=self._limit)
+    def _call(self, work: Callable[[], T], subject: object) -> T:
+        worker: WorkerProcess = self._thread_data.worker
+        return worker.call(work, subject=subject, limit=self._limit)
 
 
 def run_as_completed(
@@ -151,16 +152,16 @@ def run_as_completed(
     *,
     jobs: int,
     limit: float | None = None,
-    about: Callable[[A], object] = str,
+    subject: Callable[[A], object] = str,
 ) -> Generator[tuple[A, Future[T]], None, None]:
     """Call a function on many arguments in parallel processes.
 
     Parameters
     ----------
-    work : can be pickled, such as a module-level function
-    arguments : can be pickled; the next one is taken whenever a process becomes free
+    work : function to call; must be picklable, such as a module-level function
+    arguments : must be picklable; the next one is taken whenever a process becomes free
     jobs, limit : see `Pool`
-    about : returns the subject of a call for messages
+    subject : returns the subject of a call for messages
 
     Yields
     ------
@@ -177,7 +178,7 @@ def run_as_completed(
 
         def start(count: int) -> None:
             for argument in islice(remaining, count):
-                running[pool.submit(partial(work, argument), about=about(argument))] = argument
+                running[pool.submit(partial(work, argument), subject=subject(argument))] = argument
 
         start(jobs)
         while running:
@@ -188,7 +189,7 @@ def run_as_completed(
 
 
 def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
-    """Run calls in parallel processes; a single job runs in this process.
+    """Run calls in parallel processes, or in this process if `jobs` is 1.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """
     if jobs == 1:
         return [call() for call in calls]
-    completed = run_as_completed(operator.call, calls, jobs=jobs, about=lambda _: "labpipe")
+    completed = run_as_completed(operator.call, calls, jobs=jobs, subject=lambda _: "labpipe")
     results = {call: future.result() for call, future in completed}
     return [results[call] for call in calls]
 
@@ -224,7 +225,7 @@ def _start_process() -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-        start_new_session=True,  # its own child processes end with it
+        start_new_session=True,  # the worker is killed together with its own child processes
     )
 
 
@@ -266,7 +267,7 @@ def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
     with suppress(OSError, EOFError, pickle.UnpicklingError):
         while True:
             calls.put(pickle.load(requests))
-    os._exit(1)  # the parent is gone; files are complete, old or new
+    os._exit(1)  # the parent has died; each file is complete, either the old or the new one
 
 
 def _run_call(call: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""The command line: parse the arguments, run the command, return the exit status.
+"""Run the command line: parse the arguments, run the command, return the exit status.
 
 Only the standard library is imported here, so that ``labpipe --help`` answers at once. The module
 of a command is imported when it runs.
@@ -22,7 +22,7 @@ from typing import Any
 from labpipe import __version__
 
 _SharedArguments = Mapping[str, Sequence[Any]]
-"""Lists of arguments that several commands have, by name."""
+"""Lists of arguments that several commands share, by name of the list."""
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses."""
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : as typed, without the program's name; those of this process if None
+    arguments : as typed, without the name of the program; None for those of this process
 
     Returns
     -------
@@ -49,16 +49,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     if arguments is not None:
         return _run(options)
-    if not sys.warnoptions:  # numpy's, for developers only: `python -W default` shows
+    if not sys.warnoptions:  # of numpy; `python -W default` shows them
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
-        return _run(options, once_imported=_freeze_imports)
+        return _run(options, on_imported=_freeze_imports)
     finally:
         _freeze_imports()
 
 
-def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
+def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
     # not needed for --help
     from labpipe.errors import LabpipeError, describe_system_error, find_error_code
     from labpipe.messages import format_sentence
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         sys.stdout.reconfigure(errors="backslashreplace")  # a name that a terminal cannot show
     try:
         command = import_module(f"labpipe.cli.{options.command}")
-        once_imported()
+        on_imported()
         return int(command.run(options))
     except LabpipeError as error:
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         print(f"labpipe: {format_sentence('cli.interrupted')}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of the pipe has closed it: discard what Python flushes at exit.
+        # the reader has closed the pipe: discard what Python flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
@@ -94,10 +94,10 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
 
 
 def _freeze_imports() -> None:
-    """Enable garbage collection, but only of objects created from now on.
+    """Enable garbage collection of objects that are created from now on.
 
-    Modules are a hundred thousand permanent objects. To scan them for garbage takes a sixth of the
-    time of a test.
+    Imported modules hold a hundred thousand permanent objects. Scanning them would take a sixth of
+    the time of a test.
     """
     gc.freeze()
     gc.enable()
@@ -111,22 +111,22 @@ def build_parser() -> argparse.ArgumentParser:
         prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **labpipe[1]
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    # The metavar is as long as the longest command, or argparse breaks its line.
-    choice = parser.add_subparsers(
+    # argparse breaks the line of a command that is longer than the metavar
+    subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
     for name, command in commands:
-        _add_command(choice, name, command, shared[1])
+        _add_command(subparsers, name, command, shared[1])
     return parser
 
 
 def _add_command(
-    choice: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
+    subparsers: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
 ) -> None:
     """Add a command, or an action of a command."""
     about = entry["about"]
     description = f"{about[0].upper()}{about[1:]}."
-    parser = choice.add_parser(
+    parser = subparsers.add_parser(
         name, help=about, description=description, epilog=entry.get("epilog")
     )
     _add_arguments(parser, entry.get("arguments", ()), shared)

@@ -1,4 +1,4 @@
-"""``labpipe bundle``: bounds of the bending stiffness of a harness bundle."""
+"""``labpipe bundle``: compute bounds of the bending stiffness of a harness bundle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from labpipe.units import parse_quantity
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the bounds of a harness bundle's bending stiffness."""
+    """Compute and print the bounds of the bending stiffness of a harness bundle."""
     modelled = model_bundle(
         options.bundle,
         wires=options.wire,
@@ -54,7 +54,7 @@ def format_bundle(modelled: ModelledBundle) -> str:
     lines = [
         f"{modelled.name}: {model.bundle.composition}, {model.layout.arrangement}",
         f"  {describe_stiffness(model)}",
-        f"  smallest bore for the wires as they lie: {1e3 * model.smallest_bore:.5g} mm",
+        f"  smallest bore for this arrangement: {1e3 * model.smallest_bore:.5g} mm",
         *_format_conduits(modelled),
     ]
     if modelled.no_friction:
@@ -67,8 +67,8 @@ def format_bundle(modelled: ModelledBundle) -> str:
 
 def _format_conduits(modelled: ModelledBundle) -> Iterator[str]:
     mark = ": the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
-    wanted = f"{1e3 * modelled.wanted_bore:.5g} mm{mark}"
-    yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {wanted}"
+    target = f"{1e3 * modelled.wanted_bore:.5g} mm{mark}"
+    yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {target}"
     chosen = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
         mark = "" if conduit.holds else ": the wires do not fit"

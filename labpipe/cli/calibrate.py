@@ -47,7 +47,7 @@ def format_calibration(calibrated: Calibrated) -> str:
 
     Parameters
     ----------
-    done : the calibration and its validation
+    calibrated : the calibration and its validation
 
     Returns
     -------
@@ -74,7 +74,7 @@ def format_calibration(calibrated: Calibrated) -> str:
 
 
 def _format_share(share: IsotropicShare) -> str:
-    """Write the line of the isotropic share, or why it is not calibrated."""
+    """Format the line of the isotropic share, or why it is not calibrated."""
     low, high = share.interval.lower, share.interval.upper
     if not share.is_creep:
         tests = write_count(share.n_tests, "test")

@@ -14,7 +14,12 @@ from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
-from labpipe.campaign.queries import escape_controls, query_results, write_answer, write_workbook
+from labpipe.campaign.queries import (
+    escape_controls,
+    query_results,
+    write_query_result,
+    write_workbook,
+)
 from labpipe.campaign.running import (
     Overview,
     clear_failures,
@@ -86,7 +91,7 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     }
     lines: list[str] = []
     for state, describe in descriptions.items():
-        rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
+        rows = [row for name, row in overview.rows.items() if overview.find_state(name) == state]
         lines += _list_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
     lines += [*_list_unapplied(overview), *_list_section("unknown files", unknown_files)]
     return _print_overview(campaign, overview, lines)
@@ -97,18 +102,18 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
         _print_errors(sync.refresh().notes)
-        answer = query_results(sync.catalog, options.where)
+        query_result = query_results(sync.catalog, options.where)
     if options.out == "xlsx":
-        write_workbook(answer, options.file)
+        write_workbook(query_result, options.file)
     elif options.file is not None:
         with (
-            replacing(options.file) as part,
-            part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
+            replacing(options.file) as temporary,
+            temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
         ):
-            write_answer(answer, options.out, out)
+            write_query_result(query_result, options.out, out)
     else:
-        write_answer(answer, options.out, sys.stdout)
-    print(f"{len(answer.rows)} rows", file=sys.stderr)
+        write_query_result(query_result, options.out, sys.stdout)
+    print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 
 
@@ -144,7 +149,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
         refusal = escape_controls(f"{decision.test}: {decision.decision} not imported: {reason}")
         print(refusal, file=sys.stderr)
     count = write_count(len(imported.added), "decision")
-    print(f"{count} imported, {imported.n_known} already known")
+    print(f"{count} imported, {imported.n_stored_before} already known")
     return 2 if imported.faults or imported.not_imported else 0
 
 
@@ -199,7 +204,7 @@ def _list_unapplied(overview: Overview) -> list[str]:
     """List decisions that are not applied because the test changed or no longer exists."""
     lines = [
         f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {reason}"
-        for decision, reason in overview.unapplied
+        for decision, reason in overview.unapplied_decisions
     ]
     return _list_section("decisions not applied", lines)
 
@@ -219,7 +224,8 @@ def _format_json(
         "campaign": campaign.name,
         "counts": {state: overview.counts[state] for state in STATES},
         "tests": {
-            folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
+            folder: {"state": overview.find_state(folder)}
+            | {key: getattr(row, key) for key in keys}
             for folder, row in overview.rows.items()
         },
         "running": {
@@ -228,7 +234,7 @@ def _format_json(
         },
         "decisions_not_applied": [
             {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": reason}
-            for decision, reason in overview.unapplied
+            for decision, reason in overview.unapplied_decisions
         ],
         "unknown_files": unknown_files,
         "notes": overview.notes,

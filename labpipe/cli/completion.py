@@ -1,4 +1,4 @@
-"""``labpipe completion``: a script for Tab completion in a shell."""
+"""``labpipe completion``: print a script for Tab completion in a shell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the script that lets a shell complete commands, options and files."""
+    """Print the script with which a shell completes commands, options and files."""
     from argcomplete.shell_integration import shellcode
 
     print(shellcode(["labpipe"], shell=options.shell), end="")

@@ -40,20 +40,22 @@ CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     "harness": SMALL_HARNESS,
 }
 """Campaigns of the full demo by folder name."""
-FIRST_LOOK: Sequence[Campaign] = (
+DEMO_TESTS: Sequence[Campaign] = (
     ChosenTests(CAMPAIGNS[WIRES], ("A2-085-1",)),
     ChosenTests(
         CAMPAIGNS["tensile"], ("CT-10-slit-2", "twist-tube-1a", "pet-tape-1", "stiff-bar-1")
     ),
     ChosenTests(CAMPAIGNS["harness"], ("TWB-B2-19-PVC-1", "CWB-2c-1")),
 )
-"""A test of each kind: those in the reference of results."""
-PLAN = "version: 1\nwire: A2   # wire to calibrate; tests of other wires are predicted\n"
+"""One test of each kind; the reference of results shows their results."""
+CALIBRATION_PLAN = (
+    "version: 1\nwire: A2   # wire to calibrate; tests of other wires are predicted\n"
+)
 """Calibration plan of the full demo."""
-SHEET_SECTION = "{wire: A2, sheet: wires.xlsx}"
-"""Section of an example that gets a calibration."""
+WIRE_SECTION = "{wire: A2, sheet: wires.xlsx}"
+"""Section of an example harness to which a calibration is added."""
 _MAIN_FIGURES = ("stiffness-lines", "wire-shapes", "force-displacement")
-"""Figures to look at first; the first of these that a test has is listed."""
+"""Main figures by priority; the first one that a test has is listed."""
 _NEXT = """
 next:
   labpipe inspect {export}
@@ -76,7 +78,7 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Process and report one test of each kind."""
     print(f"making a synthetic test of each kind in {raw}", file=sys.stderr)
     folders_by_kind = run_calls(
-        [partial(simulate_campaigns, [campaign], raw) for campaign in FIRST_LOOK], jobs=options.jobs
+        [partial(simulate_campaigns, [campaign], raw) for campaign in DEMO_TESTS], jobs=options.jobs
     )
     processed, n_refused = process_all(
         [folder / SHEET_NAME for folders in folders_by_kind for folder in folders],
@@ -87,8 +89,10 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
         return 2  # messages are printed already
     first, *other_results = processed
     print("\n".join((format_test(first), "", *map(format_headline, other_results))))
-    recipe = ReportOptions(f"Synthetic demo campaign: {out.name}", wires=write_wire_sheet(raw))
-    reported = report_tests([out], options=recipe)
+    report_options = ReportOptions(
+        f"Synthetic demo campaign: {out.name}", wires=write_wire_sheet(raw)
+    )
+    reported = report_tests([out], options=report_options)
     main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
         for test in processed
@@ -103,14 +107,14 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
 
 
 def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """Run the commands that process and report three campaigns, calibrate, and compute lines."""
+    """Run the commands that process and report three campaigns, calibrate, and solve harnesses."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_calls(
         [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
         jobs=options.jobs,
     )
     wires, plan = write_wire_sheet(raw / WIRES), raw / WIRES / "plan.yaml"
-    plan.write_text(PLAN, encoding="utf-8")
+    plan.write_text(CALIBRATION_PLAN, encoding="utf-8")
     figures = ["--no-figures"] * options.no_figures + ["--png"] * options.png
     jobs = ["--jobs", options.jobs]
     calibration = out / WIRES / "calibration" / MODEL_FILE
@@ -141,14 +145,14 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
 
 
 def _write_harness_files(folder: Path, calibration: Path) -> list[Path]:
-    """Copy the example lines; those of the calibrated wire use its calibration."""
+    """Copy the example harnesses; those of the calibrated wire use its calibration."""
     examples = find_shipped_folder("examples")
     folder.mkdir(parents=True, exist_ok=True)
     copyfile(examples / DEFAULT_SHEET, folder / DEFAULT_SHEET)
-    calibrated = f"{SHEET_SECTION[:-1]}, calibration: {os.path.relpath(calibration, folder)}}}"
+    calibrated = f"{WIRE_SECTION[:-1]}, calibration: {os.path.relpath(calibration, folder)}}}"
     files = []
     for example in sorted(examples.glob("harness-*.yaml")):
-        text = example.read_text(encoding="utf-8").replace(SHEET_SECTION, calibrated)
+        text = example.read_text(encoding="utf-8").replace(WIRE_SECTION, calibrated)
         files.append(folder / example.name)
         files[-1].write_text(text, encoding="utf-8")
     return files

@@ -1,4 +1,4 @@
-"""``labpipe harness``: shape, forces and bend radii of a line between clips."""
+"""``labpipe harness``: compute shape, forces and bend radii of a line between clips."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
-from labpipe.mechanics.studies.harness_solution import FollowedHarness
+from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import Progress, as_json, follow_harness
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import make_number_writer, typeset_unit, write_count
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show progress: a bar over all steps on a terminal, a text for each line in a pipe."""
+    """Show progress: a bar over all steps on a terminal, one text per line in a pipe."""
     numbers = itertools.count(1)
     with progress_bar("step") as bar:
         n_lines = 0
@@ -66,15 +66,15 @@ def show_progress() -> Iterator[Progress]:
         yield Progress(begin, begin_line, bar.update)
 
 
-def _find_faults(harness: FollowedHarness) -> Iterator[str]:
-    """Yield the faults that set the exit status, except one of an assumed bend radius."""
+def _find_faults(harness: HarnessSolution) -> Iterator[str]:
+    """Yield the faults that set the exit status, without faults of an assumed bend radius."""
     if harness.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
     elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
         yield "".join(_format_limit(harness)).strip()
 
 
-def format_harness(solution: FollowedHarness) -> str:
+def format_harness(solution: HarnessSolution) -> str:
     """Format the results of a harness for a terminal.
 
     Parameters
@@ -130,7 +130,7 @@ def _format_line(result: Result) -> str:
     return "  ".join([line, *doubts, result.remark]).rstrip()
 
 
-def _format_limit(harness: FollowedHarness) -> Iterator[str]:
+def _format_limit(harness: HarnessSolution) -> Iterator[str]:
     limit, bend = harness.limit, harness.sharpest
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
     verdict += " (doubtful)" if harness.is_bend_doubtful else ""
@@ -141,9 +141,9 @@ def _format_limit(harness: FollowedHarness) -> Iterator[str]:
     )
 
 
-def _format_sweep(harness: FollowedHarness) -> Iterator[str]:
+def _format_sweep(harness: HarnessSolution) -> Iterator[str]:
     if harness.sweep:
-        yield "  length of the line    smallest bend radius    on the way"
+        yield "  length of the line    smallest bend radius     in motion"
     for finding in harness.sweep:
         length = 1e3 * finding.harness.line.length
         if finding.status is Status.FAILED:

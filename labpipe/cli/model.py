@@ -1,4 +1,4 @@
-"""``labpipe model``: stiffness tables and simulation decks of wires."""
+"""``labpipe model``: compute stiffness tables and simulation decks of wires."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _HEADING = (
 )
 _UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
 _TIP_DEFLECTION_SHARE = 0.3
-"""Share of the free length: the tip deflection at which the force is printed."""
+"""Tip deflection at which the force is printed, as a share of the free length."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Turn a sheet of wires into moment-curvature and stiffness tables."""
+    """Compute moment-curvature and stiffness tables from a wire sheet."""
     with show_completed("test", 2, in_pipe=False) as (_, say):
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
@@ -83,7 +83,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
 
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
-    """Format a wire; the end load at the deflection of the heading is a dash beyond the curve."""
+    """Format the cells of a wire; an end load beyond the curve is a dash."""
     onset = table.slip_onset(0)
     force = interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length)
     return (
@@ -99,7 +99,7 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
 
 
 def _join_names(names: Sequence[str], n_wires: int = 0) -> str:
-    """List the first wires; the workbook lists all."""
+    """Join the names of the first wires; the workbook lists all."""
     max_names = 10
     if len(names) > max_names and len(names) == n_wires:
         return f"all {n_wires} wires"

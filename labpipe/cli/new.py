@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
-    """Describe a sheet; shorten remarks that were printed before to their first line."""
+    """Describe a sheet; of a remark that was printed already, only the first line."""
     if sheet.kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
     remarks = [

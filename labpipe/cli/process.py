@@ -1,4 +1,4 @@
-"""``labpipe process``: exports to results and figures."""
+"""``labpipe process``: process exports into results and figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from labpipe.store.summaries import build_summary
 
 
 def run(options: argparse.Namespace) -> int:
-    """Process tests; a faulty one does not stop the others."""
+    """Process tests; if one fails, the others are still processed."""
     tests, limit = find_tests(options.tests), 60.0 * options.limit
     processed, n_refused = process_all(
         tests, options, out=options.out, limit=limit, follow_links=options.follow_links
@@ -43,15 +43,15 @@ def run(options: argparse.Namespace) -> int:
 
 
 def process_all(
-    tests: list[Path], options: argparse.Namespace, **more: Any
+    tests: list[Path], options: argparse.Namespace, **arguments: Any
 ) -> tuple[list[Processed], int]:
     """Process tests, and print why some are refused.
 
     Parameters
     ----------
     tests : test.yaml or result.h5 files
-    options : of a command, with those for figures and jobs
-    more : further arguments of `process_tests`
+    options : options of a command, including those for figures and jobs
+    arguments : further arguments of `process_tests`
 
     Returns
     -------
@@ -66,7 +66,7 @@ def process_all(
             png=options.png,
             jobs=options.jobs or default_jobs(),
             on_outcome=lambda test: show(test.parent.name),
-            **more,
+            **arguments,
         )
     for outcome in outcomes:
         if isinstance(outcome, Refused):
@@ -122,7 +122,7 @@ def format_headline(processed: Processed) -> str:
 
 
 def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format a line per cycle; of many cycles, the first ones and the range of the others."""
+    """Format one line per cycle; of many cycles, the first ones and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]

@@ -1,4 +1,4 @@
-"""``labpipe report``: means, figures and tables of many tests."""
+"""``labpipe report``: write means, figures and tables of many tests."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from labpipe.report.wording import describe_counts
 
 
 def run(options: argparse.Namespace) -> int:
-    """Report processed tests in a page, figures and a workbook."""
-    files, recipe = find_results(options.paths), parse_report_options(options)
+    """Write the report of processed tests: a page, figures and a workbook."""
+    files, report_options = find_results(options.paths), parse_report_options(options)
     with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
-        reported = report_tests(files, out=options.out, say=say, options=recipe)
+        reported = report_tests(files, out=options.out, say=say, options=report_options)
     print(format_report(reported))
     return print_left_out(reported)
 
@@ -69,7 +69,7 @@ def _split_list(text: str) -> tuple[str, ...]:
 
 
 def print_left_out(reported: WrittenReport) -> int:
-    """Print the tests that are left out.
+    """Print why tests are left out of a report.
 
     Returns
     -------

@@ -42,6 +42,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _make_report(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
-    recipe = parse_report_options(options).or_earlier(ReportOptions.read(folder))
+    report_options = parse_report_options(options).fill_from(ReportOptions.read(folder))
     with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
-        report_tests(files, out=options.out, say=say, options=recipe)
+        report_tests(files, out=options.out, say=say, options=report_options)

@@ -1,4 +1,4 @@
-"""``labpipe simulate``: synthetic exports of a test with known truth."""
+"""``labpipe simulate``: write synthetic exports of a test with known true values."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _TYPES = {
 }
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 _WIRE_TYPE = "W1"
-"""Type of the simulated wire; it is in no wire sheet, since its law is stated by numbers."""
+"""Type of the simulated wire; no wire sheet has it, since its law is stated by numbers."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the synthetic exports of one test, its sheet, and the truth."""
+    """Write the synthetic exports of one test, its sheet, and the true values."""
     try:
         folder = _simulate(options)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Terminal output of several commands: progress bars, paths, and the line of a result."""
+"""Format and show what several commands print: progress bars, paths, and results."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]
 def show_completed(
     unit: str, total: int | None = None, *, in_pipe: bool = True
 ) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
-    """Show completed tests or other things: a bar on a terminal, a line each in a pipe.
+    """Show completed items, such as tests: a bar on a terminal, a line per item in a pipe.
 
     Parameters
     ----------
     unit : of the count, such as ``test``
     total : final count; None if it is not known yet
-    in_pipe : whether a pipe gets lines
+    in_pipe : whether lines are printed in a pipe
 
     Yields
     ------
     begin : call it with the final count
-    show : call it with a text whenever one is completed
+    show : call it with a text whenever an item is completed
     """
     numbers = itertools.count(1)
     with progress_bar(unit, total) as bar:
@@ -66,7 +66,7 @@ def show_completed(
 
 
 def shorten_path(path: Path) -> Path:
-    """Return a path relative to the working folder if it is below that.
+    """Return a path relative to the working folder if it is below that folder.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def shorten_path(path: Path) -> Path:
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Return the width of the column for names."""
+    """Compute the width of the column of names."""
     min_width = 26
     return max(min_width, *(len(name) for name in names), 0)
 

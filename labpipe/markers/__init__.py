@@ -1,1 +1,1 @@
-"""From marker tracks to the shape of the specimen: repair, frames, curves, rings."""
+"""Compute the shape of a specimen from marker tracks: repair, frames, curves, rings."""

@@ -1,4 +1,4 @@
-"""Smooth curves in arc length through the markers of many frames, and the curve at rest."""
+"""Fit smooth curves in arc length to the markers of many frames, and the curve at rest."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
     Raises
     ------
     ValueError
-        If the conditions leave nothing to fit.
+        If the conditions leave no free coefficient.
     """
-    return CurveBasis(length, _unit_basis(terms, clamped, free_tip))
+    return CurveBasis(length, _build_unit_basis(terms, clamped, free_tip))
 
 
 @cache
-def _unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
+def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
     """Return the powers of each unknown of `build_curve_basis`, for any length."""
     power = np.arange(2 if clamped else 0, terms)
     if len(power) < 1 + free_tip:
@@ -135,7 +135,7 @@ def fit_rest_curve(
     free_tip: bool,
     settled: float = SETTLED,
 ) -> RestCurve:
-    """Determine clamped end, its direction and arc lengths of the markers from the shape at rest.
+    """Fit clamped end, its direction and arc lengths of the markers to the shape at rest.
 
     Parameters
     ----------
@@ -164,8 +164,8 @@ def fit_rest_curve(
         arc_length += markers[0, 0] - grip_offset
     for _ in range(max_rounds):
         length = float(arc_length[-1]) + pull_offset
-        coefficients = _rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
-        fitted = _lengths_along(coefficients, arc_length, length)
+        coefficients = _fit_rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
+        fitted = _compute_curve_lengths(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
         shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
         fitted += shift - (fitted[0] if grip_offset is None else 0.0)
@@ -176,7 +176,7 @@ def fit_rest_curve(
     return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
 
 
-def _rest_coefficients(
+def _fit_rest_coefficients(
     markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
 ) -> Floats:
     # Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic.
@@ -189,7 +189,7 @@ def _rest_coefficients(
     return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
 
 
-def _lengths_along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
+def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
     """Return the length of the curve up to each parameter (Gauss-Legendre)."""
     half = arc_length[:, None] / 2
     u = half * (1 + _NODES) / length
@@ -223,10 +223,10 @@ class FrameFits:
     ----------
     coefficients : shape (frames, 3, terms), m, power series in s / length
     misfit : shape (frames, 2, markers), m, marker minus curve in x and y
-    gain : shape (frames, 3), standard error of the last point per standard deviation of one
-        coordinate of one marker
+    gain : shape (frames, 3), standard error of the last point per standard deviation of a marker
+        coordinate
     freedom : shape (frames,), degrees of freedom per coordinate
-    min_markers : least number of markers in a frame
+    min_markers : smallest number of markers for a fit
     """
 
     coefficients: Floats
@@ -254,12 +254,12 @@ class FrameFits:
         mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
         return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
 
-    def noise(self, rest: Selection) -> float:
+    def noise(self, rest_frames: Selection) -> float:
         """Return the standard deviation of a marker coordinate, m, from the misfit at rest.
 
         Deviations from the curve model are constant at rest and removed with the mean.
         """
-        misfit, freedom = self.misfit[rest], self.freedom[rest]
+        misfit, freedom = self.misfit[rest_frames], self.freedom[rest_frames]
         is_complete = np.isfinite(misfit).all(axis=(1, 2))
         if is_complete.sum() < 2 or freedom[is_complete][0] < 1:
             return float("nan")
@@ -275,7 +275,7 @@ def fit_frames(
     *,
     terms: int,
 ) -> FrameFits:
-    """Fit one curve per frame, together for all frames with the same visible markers.
+    """Fit one curve per frame, jointly for all frames with the same visible markers.
 
     Parameters
     ----------
@@ -299,9 +299,9 @@ def fit_frames(
     The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
     with the same visible markers.
     """
-    free = conditions.direction is None
+    is_free = conditions.direction is None
     basis = build_curve_basis(
-        terms=terms, length=conditions.length, clamped=not free, free_tip=conditions.free_tip
+        terms=terms, length=conditions.length, clamped=not is_free, free_tip=conditions.free_tip
     )
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
@@ -310,7 +310,7 @@ def fit_frames(
         raise ValueError(message)
     fixed = np.zeros((3, terms))
     fixed[:, 1] = 0.0 if conditions.direction is None else conditions.direction * conditions.length
-    data = markers - _known_part(conditions.direction, arc_length, centre_offset)
+    data = markers - _compute_known_positions(conditions.direction, arc_length, centre_offset)
     fits = FrameFits(
         coefficients=np.full((frames, 3, terms), np.nan),
         misfit=np.full((frames, 2, count), np.nan),
@@ -318,17 +318,17 @@ def fit_frames(
         freedom=np.zeros(frames, dtype=np.int64),
         min_markers=basis.unknowns,
     )
-    for pattern, chosen in _patterns(is_in_sight(markers)):
+    for pattern, rows in _group_by_visible_markers(is_in_sight(markers)):
         if pattern.sum() >= basis.unknowns:
-            places = np.flatnonzero(pattern)
+            columns = np.flatnonzero(pattern)
             unknowns, misfit, gain = _solve(
-                data[np.ix_(chosen, places)], basis, arc_length[pattern], centre_offset
+                data[np.ix_(rows, columns)], basis, arc_length[pattern], centre_offset
             )
             series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
-            fits.coefficients[chosen] = fixed + series.reshape(-1, 3, terms)
-            fits.misfit[np.ix_(chosen, np.arange(2), places)] = misfit
-            fits.gain[chosen] = gain
-            fits.freedom[chosen] = len(places) - basis.unknowns
+            fits.coefficients[rows] = fixed + series.reshape(-1, 3, terms)
+            fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
+            fits.gain[rows] = gain
+            fits.freedom[rows] = len(columns) - basis.unknowns
     return fits
 
 
@@ -348,12 +348,14 @@ def _solve(
     unknowns = np.stack([plane[:, :count], plane[:, count:], across], axis=1)
     misfit = (flat - plane @ design.T).reshape(len(data), 2, -1)
     end = basis.value(np.array([basis.length]))[0]
-    parts = (solve[:count], solve[count:], solve_across)
-    gain = np.array([np.linalg.norm(end @ part) for part in parts])
+    inverses = (solve[:count], solve[count:], solve_across)
+    gain = np.array([np.linalg.norm(end @ inverse) for inverse in inverses])
     return unknowns, misfit, gain
 
 
-def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: float) -> Floats:
+def _compute_known_positions(
+    direction: Floats | None, arc_length: Floats, centre_offset: float
+) -> Floats:
     """Return marker positions from the given beginning only, shape (markers, 3), m."""
     if direction is None:
         return np.zeros((len(arc_length), 3))
@@ -361,7 +363,7 @@ def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: flo
     return np.asarray(arc_length[:, None] * direction + centre_offset * normal, dtype=np.float64)
 
 
-def _patterns(seen: Flags) -> list[tuple[Flags, Ints]]:
+def _group_by_visible_markers(seen: Flags) -> list[tuple[Flags, Ints]]:
     """Return the sets of visible markers, each with its frames."""
     codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows is far slower
     first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]

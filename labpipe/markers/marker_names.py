@@ -1,4 +1,4 @@
-"""Assignment of chains of tracklets to markers."""
+"""Assign chains of tracklets to markers."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Chain:
 
     Parameters
     ----------
-    tracklets : their numbers
-    start, stop : frames, `stop` left out
+    tracklets : numbers of the tracklets
+    start, stop : frames, `stop` excluded
     frames : number of frames with a position
     label : column of the marker according to the labels; -1 if the chain has no label
     """
@@ -78,7 +78,7 @@ def name_chains(
     tracklets, links : the chains
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    settled : s, shortest duration of a valid label; shorter stretches are glitches
+    settled : s, shortest duration of a valid label; shorter stretches are errors
     min_distance : m, smallest distance between two markers; a closer track is a double
 
     Returns
@@ -96,19 +96,19 @@ def name_chains(
     """
     is_labelled = [not is_unlabelled(name) for name in names]
     has_no_labels = not any(is_labelled)
-    chains = _collect(
+    chains = _collect_chains(
         tracklets, links, time, [has_no_labels or flag for flag in is_labelled], settled
     )
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
     markers, rejected = _assign_by_label(chains, doubles)
-    single = [
+    candidates = [
         chain
         for chain in rejected
         if time[chain.stop - 1] - time[chain.start] >= settled and chain not in doubles
     ]
-    short = [chain for chain in rejected if chain not in single]
-    eliminated, doubtful = _eliminate(markers, single)
-    leftover = short + [chain for chain in chains if chain.label < 0]
+    short_chains = [chain for chain in rejected if chain not in candidates]
+    eliminated, doubtful = _eliminate(markers, candidates)
+    leftover = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
         leftover += _remove_short(markers)
     ordered = {
@@ -118,7 +118,7 @@ def name_chains(
     return Naming(ordered, tuple(eliminated), tuple(doubtful), tuple(leftover))
 
 
-def _collect(
+def _collect_chains(
     tracklets: Tracklets, links: Links, time: Floats, named: list[bool], settled: float
 ) -> list[Chain]:
     members: dict[int, list[int]] = {}
@@ -128,10 +128,14 @@ def _collect(
     lasting = time[tracklets.stop - 1] - time[tracklets.start] >= settled
     column = tracklets.column
 
-    def label(pieces: list[int]) -> int:
-        with_name = [piece for piece in pieces if named[column[piece]]]
-        first = next((piece for piece in with_name if lasting[piece]), None)
-        best = max(with_name, key=lambda p: length[p], default=None) if first is None else first
+    def label(members: list[int]) -> int:
+        with_name = [piece for piece in members if named[column[piece]]]
+        first_lasting = next((piece for piece in with_name if lasting[piece]), None)
+        best = (
+            max(with_name, key=lambda p: length[p], default=None)
+            if first_lasting is None
+            else first_lasting
+        )
         return -1 if best is None else int(column[best])
 
     return [
@@ -149,15 +153,17 @@ def _collect(
 def _assign_by_label(
     chains: list[Chain], doubles: list[Chain]
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Return chains by marker, and those that are doubles or whose marker is taken."""
+    """Return the chains of each marker, and those that are doubles or overlap a longer chain."""
     markers: dict[int, list[Chain]] = {}
     rejected: list[Chain] = []
     for chain in sorted(chains, key=lambda chain: (-chain.frames, chain.start)):
         if chain.label < 0:
             continue
         label_chains = markers.setdefault(chain.label, [])
-        taken = any(chain.overlaps(other) for other in label_chains)
-        (rejected if taken or (label_chains and chain in doubles) else label_chains).append(chain)
+        is_taken = any(chain.overlaps(earlier) for earlier in label_chains)
+        (rejected if is_taken or (label_chains and chain in doubles) else label_chains).append(
+            chain
+        )
     return markers, rejected
 
 
@@ -176,15 +182,19 @@ def _eliminate(
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
     for chain in sorted(rejected, key=lambda chain: chain.start):
-        free = [
+        free_labels = [
             label
             for label, label_chains in markers.items()
-            if not any(chain.overlaps(other) for other in label_chains)
+            if not any(chain.overlaps(neighbour) for neighbour in label_chains)
         ]
-        rivals = [other for other in rejected if other is not chain and chain.overlaps(other)]
-        if len(free) == 1 and not rivals:
-            markers[free[0]].append(chain)
-            eliminated.append((free[0], chain))
+        rivals = [
+            neighbour
+            for neighbour in rejected
+            if neighbour is not chain and chain.overlaps(neighbour)
+        ]
+        if len(free_labels) == 1 and not rivals:
+            markers[free_labels[0]].append(chain)
+            eliminated.append((free_labels[0], chain))
         else:
             doubtful.append(chain)
     return eliminated, doubtful
@@ -197,5 +207,5 @@ def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
         for label, label_chains in markers.items()
     }
     longest = max(totals.values(), default=0)
-    short = [label for label, frames in totals.items() if 2 * frames < longest]
-    return [chain for label in short for chain in markers.pop(label)]
+    short_labels = [label for label, frames in totals.items() if 2 * frames < longest]
+    return [chain for label in short_labels for chain in markers.pop(label)]

@@ -1,4 +1,4 @@
-"""Quality notes on the repair of marker tracks."""
+"""Make quality notes on the repair of marker tracks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 
 _MAX_NOTES = 10
-"""Stretches of one marker that have a note each; more have a common note."""
+"""Number of stretches of one marker up to which each has its own note; more share one note."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ def make_repair_notes(
     Parameters
     ----------
     take : names, frame numbers, times and tracklets
-    links, naming : how the tracklets were joined and named
+    links, naming : links between the tracklets, and their markers
     stale : shape (frames, columns), samples removed as frozen
     flags : shape (frames, markers), after filling
     measured : shape (frames, columns, 3), m, for the extent of dropped tracks
@@ -61,19 +61,21 @@ def make_repair_notes(
     """
     markers = [take.names[label] for label in naming.markers]
     return (
-        *_missing_notes(take, naming, measured),
-        *_stretch_notes(take, stale, take.names, "stale"),
-        *_relabel_notes(take, naming, measured),
-        *_elimination_notes(take, naming),
-        *_jump_notes(take, links, naming),
-        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, "filled"),
-        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "open"),
-        *_ambiguity_notes(take, links, naming),
-        *_dropped_notes(take, naming, measured),
+        *_make_missing_notes(take, naming, measured),
+        *_make_stretch_notes(take, stale, take.names, "stale"),
+        *_make_relabel_notes(take, naming, measured),
+        *_make_elimination_notes(take, naming),
+        *_make_jump_notes(take, links, naming),
+        *_make_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, "filled"),
+        *_make_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "open"),
+        *_make_ambiguity_notes(take, links, naming),
+        *_make_dropped_notes(take, naming, measured),
     )
 
 
-def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _make_missing_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
     visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named:
@@ -88,7 +90,7 @@ def _missing_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iter
             )
 
 
-def _stretch_notes(
+def _make_stretch_notes(
     take: TrackletTake, mask: Flags, names: Sequence[str], kind: Literal["stale", "filled", "open"]
 ) -> Iterator[QualityNote]:
     """Yield a note per flagged stretch of a marker; many stretches have a common note."""
@@ -100,8 +102,8 @@ def _stretch_notes(
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             count = f"{len(stretches)} times, {int(flags.sum())} frames"
-            whole = take.span(stretches[0][0], stretches[-1][1])
-            spans = [(whole, f"{count}, longest {take.span(*longest)}")]
+            whole_span = take.span(stretches[0][0], stretches[-1][1])
+            spans = [(whole_span, f"{count}, longest {take.span(*longest)}")]
         for span, text in spans:
             yield QualityNote.of(
                 {
@@ -115,41 +117,43 @@ def _stretch_notes(
             )
 
 
-def _relabel_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _make_relabel_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
     """Yield a note per exchange of labels, and per stretch without a label."""
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
-        for column, start, stop in _stretches_under_other_labels(take.tracklets, label, chains):
-            name, other = take.names[label], take.names[column]
-            text, span = f"{name} was labelled as {other}", take.span(start, stop)
-            if is_unlabelled(other):
-                apart = _distance_text(
+        for column, start, stop in _list_relabelled_stretches(take.tracklets, label, chains):
+            name, other_label = take.names[label], take.names[column]
+            text, span = f"{name} was labelled as {other_label}", take.span(start, stop)
+            if is_unlabelled(other_label):
+                distance_text = _describe_distance(
                     measured[:, label], measured[start:stop, column], start, stop
                 )
                 where = f"{name}, {span}"
                 yield QualityNote.of(
-                    "markers.unlabelled_merged", where, text=text, span=span, apart=apart
+                    "markers.unlabelled_merged", where, text=text, span=span, apart=distance_text
                 )
             else:
                 exchanges.setdefault((start, stop), []).append((name, text))
     for (start, stop), markers in sorted(exchanges.items()):
-        names, texts = (", ".join(parts) for parts in zip(*markers, strict=True))
+        names, texts = (", ".join(items) for items in zip(*markers, strict=True))
         span = take.span(start, stop)
         yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
 
 
-def _distance_text(own: Floats, other: Floats, start: int, stop: int) -> str:
+def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
     """Describe the distance of two tracks where one continues the other, if both are present."""
-    seams = [
-        float(np.linalg.norm(own[frame] - end))
-        for frame, end in ((start - 1, other[0]), (stop, other[-1]))
-        if 0 <= frame < len(own)
+    end_distances = [
+        float(np.linalg.norm(track[frame] - end))
+        for frame, end in ((start - 1, continuation[0]), (stop, continuation[-1]))
+        if 0 <= frame < len(track)
     ]
-    distances = [seam for seam in seams if np.isfinite(seam)]
+    distances = [end_distance for end_distance in end_distances if np.isfinite(end_distance)]
     return f", {1e3 * max(distances):.2f} mm apart where they meet" if distances else ""
 
 
-def _stretches_under_other_labels(
+def _list_relabelled_stretches(
     pieces: Tracklets, label: int, chains: tuple[Chain, ...]
 ) -> Iterator[tuple[int, int, int]]:
     """Yield column, start and stop of the stretches of a marker under another label."""
@@ -160,44 +164,51 @@ def _stretches_under_other_labels(
             yield column, int(pieces.start[run[0]]), int(pieces.stop[run[-1]])
 
 
-def _elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
+def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
         where = f"{name}, {span}"
         yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
 
 
-def _jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
+def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
     """Yield a note per jump between successive tracklets of one label."""
     for label, chains in naming.markers.items():
-        for before, after in pairwise(chains):
-            if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
-                name, span = take.names[label], take.span(after.start, after.start + 1)
+        for previous, following in pairwise(chains):
+            if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
+                name, span = take.names[label], take.span(following.start, following.start + 1)
                 where = f"{name}, {span}"
                 yield QualityNote.of("markers.marker_jump", where, name=name, span=span)
 
 
-def _ambiguity_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
+def _make_ambiguity_notes(
+    take: TrackletTake, links: Links, naming: Naming
+) -> Iterator[QualityNote]:
     pieces = take.tracklets
     for first, second in links.ambiguous[:_MAX_NOTES]:
-        last = int(pieces.stop[first]) - 1
-        span = take.span(last, int(pieces.start[second]) + 1)
+        last_frame = int(pieces.stop[first]) - 1
+        span = take.span(last_frame, int(pieces.start[second]) + 1)
         names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
-        where, after = f"{names}, {span}", (float(take.time[last]), float(take.time[-1]))
-        yield QualityNote.of("markers.label_ambiguous", where, after, names=names, span=span)
+        where, time_range = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
+        yield QualityNote.of("markers.label_ambiguous", where, time_range, names=names, span=span)
     for chain in naming.doubtful:
         name, span = take.names[chain.label], take.span(chain.start, chain.stop)
-        when = float(take.time[chain.start]), float(take.time[chain.stop - 1])
+        time_range = float(take.time[chain.start]), float(take.time[chain.stop - 1])
         where = f"{name}, {span}"
-        yield QualityNote.of("markers.second_track", where, when, name=name, span=span)
+        yield QualityNote.of("markers.second_track", where, time_range, name=name, span=span)
 
 
-def _dropped_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _make_dropped_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
     chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
     for chain in chains[:_MAX_NOTES]:
         columns = take.tracklets.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
-        span, extent = take.span(chain.start, chain.stop), _extent(take.tracklets, chain, measured)
+        span, extent = (
+            take.span(chain.start, chain.stop),
+            _compute_extent(take.tracklets, chain, measured),
+        )
         where, size = f"{names}, {span}", 1e3 * extent
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     unlisted = chains[_MAX_NOTES:]
@@ -207,7 +218,7 @@ def _dropped_notes(take: TrackletTake, naming: Naming, measured: Floats) -> Iter
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
-def _extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
+def _compute_extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
     """Return the diagonal of the bounding box of a track, m."""
     points = np.concatenate(
         [

@@ -1,4 +1,4 @@
-"""Rings and sections with several markers: their centres on the axis of the specimen."""
+"""Compute the centres of rings and sections with several markers on the axis of the specimen."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 def compute_ring_centres(
     repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]
 ) -> RepairedTracks:
-    """Return the centre of every ring of markers.
+    """Compute the centre of every ring of markers.
 
     Parameters
     ----------
@@ -77,16 +77,18 @@ def compute_ring_centres(
             message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
             raise ValueError(message)
         columns = [repaired.names.index(name) for name in members]
-        centre, origin = _centre(repaired.positions[:, columns], repaired.flags[:, columns])
+        centre, origin = _compute_centre(repaired.positions[:, columns], repaired.flags[:, columns])
         tracks.append(centre)
         flags.append(origin)
-        notes.extend(_notes(ring, members, repaired.flags[:, columns]))
+        notes.extend(_make_notes(ring, members, repaired.flags[:, columns]))
     return RepairedTracks(
         tuple(groups), np.stack(tracks, axis=1), np.stack(flags, axis=1), tuple(notes)
     )
 
 
-def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
+def _compute_centre(
+    positions: Floats, flags: NDArray[np.uint8]
+) -> tuple[Floats, NDArray[np.uint8]]:
     is_visible = is_in_sight(positions)
     complete = is_visible.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
@@ -95,47 +97,51 @@ def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArra
     for pattern in np.unique(is_visible[~complete], axis=0):
         frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _centre_from_visible(
+            centre[frames] = _compute_centre_from_visible(
                 positions, pattern, frames, np.flatnonzero(complete)
             )
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 
 
-def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, complete: Ints) -> Floats:
+def _compute_centre_from_visible(
+    positions: Floats, pattern: Flags, frames: Ints, complete: Ints
+) -> Floats:
     """Return centres in `frames`, where only the markers of `pattern` are in sight."""
     visible = positions[:, pattern]
     middle = visible[frames].mean(axis=1)
     if not len(complete):
         return np.asarray(middle, dtype=np.float64)
     if pattern.sum() >= 3:
-        later = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
-        earlier = np.maximum(later - 1, 0)
-        is_later = np.abs(complete[later] - frames) < np.abs(frames - complete[earlier])
-        nearest = np.where(is_later, complete[later], complete[earlier])
+        next_index = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
+        previous_index = np.maximum(next_index - 1, 0)
+        is_later = np.abs(complete[next_index] - frames) < np.abs(frames - complete[previous_index])
+        nearest = np.where(is_later, complete[next_index], complete[previous_index])
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
-        turn = _rotations(template, visible[frames] - middle[:, None])
+        rotation = _fit_rotations(template, visible[frames] - middle[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
-        return np.asarray(middle + np.einsum("fij,fj->fi", turn, offset), dtype=np.float64)
+        return np.asarray(middle + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
     offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
-    carried = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
-    return np.asarray(middle + carried, dtype=np.float64)
+    interpolated = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
+    return np.asarray(middle + interpolated, dtype=np.float64)
 
 
-def _rotations(before: Floats, after: Floats) -> Floats:
+def _fit_rotations(template: Floats, points: Floats) -> Floats:
     """Return the best rotations from one set of centred points to another, per frame (Kabsch)."""
-    u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", after, before))
-    mirror = np.ones((len(before), 3))
+    u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
+    mirror = np.ones((len(template), 3))
     mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
     return np.asarray((u * mirror[:, None]) @ vt, dtype=np.float64)
 
 
-def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Iterator[QualityNote]:
+def _make_notes(
+    ring: str, members: Sequence[str], flags: NDArray[np.uint8]
+) -> Iterator[QualityNote]:
     missing = flags == PointFlag.MISSING
-    built = missing.any(axis=1) & ~missing.all(axis=1)
-    if built.any():
-        absent = [members[i] for i in np.flatnonzero(missing[built].any(axis=0)).tolist()]
-        names, frames = ", ".join(absent), int(built.sum())
+    is_partial = missing.any(axis=1) & ~missing.all(axis=1)
+    if is_partial.any():
+        absent = [members[i] for i in np.flatnonzero(missing[is_partial].any(axis=0)).tolist()]
+        names, frames = ", ".join(absent), int(is_partial.sum())
         yield QualityNote.of("markers.ring_incomplete", ring, ring=ring, names=names, frames=frames)
     if missing.any(axis=1).all():
         yield QualityNote.of("markers.ring_never_whole", ring, ring=ring)
@@ -189,7 +195,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     Raises
     ------
     ValueError
-        If fewer than three markers are seen at rest, or nothing moves.
+        If fewer than three markers are visible at rest, or no marker moves.
 
     Notes
     -----
@@ -206,11 +212,11 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     at_rest = np.nanmean(markers[rest], axis=0)
     centre = at_rest.mean(axis=0)
     x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
-    along = (at_rest - centre) @ x
-    section: Ints = np.empty(len(along), dtype=np.int64)
-    order = np.argsort(along)
-    section[order] = np.append(0, np.cumsum(np.diff(along[order]) > min_distance))
-    y = _direction_of_motion(markers - at_rest, section, x)
+    station = (at_rest - centre) @ x
+    section: Ints = np.empty(len(station), dtype=np.int64)
+    order = np.argsort(station)
+    section[order] = np.append(0, np.cumsum(np.diff(station[order]) > min_distance))
+    y = _find_motion_direction(markers - at_rest, section, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
         markers=(markers - centre) @ rotation.T,
@@ -221,15 +227,15 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     )
 
 
-def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
+def _find_motion_direction(moved: Floats, section: Ints, x: Floats) -> Floats:
     # In m: below the resolution of cameras.
     min_motion = 1e-6
     across = moved - (moved @ x)[..., None] * x
     paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
-    far = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
-    path = paths[int(np.argmax(far))]
+    max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
+    path = paths[int(np.argmax(max_distances))]
     path = path[np.isfinite(path).all(axis=1)]
-    if not far.max() > min_motion or not len(path):
+    if not max_distances.max() > min_motion or not len(path):
         message = "the markers do not move: expected a specimen that is bent"
         raise ValueError(message)
     main = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
@@ -238,7 +244,7 @@ def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
 
 
 def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
-    """Return the position of the axis of the cylinder in the plane across it.
+    """Fit the position of the axis of the cylinder in the plane normal to it.
 
     Parameters
     ----------
@@ -257,18 +263,18 @@ def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, fl
     follows from `towards`.
     """
     max_steps = 20
-    points, out = sections.at_rest[:, 1:], np.asarray(towards)
-    axis = points.mean(axis=0) - radius * out
+    points, direction = sections.at_rest[:, 1:], np.asarray(towards)
+    axis = points.mean(axis=0) - radius * direction
     for _ in range(max_steps if radius > 0.0 else 0):
         offsets = points - axis
-        far = np.linalg.norm(offsets, axis=1)
-        step = np.linalg.lstsq(-offsets / far[:, None], radius - far, rcond=0.05)[0]
+        distances = np.linalg.norm(offsets, axis=1)
+        step = np.linalg.lstsq(-offsets / distances[:, None], radius - distances, rcond=0.05)[0]
         axis = axis + step
     return np.asarray(axis, dtype=np.float64)
 
 
 def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
-    """Return the twist of every section about the axis relative to rest.
+    """Compute the twist of every section about the axis relative to rest.
 
     Parameters
     ----------
@@ -305,16 +311,16 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
         angle = slope[:, number, None]
         section_markers = sections.markers[:, in_section]
         across = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
-        now = across + 1j * section_markers[..., 2]
-        now = now - now.mean(axis=1, keepdims=True)
-        twist[:, number] = np.angle(np.sum(np.conj(position_at_rest) * now, axis=1))
+        position = across + 1j * section_markers[..., 2]
+        position = position - position.mean(axis=1, keepdims=True)
+        twist[:, number] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
     return twist, lever
 
 
 def compute_section_centres(
     sections: Sections, axis: Floats, slope: Floats, twist: Floats
 ) -> Floats:
-    """Return the point on the axis of every section.
+    """Compute the point on the axis of every section.
 
     Parameters
     ----------
@@ -334,17 +340,17 @@ def compute_section_centres(
     averaged.
     """
     frames, x = len(sections.markers), sections.x
-    turned = _fill_twist(twist)
+    filled_twist = _fill_twist(twist)
     centres = np.full((frames, sections.count, 3), np.nan)
     for number in range(sections.count):
         in_section = sections.section == number
-        off = sections.at_rest[in_section] - np.array([x[number], *axis])
-        phi, angle = turned[:, number, None], slope[:, number, None]
-        across = np.cos(phi) * off[:, 1] - np.sin(phi) * off[:, 2]
-        out = np.sin(phi) * off[:, 1] + np.cos(phi) * off[:, 2]
-        turned_x = np.cos(angle) * off[:, 0] - np.sin(angle) * across
-        turned_y = np.sin(angle) * off[:, 0] + np.cos(angle) * across
-        points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, out], axis=2)
+        offset = sections.at_rest[in_section] - np.array([x[number], *axis])
+        phi, angle = filled_twist[:, number, None], slope[:, number, None]
+        across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
+        offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
+        turned_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
+        turned_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
+        points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, offset_z], axis=2)
         is_measured = np.isfinite(points).all(axis=2)
         total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
         has_points = is_measured.any(axis=1)

@@ -1,4 +1,4 @@
-"""The specimen frame: x along the wire, y towards the pull, z out of the plane."""
+"""Find the specimen frame: x along the wire, y towards the pull, z out of the plane."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SpecimenFrame(ArrayRecord):
         return np.asarray(moved, dtype=np.float64)
 
 
-def _direction(vector: Floats, name: str) -> Floats:
+def _normalise(vector: Floats, name: str) -> Floats:
     values = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(values))
     if not (np.isfinite(length) and length > 1e-12):
@@ -70,7 +70,7 @@ def find_specimen_frame(
     Raises
     ------
     ValueError
-        If nothing moves, nothing is in sight at rest, or there are fewer than two markers.
+        If nothing moves, nothing is visible at rest, or there are fewer than two markers.
 
     Notes
     -----
@@ -84,37 +84,41 @@ def find_specimen_frame(
         message = f"markers_lab of shape {markers_lab.shape}: expected at least 2 markers"
         raise ValueError(message)
     if clamp_lab is None:
-        return _frame_of_chain(markers_lab, rest, out_of_plane_limit)
+        return _find_chain_frame(markers_lab, rest, out_of_plane_limit)
     relative = markers_lab - clamp_lab[:, None]
-    origin = _mean(clamp_lab[rest], "the clamp")
-    travel, travel_residual = _travel(clamp_lab, origin)
+    origin = _compute_mean(clamp_lab[rest], "the clamp")
+    travel, travel_residual = _fit_travel(clamp_lab, origin)
     across = relative - (relative @ travel)[..., None] * travel
-    x, out_of_plane = _spread(across.reshape(-1, 3), travel)
+    x, out_of_plane = _find_spread_direction(across.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])
-    from_clamp = [_typical(relative[:, marker], rest) for marker in range(relative.shape[1])]
-    order = _order(_distances(relative, rest), np.array(from_clamp))
-    notes = _notes(out_of_plane, out_of_plane_limit)
+    from_clamp = [
+        _compute_median_length(relative[:, marker], rest) for marker in range(relative.shape[1])
+    ]
+    order = _order_markers(_compute_distances(relative, rest), np.array(from_clamp))
+    notes = _make_notes(out_of_plane, out_of_plane_limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
 
 
-def _frame_of_chain(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
-    distances = _distances(markers_lab, rest)
+def _find_chain_frame(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
+    distances = _compute_distances(markers_lab, rest)
     ends = np.unravel_index(np.nanargmax(distances), distances.shape)
     extents = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
-    first = int(ends[int(np.argmin(extents))])
-    order = _order(distances, distances[first])
-    origin = _mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
-    tip = _mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
-    x = _direction(tip - origin, "chain at rest")
-    swing = markers_lab[:, order[-1]] - tip
-    y, _ = _spread(swing - (swing @ x)[:, None] * x, x)
+    first_marker = int(ends[int(np.argmin(extents))])
+    order = _order_markers(distances, distances[first_marker])
+    origin = _compute_mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
+    tip = _compute_mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
+    x = _normalise(tip - origin, "chain at rest")
+    tip_motion = markers_lab[:, order[-1]] - tip
+    y, _ = _find_spread_direction(tip_motion - (tip_motion @ x)[:, None] * x, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     height = (markers_lab - origin) @ rotation[2]
     out_of_plane = float(np.sqrt(np.nanmean((height - np.nanmean(height)) ** 2)))
-    return SpecimenFrame(rotation, origin, order, out_of_plane, 0.0, _notes(out_of_plane, limit))
+    return SpecimenFrame(
+        rotation, origin, order, out_of_plane, 0.0, _make_notes(out_of_plane, limit)
+    )
 
 
-def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
+def _fit_travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
     """Return the direction of travel of the clamp, and the rms deviation of its path."""
     measured = path[np.isfinite(path).all(axis=1)]
     centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
@@ -122,13 +126,13 @@ def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
     if spread[0] <= 1e-9 * np.sqrt(len(centred)):
         message = "clamp_lab: expected a clamp that moves, found one at rest"
         raise ValueError(message)
-    along = (measured - rest) @ axes[0]
-    sign = np.sign(along[np.abs(along).argmax()])
+    projection = (measured - rest) @ axes[0]
+    sign = np.sign(projection[np.abs(projection).argmax()])
     return sign * axes[0], float(np.sqrt((spread[1:] ** 2).sum() / len(centred)))
 
 
-def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread across `normal`, and the spread beside it."""
+def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
+    """Return the direction of largest spread normal to `normal`, and the rms spread across it."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         message = "markers_lab: expected markers in some frame in which the clamp is seen"
@@ -136,25 +140,25 @@ def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
     centred = measured - measured.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred / len(measured))
     main = axes[:, 2] - (axes[:, 2] @ normal) * normal
-    main = _direction(main, "spread of the markers across the travel")
+    main = _normalise(main, "spread of the markers across the travel")
     side = np.cross(normal, main)
-    along = measured @ main
-    sign = np.sign(along[np.abs(along).argmax()])
+    projection = measured @ main
+    sign = np.sign(projection[np.abs(projection).argmax()])
     return sign * main, float(np.sqrt(np.mean((centred @ side) ** 2)))
 
 
-def _distances(positions: Floats, rest: Selection) -> Floats:
+def _compute_distances(positions: Floats, rest: Selection) -> Floats:
     """Return distances between markers, m: at rest, or over all frames for other pairs."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for first in range(count):
         for second in range(first):
-            distance = _typical(positions[:, first] - positions[:, second], rest)
+            distance = _compute_median_length(positions[:, first] - positions[:, second], rest)
             distances[first, second] = distances[second, first] = distance
     return distances
 
 
-def _typical(offsets: Floats, rest: Selection) -> float:
+def _compute_median_length(offsets: Floats, rest: Selection) -> float:
     """Return the median length of offsets of shape (frames, 3), m; infinite if there is none."""
     for stretch in (offsets[rest], offsets):
         distance = np.linalg.norm(stretch, axis=1)
@@ -164,8 +168,8 @@ def _typical(offsets: Floats, rest: Selection) -> float:
     return np.inf
 
 
-def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
-    """Return the order of markers along the wire: from the clamp, always to the nearest one."""
+def _order_markers(distances: Floats, reach: Floats) -> tuple[int, ...]:
+    """Return the order of markers along the wire: from the clamp, each time the nearest next."""
     order = [int(np.argmin(reach))]
     while len(order) < len(distances):
         remaining = [marker for marker in range(len(distances)) if marker not in order]
@@ -173,7 +177,7 @@ def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
     return tuple(order)
 
 
-def _mean(points: Floats, name: str) -> Floats:
+def _compute_mean(points: Floats, name: str) -> Floats:
     measured = points[np.isfinite(points).all(axis=-1)]
     if not len(measured):
         message = (
@@ -184,8 +188,8 @@ def _mean(points: Floats, name: str) -> Floats:
     return np.asarray(measured.mean(axis=0), dtype=np.float64)
 
 
-def _notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
+def _make_notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
     if out_of_plane <= limit:
         return ()
-    off, most = 1e3 * out_of_plane, 1e3 * limit
-    return (QualityNote.of("markers.out_of_plane", "markers", off=off, limit=most),)
+    out_of_plane_mm, limit_mm = 1e3 * out_of_plane, 1e3 * limit
+    return (QualityNote.of("markers.out_of_plane", "markers", off=out_of_plane_mm, limit=limit_mm),)

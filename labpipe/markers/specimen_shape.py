@@ -1,4 +1,4 @@
-"""The shape of the specimen in every frame: a smooth curve in arc length through its markers."""
+"""Fit the shape of the specimen in every frame: a smooth curve in arc length to its markers."""
 
 from __future__ import annotations
 
@@ -76,18 +76,18 @@ class Offsets:
     centre: float = 0.0
 
     def perturb(self, by: Offsets) -> dict[str, Offsets]:
-        """Return the offsets with each one increased separately, by cause, without exact ones.
+        """Return offsets by cause, in each of which one uncertain offset is increased.
 
         Parameters
         ----------
         by : standard uncertainties
         """
-        longer = {
+        increased = {
             GRIP: replace(self, grip=self.grip + by.grip),
             PULL: replace(self, pull=self.pull + by.pull),
             CENTRE: replace(self, centre=self.centre + by.centre),
         }
-        return {cause: offsets for cause, offsets in longer.items() if offsets != self}
+        return {cause: offsets for cause, offsets in increased.items() if offsets != self}
 
 
 EXACT: Final = Offsets()
@@ -145,44 +145,48 @@ def fit_shape(
     With 8 markers on 85 mm and 7 terms the error of the tip of an elastic wire is below 7 um up to
     53 mm of deflection; if the wire kinks (bilinear law) below 0.1 mm, as `tip_systematic` shows.
     """
-    # In m: only changes of some 1e-5 m matter here.
+    # In m; only changes above about 1e-5 m are relevant here.
     tolerance = 1e-8
-    _check(markers_specimen, flags, names, time)
+    _require_shapes(markers_specimen, flags, names, time)
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
     settled = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
-    straight = _mean_at_rest(relative[:, settled], rest)
-    begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
+    mean_markers = _average_at_rest(relative[:, settled], rest)
+    begin = partial(_fit_beginning, mean_markers, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     perturbed = offsets.perturb(uncertainties) if clamped else {}
     markers = relative[:, settled]
     heights = {}
-    for cause, other in perturbed.items():
-        start, ends = begin(other, settled=tolerance)
+    for cause, perturbed_offsets in perturbed.items():
+        start, ends = begin(perturbed_offsets, settled=tolerance)
         moved = markers - start.clamped_end
-        curves = fit_frames(moved, start.arc_length, other.centre, ends, terms=terms)
+        curves = fit_frames(moved, start.arc_length, perturbed_offsets.centre, ends, terms=terms)
         heights[cause] = curves.last_point[:, 1]
     markers = markers - (at_rest.clamped_end if clamped else 0.0)
     model = (markers, at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
-    finer = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
-    kept = tuple(np.array(names)[settled].tolist())
-    points = _Points(markers, flags[:, settled], kept, at_rest)
+    finer_fit = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
+    kept_names = tuple(np.array(names)[settled].tolist())
+    points = _Points(markers, flags[:, settled], kept_names, at_rest)
     return ShapeFit(
-        shape=_shape(points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped),
+        shape=_build_shape(
+            points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped
+        ),
         clamp_angle=float(np.arctan2(at_rest.tangent[1], at_rest.tangent[0])),
         residual=fit.residual,
         marker_noise=fit.noise(rest),
         tip_gain=fit.gain,
         tip_systematic=(
-            np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
+            np.full_like(fit.gain, np.nan)
+            if finer_fit is None
+            else finer_fit.last_point - fit.last_point
         ),
         perturbed_tip=heights,
-        notes=_notes(names, settled, fit, time),
+        notes=_make_notes(names, settled, fit, time),
     )
 
 
-def _beginning(
+def _fit_beginning(
     straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
 ) -> tuple[RestCurve, EndConditions]:
     """Return the curve at rest through the means of the markers, and the end conditions."""
@@ -203,7 +207,7 @@ def _beginning(
 
 
 def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
-    """Return the deflection of the last point relative to the first, across the specimen.
+    """Compute the deflection of the last point relative to the first, normal to the specimen.
 
     Parameters
     ----------
@@ -220,12 +224,12 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
         If no frame of the rest has both points.
     """
     lift: Floats = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
-    standing = lift[rest]
-    standing = standing[np.isfinite(standing)]
-    if not len(standing):
+    rest_lift = lift[rest]
+    rest_lift = rest_lift[np.isfinite(rest_lift)]
+    if not len(rest_lift):
         message = "rest: expected a frame with first and last point at rest, found none"
         raise ValueError(message)
-    return np.asarray(lift - standing.mean(), dtype=np.float64)
+    return np.asarray(lift - rest_lift.mean(), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +242,9 @@ class _Points:
     at_rest: RestCurve
 
 
-def _check(markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time: Floats) -> None:
+def _require_shapes(
+    markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time: Floats
+) -> None:
     expected_shape = (len(time), len(names))
     if markers.shape != (*expected_shape, 3) or flags.shape != expected_shape:
         message = (
@@ -248,7 +254,7 @@ def _check(markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time
         raise ValueError(message)
 
 
-def _mean_at_rest(relative: Floats, rest: Selection) -> Floats:
+def _average_at_rest(relative: Floats, rest: Selection) -> Floats:
     if relative.shape[1] < MIN_MARKERS:
         message = (
             f"markers at rest={relative.shape[1]}: expected at least {MIN_MARKERS} markers seen "
@@ -258,7 +264,7 @@ def _mean_at_rest(relative: Floats, rest: Selection) -> Floats:
     return np.asarray(np.nanmean(relative[rest], axis=0), dtype=np.float64)
 
 
-def _shape(
+def _build_shape(
     points: _Points,
     fit: FrameFits,
     time: Floats,
@@ -272,7 +278,7 @@ def _shape(
     positions, names = [points.positions], list(points.names)
     flags = [np.where(is_in_sight(points.positions), points.flags, PointFlag.MISSING)]
     arc_length = [points.at_rest.arc_length]
-    built = np.where(is_in_sight(fit.last_point), PointFlag.CONSTRUCTED, 0)[:, None]
+    tip_flag = np.where(is_in_sight(fit.last_point), PointFlag.CONSTRUCTED, 0)[:, None]
     if clamped:
         start = np.where(is_in_sight(points.positions).any(axis=1), 0.0, np.nan)
         positions.insert(0, np.repeat(start, 3).reshape(frames, 1, 3))
@@ -281,7 +287,7 @@ def _shape(
         arc_length.insert(0, np.zeros(1))
     if conditions.length > points.at_rest.arc_length[-1]:
         positions.append(fit.last_point[:, None])
-        flags.append(built)
+        flags.append(tip_flag)
         names.append(PULL_POINT)
         arc_length.append(np.array([conditions.length]))
     return Shape(
@@ -296,22 +302,22 @@ def _shape(
     )
 
 
-def _notes(
+def _make_notes(
     names: Sequence[str], settled: Flags, fit: FrameFits, time: Floats
 ) -> tuple[QualityNote, ...]:
     notes = [
         QualityNote.of("markers.marker_not_at_rest", name, name=name)
         for name in np.array(names)[~settled].tolist()
     ]
-    gone = ~is_in_sight(fit.last_point)
-    lost = np.flatnonzero(gone)
-    if len(lost):
-        share = f"{len(lost)} of {len(time)} frames"
-        span = f"{time[lost[0]]:.3f} s to {time[lost[-1]]:.3f} s"
+    is_missing = ~is_in_sight(fit.last_point)
+    missing_frames = np.flatnonzero(is_missing)
+    if len(missing_frames):
+        share = f"{len(missing_frames)} of {len(time)} frames"
+        span = f"{time[missing_frames[0]]:.3f} s to {time[missing_frames[-1]]:.3f} s"
         note = QualityNote.of(
             "markers.shape_missing",
             "markers",
-            *find_run_times(gone, time),
+            *find_run_times(is_missing, time),
             share=share,
             span=span,
             needed=fit.min_markers,

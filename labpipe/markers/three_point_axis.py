@@ -1,4 +1,4 @@
-"""Shape and curvature of a specimen in three-point bending, from sections of markers."""
+"""Fit shape and curvature of a specimen in three-point bending to sections of markers."""
 
 from __future__ import annotations
 
@@ -163,15 +163,15 @@ def fit_span(
     fits = []
     for towards in SIDES[facing]:
         axis = fit_rest_axis(sections, radius=radius, towards=towards)
-        middle, misfit = _find_mid_span(some_frames, axis, span, radius)
-        shapes = _fit_shapes(some_frames, axis, middle, span, radius)
+        mid_span, misfit = _find_mid_span(some_frames, axis, span, radius)
+        shapes = _fit_shapes(some_frames, axis, mid_span, span, radius)
         curvature = float(np.nanmean(shapes.axis.mid_span))
-        fits.append((misfit, axis, middle, curvature))
+        fits.append((misfit, axis, mid_span, curvature))
     fits.sort(key=lambda fit: fit[0])
-    _, axis, middle, curvature = fits[0]
-    _check_reach(sections.x - middle, span)
+    _, axis, mid_span, curvature = fits[0]
+    _check_reach(sections.x - mid_span, span)
     side_share = abs(fits[-1][3] / curvature - 1.0)
-    return replace(_fit_shapes(sections, axis, middle, span, radius), side_share=side_share)
+    return replace(_fit_shapes(sections, axis, mid_span, span, radius), side_share=side_share)
 
 
 def _check_span(sections: Sections, span: float) -> None:
@@ -276,19 +276,19 @@ def fit_bent_axis(
     the specimen. There is no moment at the supports, and the overhangs are straight.
     """
     chunk_frames = 400
-    first = np.zeros((len(points), terms + 2))
+    initial = np.zeros((len(points), terms + 2))
     if start is not None:
-        first = np.column_stack([start.curvature, start.tilt, start.height])
+        initial = np.column_stack([start.curvature, start.tilt, start.height])
     steps = 3 if start is None else 1
-    first = np.nan_to_num(first)
-    parts = [
+    initial = np.nan_to_num(initial)
+    chunks = [
         _fit_chunk(
-            points[begin : begin + chunk_frames], span, first[begin : begin + chunk_frames], steps
+            points[begin : begin + chunk_frames], span, initial[begin : begin + chunk_frames], steps
         )
         for begin in range(0, len(points), chunk_frames)
     ]
     curvature, tilt, height, residual, freedom = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
+        np.concatenate(column) for column in zip(*chunks, strict=True)
     )
     return BentAxis(curvature, tilt, height, residual, freedom, span)
 

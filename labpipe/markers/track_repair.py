@@ -1,4 +1,4 @@
-"""Repair of marker tracks: label switches, unlabelled tracks, gaps."""
+"""Repair marker tracks: label switches, unlabelled tracks, gaps."""
 
 from __future__ import annotations
 
@@ -83,14 +83,18 @@ def repair_tracks(
     by cubics (Hermite) in the positions relative to `reference`, with the speed of the frames
     around the gap at its ends.
     """
-    # In max_jump: a track that begins this close to another is its second image.
+    # Share of max_jump: a track that begins within this distance of another one is its double.
     double_share = 0.25
     for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
         if not value > 0:
             message = f"{name}={value}: expected a value above 0"
             raise ValueError(message)
     measured, names = _copy_tracks(tracks, along), tuple(along)
-    base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
+    base = (
+        np.zeros((len(measured), 3))
+        if reference is None
+        else _fill_linearly(reference, tracks.time)
+    )
     stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - base[:, None]
@@ -108,14 +112,14 @@ def repair_tracks(
     _require_markers(names, naming)
     take = TrackletTake(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
-    holes = _holes(pieces, links, naming, len(measured))
-    _fill(positions, flags, base, tracks.time, holes)
+    holes = _find_holes(pieces, links, naming, len(measured))
+    _fill_holes(positions, flags, base, tracks.time, holes)
     notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
     return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
-    """Copy the wanted tracks; a sample with one missing coordinate is missing."""
+    """Copy the tracks of the names; a sample with one missing coordinate is missing."""
     unknown = [name for name in along if name not in tracks.names]
     if unknown or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
@@ -126,7 +130,7 @@ def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
     return measured
 
 
-def _bridged(reference: Floats, time: Floats) -> Floats:
+def _fill_linearly(reference: Floats, time: Floats) -> Floats:
     """Fill gaps of the clamp's path linearly; extend its ends."""
     present = np.isfinite(reference).all(axis=1)
     if not present.any():
@@ -154,30 +158,30 @@ def _assemble(
     positions = np.full((*shape, 3), np.nan)
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
     for marker, (label, chains) in enumerate(naming.markers.items()):
-        for piece in _pieces(chains):
+        for piece in _list_tracklets(chains):
             column, stretch = pieces.column[piece], slice(pieces.start[piece], pieces.stop[piece])
             positions[stretch, marker] = measured[stretch, column]
-            is_own = column == label
-            flags[stretch, marker] = PointFlag.MEASURED if is_own else PointFlag.RELABELLED
+            has_own_label = column == label
+            flags[stretch, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
     return positions, flags
 
 
-def _pieces(chains: tuple[Chain, ...]) -> list[int]:
+def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
     return [piece for chain in chains for piece in chain.tracklets]
 
 
-def _holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
+def _find_holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
     """Return the frames of each marker between two joined tracklets."""
     holes = np.zeros((frames, len(naming.markers)), dtype=np.bool_)
     for marker, chains in enumerate(naming.markers.values()):
-        for piece in _pieces(chains):
-            after = links.successor[piece]
-            if after >= 0:
-                holes[pieces.stop[piece] : pieces.start[after], marker] = True
+        for piece in _list_tracklets(chains):
+            following = links.successor[piece]
+            if following >= 0:
+                holes[pieces.stop[piece] : pieces.start[following], marker] = True
     return holes
 
 
-def _fill(
+def _fill_holes(
     positions: Floats, flags: NDArray[np.uint8], base: Floats, time: Floats, holes: Flags
 ) -> None:
     for marker in np.flatnonzero(holes.any(axis=0)):
@@ -191,23 +195,26 @@ def _fill(
 def _bridge_path(time: Floats, path: Floats, times: Floats) -> Floats:
     """Return cubics across the gaps of a path, with its speed at both ends."""
     speed_frames = 5
-    after = np.searchsorted(time, times)
-    before = after - 1
-    span = (time[after] - time[before])[:, None]
-    part = (times - time[before])[:, None] / span
-    leaving = _speed(time, path, np.maximum(before - speed_frames, 0), before) * span
-    arriving = _speed(time, path, after, np.minimum(after + speed_frames, len(time) - 1)) * span
-    start, stop = path[before], path[after]
-    remaining_part = 1.0 - part
+    following = np.searchsorted(time, times)
+    previous = following - 1
+    span = (time[following] - time[previous])[:, None]
+    share = (times - time[previous])[:, None] / span
+    start_step = _compute_speed(time, path, np.maximum(previous - speed_frames, 0), previous) * span
+    stop_step = (
+        _compute_speed(time, path, following, np.minimum(following + speed_frames, len(time) - 1))
+        * span
+    )
+    start, stop = path[previous], path[following]
+    remaining_share = 1.0 - share
     bridge: Floats = (
-        start * remaining_part**2 * (1.0 + 2.0 * part)
-        + stop * part**2 * (1.0 + 2.0 * remaining_part)
-        + part * remaining_part * (leaving * remaining_part - arriving * part)
+        start * remaining_share**2 * (1.0 + 2.0 * share)
+        + stop * share**2 * (1.0 + 2.0 * remaining_share)
+        + share * remaining_share * (start_step * remaining_share - stop_step * share)
     )
     return bridge
 
 
-def _speed(time: Floats, path: Floats, first: Ints, last: Ints) -> Floats:
-    pause = np.where(last > first, time[last] - time[first], 1.0)
-    speed: Floats = (path[last] - path[first]) / pause[:, None]
+def _compute_speed(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
+    duration = np.where(stop > start, time[stop] - time[start], 1.0)
+    speed: Floats = (path[stop] - path[start]) / duration[:, None]
     return speed

@@ -1,4 +1,4 @@
-"""Tracklets: unbroken stretches of marker tracks, and their links into chains of one marker."""
+"""Cut marker tracks into tracklets (unbroken stretches), and link these to chains of a marker."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Tracklets:
 
 def is_in_sight(positions: Floats) -> Flags:
     """Return whether each point of shape (..., 3) has a position, shape (...)."""
-    x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
+    x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 times slower
     return np.asarray(x & y & z, dtype=np.bool_)
 
 
@@ -73,16 +73,18 @@ def find_frozen_samples(
         positions if reference is None else np.concatenate([positions, reference[:, None]], axis=1)
     )
     steps = np.diff(all_points, axis=0)
-    same = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
+    is_repeated = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
     n_moving = (np.abs(steps) > 0).any(axis=2).sum(axis=1)
-    edges = np.diff(np.pad(same[:, : positions.shape[1]].T.astype(np.int8), ((0, 0), (1, 1))))
+    edges = np.diff(
+        np.pad(is_repeated[:, : positions.shape[1]].T.astype(np.int8), ((0, 0), (1, 1)))
+    )
     points, first = np.nonzero(edges == 1)
     last = np.nonzero(edges == -1)[1]
     moving_steps = np.r_[0, np.cumsum(n_moving > 0)]
-    counts = (time[last] - time[first] >= frozen * (1 - 1e-9)) & (
+    is_frozen = (time[last] - time[first] >= frozen * (1 - 1e-9)) & (
         2 * (moving_steps[last] - moving_steps[first]) >= last - first
     )
-    for point, begin, end in zip(points[counts], first[counts], last[counts], strict=True):
+    for point, begin, end in zip(points[is_frozen], first[is_frozen], last[is_frozen], strict=True):
         stale[begin + 1 : end + 1, point] = True
     return stale
 
@@ -107,38 +109,38 @@ def cut_tracklets(
     """
     is_visible = is_in_sight(positions)
     joined = is_visible[1:] & is_visible[:-1]
-    joined &= ~_jumps(positions, relative, time, max_jump)
-    before = np.pad(joined, ((1, 0), (0, 0)))
-    after = np.pad(joined, ((0, 1), (0, 0)))
-    column, start = np.nonzero((is_visible & ~before).T)
-    stop = np.nonzero((is_visible & ~after).T)[1] + 1
+    joined &= ~_find_jumps(positions, relative, time, max_jump)
+    joins_previous = np.pad(joined, ((1, 0), (0, 0)))
+    joins_next = np.pad(joined, ((0, 1), (0, 0)))
+    column, start = np.nonzero((is_visible & ~joins_previous).T)
+    stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
     order = np.lexsort((column, start))
     return Tracklets(
         column[order].astype(np.int64), start[order].astype(np.int64), stop[order].astype(np.int64)
     )
 
 
-def _jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
+def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
     steps = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
-    moved = np.minimum(_squared_steps(positions), _squared_steps(relative))
+    moved = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
     jumps: Flags = np.asarray(moved > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
     # Two markers closer than max_jump can exchange labels without a jump.
     suspects = np.flatnonzero((moved > (max_jump / 4) ** 2).sum(axis=1) > 1)
-    jumps[suspects] |= _exchanges(relative[suspects], relative[suspects + 1])
+    jumps[suspects] |= _find_exchanges(relative[suspects], relative[suspects + 1])
     return jumps
 
 
-def _squared_steps(positions: Floats) -> Floats:
+def _compute_squared_steps(positions: Floats) -> Floats:
     steps = np.diff(positions, axis=0)
     return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
 
 
-def _exchanges(earlier: Floats, later: Floats) -> Flags:
+def _find_exchanges(earlier: Floats, later: Floats) -> Flags:
     """Return whether each track exchanges positions with another one between two frames."""
     distances = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
     steps = np.einsum("fii->fi", distances)
-    nearer = distances < steps[:, :, None]
-    return np.asarray((nearer & nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
+    is_nearer = distances < steps[:, :, None]
+    return np.asarray((is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,26 +194,26 @@ def link_tracklets(
     smallest total cost is used: the distance, plus a quarter of `max_jump` for a change of label. A
     change of label is rejected if a rival (a simultaneous tracklet) is as near within that margin.
     """
-    pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
+    pairs = _find_candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
     chosen = _assign(pairs, unlinked=max_jump * (1 + _LABEL_CHANGE_COST))
     margin = _LABEL_CHANGE_COST * max_jump
-    doubts = dict(_rivals(pairs, chosen, tracklets, margin))
+    rivals_of_pairs = dict(_find_rivals(pairs, chosen, tracklets, margin))
     changes_label = tracklets.column[pairs.end] != tracklets.column[pairs.start]
     for index in chosen:
-        if not (changes_label[index] and index in doubts):
+        if not (changes_label[index] and index in rivals_of_pairs):
             successor[pairs.end[index]] = pairs.start[index]
     ambiguous = tuple(
         (
             int(pairs.end[index]),
             int(pairs.start[index] if changes_label[index] else pairs.start[rival]),
         )
-        for index, rival in doubts.items()
+        for index, rival in rivals_of_pairs.items()
     )
-    return Links(_chains(successor), successor, ambiguous)
+    return Links(_number_chains(successor), successor, ambiguous)
 
 
-def _candidates(
+def _find_candidates(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> _Pairs:
     period = compute_frame_period(time)
@@ -222,7 +224,7 @@ def _candidates(
     end = np.repeat(np.arange(len(tracklets)), counts)
     start = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[end]
     pause = starts[start] - ends[end]
-    distance = _distances(tracklets, relative, time, end, start)
+    distance = _compute_distances(tracklets, relative, time, end, start)
     changes_label = tracklets.column[end] != tracklets.column[start]
     max_distance = np.where(
         changes_label, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period))
@@ -232,7 +234,7 @@ def _candidates(
     return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
 
 
-def _distances(
+def _compute_distances(
     tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
 ) -> Floats:
     """Return the distance of each start from the expected position of the end."""
@@ -242,14 +244,14 @@ def _distances(
     inside_start = np.minimum(final, begin + velocity_frames)
 
     def velocity(a: Ints, b: Ints) -> Floats:
-        pause = np.where(b > a, time[b] - time[a], 1.0)
-        return np.asarray((relative[b, column] - relative[a, column]) / pause[:, None])
+        duration = np.where(b > a, time[b] - time[a], 1.0)
+        return np.asarray((relative[b, column] - relative[a, column]) / duration[:, None])
 
-    leaving, arriving = velocity(inside_end, final), velocity(begin, inside_start)
+    end_velocity, start_velocity = velocity(inside_end, final), velocity(begin, inside_start)
     gap = relative[begin[start], column[start]] - relative[final[end], column[end]]
-    pause = (time[begin[start]] - time[final[end]])[:, None]
-    heading = gap - pause * (leaving[end] + arriving[start]) / 2
-    nearest = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(heading, axis=1))
+    duration = (time[begin[start]] - time[final[end]])[:, None]
+    extrapolated_gap = gap - duration * (end_velocity[end] + start_velocity[start]) / 2
+    nearest = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(extrapolated_gap, axis=1))
     return np.asarray(nearest, dtype=np.float64)
 
 
@@ -260,7 +262,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     from scipy.optimize import linear_sum_assignment  # slow import, not needed by tensile tests
 
     chosen: list[int] = []
-    for group in _groups(pairs):
+    for group in _group_pairs(pairs):
         ends, row = np.unique(pairs.end[group], return_inverse=True)
         starts, column = np.unique(pairs.start[group], return_inverse=True)
         saving = np.zeros((len(ends), len(starts)))
@@ -272,7 +274,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     return chosen
 
 
-def _groups(pairs: _Pairs) -> list[Ints]:
+def _group_pairs(pairs: _Pairs) -> list[Ints]:
     """Return groups of pairs that share ends or starts, directly or indirectly."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -286,47 +288,47 @@ def _groups(pairs: _Pairs) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(order) else []
 
 
-def _rivals(
+def _find_rivals(
     pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
     """Yield chosen pairs with an equally near rival, and the rival."""
     column = tracklets.column
-    by_end, by_start = _index(pairs.end), _index(pairs.start)
+    by_end, by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
     for index in chosen:
         end, start = int(pairs.end[index]), int(pairs.start[index])
         changes_label = column[end] != column[start]
         allowed = pairs.distance[index] + (margin if changes_label else 0.0)
-        for other in by_end[end] + by_start[start]:
-            rival_end, rival_start = int(pairs.end[other]), int(pairs.start[other])
-            competes = _overlap(tracklets, start, rival_start) or _overlap(
+        for rival in by_end[end] + by_start[start]:
+            rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
+            competes = _do_overlap(tracklets, start, rival_start) or _do_overlap(
                 tracklets, end, rival_end
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
-            if other != index and competes and is_relevant and pairs.distance[other] < allowed:
-                yield index, other
+            if rival != index and competes and is_relevant and pairs.distance[rival] < allowed:
+                yield index, rival
                 break
 
 
-def _index(keys: Ints) -> dict[int, list[int]]:
+def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     table: dict[int, list[int]] = {}
     for place, key in enumerate(keys.tolist()):
         table.setdefault(key, []).append(place)
     return table
 
 
-def _overlap(tracklets: Tracklets, one: int, two: int) -> bool:
-    """Return whether two different tracklets share a frame, so that they are different points."""
-    begin = max(tracklets.start[one], tracklets.start[two])
-    return one != two and bool(begin < min(tracklets.stop[one], tracklets.stop[two]))
+def _do_overlap(tracklets: Tracklets, first: int, second: int) -> bool:
+    """Return whether two different tracklets share a frame and thus are different points."""
+    begin = max(tracklets.start[first], tracklets.start[second])
+    return first != second and bool(begin < min(tracklets.stop[first], tracklets.stop[second]))
 
 
-def _chains(successor: Ints) -> Ints:
+def _number_chains(successor: Ints) -> Ints:
     chain = np.full(len(successor), -1, dtype=np.int64)
     next_chain = 0
-    for tracklet, after in enumerate(successor.tolist()):
+    for tracklet, following in enumerate(successor.tolist()):
         if chain[tracklet] < 0:
             chain[tracklet] = next_chain
             next_chain += 1
-        if after >= 0:
-            chain[after] = chain[tracklet]
+        if following >= 0:
+            chain[following] = chain[tracklet]
     return chain

@@ -184,12 +184,12 @@ def _fit_turn(
         return []
     corner_turn = None
     if near[0] == near[1]:
-        corner = fit_corner(motion.time, motion.values, near=near[0], window=window)
+        corner = fit_corner(motion.time, motion.values, guess=near[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return []
         corner_turn = Turn(number, corner, corner)
         near = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
-    stop = fit_stop(motion.time, motion.values, near=near, window=window)
+    stop = fit_stop(motion.time, motion.values, guesses=near, window=window)
     return [(corner_turn, None if stop is None else Turn(number, *stop))]
 
 
@@ -360,7 +360,7 @@ def _find_corners(force: Signal, turn: Turn, near: float, window: float) -> Floa
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
     first = turning_points.find_turn_near(
-        force.time, force.values, near=near, reach=reach, width=window, dwell=dwell
+        force.time, force.values, middle=near, reach=reach, width=window, dwell=dwell
     )
     if first is None:
         return np.zeros((0, 5))
@@ -374,7 +374,7 @@ def _find_corners(force: Signal, turn: Turn, near: float, window: float) -> Floa
         reach = window + wait
         part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=guess, window=window, dwell=wait)
+        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=wait)
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             corner = reversal.corner
             rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])

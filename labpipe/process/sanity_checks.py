@@ -207,10 +207,11 @@ def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[
     if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
         return []
     loading = parts[int(np.argmax(growths))], parts[0]
-    is_measured = signals.displacement in protocol.channels
+    paths = [values[~np.isnan(values)] for values in (displacement.values[x] for x in loading)]
+    is_measured = signals.displacement in protocol.channels and all(map(len, paths))
     is_falling = {
         "force": top < 0.0,
-        "displacement": is_measured and all(_falls(displacement.values[x]) for x in loading),
+        "displacement": is_measured and all(values[-1] < values[0] for values in paths),
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
     texts = {"force": f"{top:.3g} N", "displacement": f"{lowest:.3g} mm"}
@@ -240,11 +241,6 @@ def _average_blocks(values: Floats) -> Floats:
     finite = values[~np.isnan(values)]
     starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
     return average_between(finite, starts) if len(finite) else finite
-
-
-def _falls(values: Floats) -> bool:
-    finite = values[~np.isnan(values)]
-    return len(finite) > 1 and bool(finite[-1] < finite[0])
 
 
 def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:

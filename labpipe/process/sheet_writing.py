@@ -155,7 +155,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     columns = [_parse_heading(cell.text) for cell in table.heading]
     if faults := [*_list_heading_faults(table, [name for name, _ in columns], sheet)]:
         raise ReadError("\n".join(faults))
-    rows: dict[str, dict[str, Any]] = {}
+    rows: dict[str, tuple[dict[str, Any], list[str]]] = {}
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
         values = {name: _add_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
@@ -165,20 +165,16 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
         if test and test.casefold() in rows:  # some file systems take A1 and a1 for one folder
             error = ReadError.about("process.row_twice", sheet, places["test"], test=test)
             faults.append(str(error))
-        rows[test.casefold()] = data
+        exports = [name for role in ROLES for name in split_file_names(values.get(role, ""))]
+        rows[test.casefold()] = (data, exports)
     if faults:
         raise ReadError("\n".join(faults))
     sheets = []
-    for data in rows.values():
+    for data, exports in rows.values():
         path = folder / data["test"] / SHEET_NAME
         if path.exists() and not overwrite:
             sheets.append(WrittenSheet(path, kept=True))
             continue
-        exports = [
-            x
-            for names in (data["files"] or {}).values()
-            for x in ([names] if isinstance(names, str) else names)
-        ]
         missing = [name for name in exports if not (path.parent / name).exists()]
         remark = format_sentence("process.not_there_yet", names=", ".join(missing))
         _write(path, data)
@@ -279,10 +275,9 @@ def _list_faults(
     """
     is_open = {key.rpartition(".")[2] for key in open_keys}
     faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
-    protocol = (
-        find_protocol(values["protocol"], sheet_folder=test_folder) if "protocol" in values else 0
-    )
-    faults += [protocol] if isinstance(protocol, Fault) else []
+    if "protocol" in values:
+        protocol = find_protocol(values["protocol"], sheet_folder=test_folder)
+        faults += [protocol] if isinstance(protocol, Fault) else []
     for fault in faults:
         path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))
         columns = (x for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS)

@@ -370,7 +370,7 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     if turn_time is not None:
         part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, near=turn_time, window=window)
+        reversal = fit_reversal(*inside, guess=turn_time, window=window)
     if reversal is None or not reversal.corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
@@ -601,7 +601,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     """
     stretches = _noise_for_short_stretch(values, other_values)
     if stretches:
-        fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
+        fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
         half = float(fit.half_widths[0])
         return float(fit.coefficients[0]), Interval(-half, half).standard_error
     blocks = average_whole_blocks(values, 1000)  # correlations are then quick
@@ -620,7 +620,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, beside=_noise_for_short_stretch(values, other_values))
+    fit = fit_linear(design, blocks, other_stretches=_noise_for_short_stretch(values, other_values))
     # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error

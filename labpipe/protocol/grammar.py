@@ -232,7 +232,7 @@ class QuantityText:
 
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
-        number, unit = value, self.quantity.shown
+        number, unit = value, self.quantity.display_unit
         number /= find_si_factor(unit, self.quantity.unit)
         if not math.isfinite(number):
             number, unit = value, self.quantity.unit
@@ -242,7 +242,7 @@ class QuantityText:
     def _meaning(self) -> str:
         if self.quantity.unit == "1":
             return "pure number (also in % or ppm)"
-        return f"quantity with a unit such as {self.quantity.shown}"
+        return f"quantity with a unit such as {self.quantity.display_unit}"
 
     @property
     def _range(self) -> str:

@@ -135,18 +135,12 @@ def _check_places(text: bytes, path: Path, sheet: str) -> None:
     places: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(text)
     if not places:
         return
-    column = max(_column_number(letters) for letters in {letters for letters, _ in places})
+    letters = max({letters for letters, _ in places}, key=lambda letters: (len(letters), letters))
+    column = sum((letter - 64) * 26**i for i, letter in enumerate(reversed(letters)))  # A is 65
     row = max(int(number) for _, number in places)
     if row * column > max(_MAX_CELLS, _MAX_SPARSITY * len(places)):
         place = f"{sheet}, cell {column_letters(column)}{row}"
         raise ReadError.about("readers.cells_far_apart", path, place, filled=len(places))
-
-
-def _column_number(letters: bytes) -> int:
-    number = 0
-    for letter in letters:
-        number = 26 * number + letter - ord("A") + 1
-    return number
 
 
 def column_letters(number: int) -> str:

@@ -1,1 +1,1 @@
-"""Frozen records that all layers share: recordings, curves, shapes, results, groups."""
+"""Define the frozen records of all layers: recordings, curves, shapes, results, groups."""

@@ -1,4 +1,4 @@
-"""Array types, records with read-only arrays, and small functions of arrays."""
+"""Define array types and records with read-only arrays, and small functions of arrays."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class ArrayRecord:
 
     def __post_init__(self) -> None:
         record_type: Any = type(self)
-        arrays, tuples = _fields_with_axes(record_type)
+        arrays, tuples = _list_fields_with_axes(record_type)
         lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
         for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
-            if not _fits(array, shape) or any(
-                lengths.setdefault(axis, got) != got
-                for axis, got in zip(axes, array.shape, strict=True)
+            if not _has_shape(array, shape) or any(
+                lengths.setdefault(axis, length) != length
+                for axis, length in zip(axes, array.shape, strict=True)
             ):
                 message = f"expected {name} of shape {shape}, found {array.shape}"
                 raise ValueError(message)
@@ -89,14 +89,14 @@ def find_dtype(array_type: Any) -> Any:
 
 
 @cache
-def _fields_with_axes(
+def _list_fields_with_axes(
     record_type: Any,
 ) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
     """Return name, number type and axes of the arrays, and name and axis of annotated tuples."""
     arrays, tuples = [], []
     for name, hint in get_type_hints(record_type, include_extras=True).items():
-        values, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        axes = tuple(axis for axis in marks if isinstance(axis, str | int))
+        values, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        axes = tuple(axis for axis in annotations if isinstance(axis, str | int))
         if axes and get_origin(values) is np.ndarray:
             arrays.append((name, find_dtype(values), axes))
         elif axes and get_origin(values) is tuple:
@@ -122,16 +122,16 @@ def freeze(values: object, *, shape: tuple[int | None, ...]) -> Floats:
         If the array has another shape.
     """
     array: Floats = np.asarray(values, dtype=np.float64).view()
-    if not _fits(array, shape):
+    if not _has_shape(array, shape):
         message = f"expected an array of shape {shape}, found {array.shape}"
         raise ValueError(message)
     array.flags.writeable = False
     return array
 
 
-def _fits(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
+def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
     return array.ndim == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        expected in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)
     )
 
 
@@ -148,8 +148,8 @@ def median(values: Floats) -> float:
 
     Notes
     -----
-    The result of `numpy.median` in a fifth of its time: numpy partitions at three places at once
-    and imports masked arrays.
+    The result of `numpy.median` in a fifth of its time: numpy partitions at three positions and
+    imports masked arrays.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Causes of uncertainty, and which of them all tests of a rig share.
+"""Name the causes of uncertainty, and those that are common to all tests of a rig.
 
 A shared cause does not average out: it affects the mean of a hundred tests as much as one test.
 """

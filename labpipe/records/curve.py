@@ -25,11 +25,11 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A range that holds the true value with probability `level`.
+    """A range that contains the true value with probability `level`.
 
     Parameters
     ----------
-    lower, upper : the ends, in the unit of the number they belong to
+    lower, upper : ends, in the unit of the number
     level : probability, 0.95 throughout labpipe
     """
 
@@ -238,7 +238,7 @@ class SlipDecision(StrEnum):
     MARKED = "marked"
     """Only noted; the curve is unchanged."""
     REPAIRED = "repaired"
-    """The lost force is added to all later samples; the drops of several slips add up."""
+    """The lost force is added to all later samples; drops of several slips accumulate."""
     CUT = "cut"
     """The curve ends before it."""
 
@@ -311,8 +311,8 @@ class BendingCloud(ArrayRecord):
 
         The error of the shape is a rectangular distribution of half-width `curvature_systematic`.
         """
-        of_shape = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
-        return np.asarray(np.hypot(self.curvature_error, of_shape), dtype=np.float64)
+        shape_error = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
+        return np.asarray(np.hypot(self.curvature_error, shape_error), dtype=np.float64)
 
 
 _Moments: TypeAlias = Annotated[Floats, "point", Unit("N*m")]
@@ -333,7 +333,7 @@ class MeasuredLaw(ArrayRecord):
     secant, secant_lower, secant_upper : N m^2, moment / curvature
     tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
     is_known : whether the curvature is above `floor`
-    reason : why points are not known; None if all are known
+    reason : reason why points are not known; None if all are known
     floor : 1/m, smallest curvature that is distinguished from its noise
     scale_error : relative standard uncertainty of the scale of the force; included in the intervals
     residual : m, root mean square distance per coordinate between the markers, averaged over

@@ -1,4 +1,4 @@
-"""Declarations of the settings of steps and results: types with units and ranges; the steps.
+"""Declare the settings of steps and results (types with units and ranges), and the steps.
 
 A setting is a field of a frozen dataclass. `typing.Annotated` in its type states how YAML writes
 it: ``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the
@@ -34,14 +34,14 @@ class Quantity:
     Parameters
     ----------
     unit : SI unit of the float, ``1`` for a pure number
-    shown : unit in which a resolved protocol writes it
-    example : how a person writes it
+    display_unit : unit in which a resolved protocol writes it
+    example : example of the text in YAML
     above : in `unit`, exclusive lower bound; None for no such bound
     minimum, maximum : in `unit`, smallest and largest valid value
     """
 
     unit: str
-    shown: str
+    display_unit: str
     example: str
     above: float | None = None
     minimum: float = -math.inf
@@ -77,7 +77,7 @@ class PatternText:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Annotation of a field whose key in YAML is no Python name, such as ``from``.
+    """Annotation of a field whose key in YAML is not a valid Python name, such as ``from``.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class Output:
     name : in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
     unit : SI
     label : for people; empty where a protocol chooses the name
-    rests_on : quantities that the number depends on: it is doubtful if one of them is
+    depends_on : quantities that the number depends on: it is doubtful if one of them is
     first : index of the first of several numbers, one per cycle or slip; None for a single number
     is_raised_by_slips : whether the repair of any earlier slip raises it
     can_be_negative : whether it can be negative; means of all other numbers have their interval on
@@ -201,7 +201,7 @@ class Output:
     name: str
     unit: str
     label: str = ""
-    rests_on: tuple[str, ...] = CURVE
+    depends_on: tuple[str, ...] = CURVE
     first: int | None = None
     is_raised_by_slips: bool = False
     can_be_negative: bool = False
@@ -262,16 +262,16 @@ def list_defaults(kind: Any) -> dict[str, Any]:
 
 
 @cache
-def list_references(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
+def list_references(kind: Any, reference_kind: Literal["channel", "stiffness"]) -> tuple[str, ...]:
     """Return the names of the settings that must refer to an existing channel or stiffness.
 
     Parameters
     ----------
     kind : dataclass of settings
-    what : kind of the reference
+    reference_kind : ``channel`` or ``stiffness``
     """
     hints = get_type_hints(kind, include_extras=True).items()
-    return tuple(name for name, hint in hints if Existing(what) in get_args(hint))
+    return tuple(name for name, hint in hints if Existing(reference_kind) in get_args(hint))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

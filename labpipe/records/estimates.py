@@ -1,4 +1,4 @@
-"""Results of fits: an estimate with its standard error, or the reason why there is none."""
+"""Define results of fits: an estimate with its standard error, or the reason for its absence."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class UnavailableError(Exception):
 
     @classmethod
     def of(cls, name: str, /, **facts: object) -> Self:
-        """Make the error from a template, see `labpipe.records.quality.Reason.of`."""
+        """Make the error from a message template: see `labpipe.records.quality.Reason.of`."""
         return cls(Failure.of(name, **facts))
 
 

@@ -1,4 +1,4 @@
-"""Records of a report: samples, groups, means, bands, comparisons, and the campaign."""
+"""Define the records of a report: samples, groups, means, bands, comparisons, campaign."""
 
 from __future__ import annotations
 
@@ -169,12 +169,12 @@ class MeanInterval:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Sentence on how the samples of several spools were averaged, and why.
+    """Sentence on the choice of the mean over samples or spools, with the reason.
 
     Parameters
     ----------
     action : such as ``Over 3 spool means``
-    grounds : clauses with the numbers behind the decision
+    grounds : clauses with the numbers that the decision is based on
     """
 
     action: str
@@ -267,8 +267,8 @@ class Band(ArrayRecord):
     @property
     def marks(self) -> Ints:
         """Return the indices of single intervals; empty if there is a band."""
-        places = np.flatnonzero(np.isfinite(self.lower))
-        return places if not self.has_area else places[:0]
+        rows = np.flatnonzero(np.isfinite(self.lower))
+        return rows if not self.has_area else rows[:0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,9 +333,11 @@ class Contrast:
     def degrees(self) -> float:
         """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
-        free = [count - 1 for count in self.counts]
-        spread = sum(square**2 / degrees for square, degrees in zip(squares, free, strict=True))
-        return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(free))
+        degrees_of_means = [count - 1 for count in self.counts]
+        spread = sum(
+            square**2 / degrees for square, degrees in zip(squares, degrees_of_means, strict=True)
+        )
+        return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(degrees_of_means))
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,8 +408,9 @@ class SampleVerdict:
 
     Parameters
     ----------
-    by_number : as a standard compares it
-    with_interval : not told where the 95 % interval contains the limit, or the number is doubtful
+    by_number : verdict by the number alone, as in standards
+    with_interval : verdict by the 95 % interval; ``cannot tell`` if it contains the limit, or if
+        the number is doubtful
     """
 
     by_number: Answer
@@ -415,7 +418,7 @@ class SampleVerdict:
 
     @property
     def text(self) -> str:
-        """Return both, such as ``pass (cannot tell with its interval)``."""
+        """Return both verdicts, such as ``pass (cannot tell with its interval)``."""
         if self.by_number is self.with_interval:
             return str(self.by_number)
         return f"{self.by_number} ({self.with_interval} with its interval)"
@@ -423,12 +426,12 @@ class SampleVerdict:
 
 @dataclass(frozen=True, slots=True)
 class LotRule:
-    """What a lot must show.
+    """Requirement on a lot.
 
     Parameters
     ----------
     coverage : share of the lot that must reach the limit
-    confidence : with which it does
+    confidence : with which that share must be demonstrated
     """
 
     coverage: float = 0.99

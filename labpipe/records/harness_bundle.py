@@ -1,4 +1,4 @@
-"""Records of harness bundles: wires, positions, tape and conduit; bundle model and its fit."""
+"""Define the records of harness bundles: wires, positions, tape, conduit; model and its fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATED = "stated"
 """Arrangement of a layout with the positions of the test sheet."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""``coarse``: turns one tape width apart; ``half-lap``: each turn covers half of the last one."""
+"""``coarse``: turns one tape width apart; ``half-lap``: each turn covers half of the previous."""
 
 NONE = "none"
 """Text for no tape and for no conduit."""
@@ -102,7 +102,7 @@ class BundleLayout(ArrayRecord):
     x, y : m, centres of the wires, about the centroid of the bundle; y is the direction of bending
     kind : index into the wires of the `Bundle`
     diameter : m, over the insulation
-    radius : m, of the smallest circle about the origin that holds all wires
+    radius : m, of the smallest circle about the origin that contains all wires
     """
 
     arrangement: str

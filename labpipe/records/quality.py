@@ -1,4 +1,4 @@
-"""Reasons, quality notes, and findings of a test with their consequences."""
+"""Define reasons, quality notes, and findings of a test with their consequences."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Reason:
 
     @classmethod
     def of(cls, name: str, /, **facts: object) -> Self:
-        """Make a reason from a template of a ``messages.toml``.
+        """Make a reason from a message template.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class QualityNote:
 
     @classmethod
     def of(cls, name: str, where: str, /, *stretches: tuple[float, float], **facts: object) -> Self:
-        """Make a note from a template of a ``messages.toml``.
+        """Make a note from a message template.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Finding:
         blocks: bool = False,
         **facts: object,
     ) -> Self:
-        """Make a finding from a template of a ``messages.toml``.
+        """Make a finding from a message template.
 
         Parameters
         ----------
@@ -190,8 +190,8 @@ class Findings:
 
     entries: tuple[Finding, ...] = ()
 
-    def __add__(self, more: Iterable[Finding]) -> Findings:
-        return Findings((*self.entries, *more))
+    def __add__(self, findings: Iterable[Finding]) -> Findings:
+        return Findings((*self.entries, *findings))
 
     def without(self, code: str) -> Findings:
         """Return the findings without those of a code."""

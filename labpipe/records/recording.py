@@ -1,4 +1,4 @@
-"""Content of an export: channels on their own clocks and marker tracks; known formats."""
+"""Define the content of an export (channels with clocks, marker tracks) and the known formats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ExportFormat(NamedTuple):
     module : reader of the format, imported when it is needed
     is_text, is_workbook : whether its files can be text or binary files, and whether they can be
         workbooks
-    has_markers : whether its exports hold marker tracks rather than channels
+    has_markers : whether its exports contain marker tracks instead of channels
     """
 
     name: str
@@ -155,7 +155,7 @@ class Recording:
     clocks : the time axes
     channels : the signals
     markers : marker tracks of a motion-capture export, else None
-    metadata : further content of the header, as JSON can hold it
+    metadata : further content of the header, in types of JSON
     notes : of the reader
     """
 

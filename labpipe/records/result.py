@@ -1,4 +1,4 @@
-"""Results of one test, and the record of the whole test."""
+"""Define the results of one test, and the record of the whole test."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ class Result:
     interval : None if it is not available, for one of the reasons
     status : ``failed`` exactly when `value` is None
     reasons : why a result is doubtful, failed, or without an interval; else empty
-    method : description of the computation of value and interval; the same in all tests that were
-        processed alike
+    method : description of the computation of value and interval; equal in all tests with the same
+        processing
     n : number of samples used
     made_of : name of the result from which it is computed, such as a stiffness; empty for none
     remark : addition to the method for this test only, such as force added by repaired slips
@@ -120,7 +120,7 @@ class Result:
             message = f"{self.name}: a result is failed exactly when it has no value"
             raise ValueError(message)
         if self.status is not Status.OK and not self.reasons:
-            message = f"{self.name}: a {self.status} result must say why"
+            message = f"{self.name}: a {self.status} result must have a reason"
             raise ValueError(message)
 
     @property
@@ -158,7 +158,7 @@ class Result:
 
     @property
     def seal(self) -> str:
-        """Return the SHA-256 of its numbers, the same in every file of the test."""
+        """Return the SHA-256 of the numbers, equal in every file of the test."""
         interval = self.interval
         ends = (interval.lower, interval.upper, interval.level) if interval else (None, None, None)
         return compute_seal(

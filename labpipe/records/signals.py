@@ -1,4 +1,4 @@
-"""Signals of a test between recording and curve, and the relation of their clocks."""
+"""Define the signals of a test between recording and curve, and the relation of their clocks."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ class Signal:
         ----------
         change : returns an array of the same shape
         """
-        moved = {cause: change(values) for cause, values in self.perturbed.items()}
-        return replace(self, values=change(self.values), perturbed=moved)
+        perturbed = {cause: change(values) for cause, values in self.perturbed.items()}
+        return replace(self, values=change(self.values), perturbed=perturbed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,12 +109,12 @@ class Signals:
         )
 
     def with_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
-        """Replace what was filtered of a signal.
+        """Replace a filtered signal, and add filters to its list.
 
         Parameters
         ----------
-        name, signal : of it
-        made : the filter that did it, if it is one more
+        name, signal : name of the signal, and its filtered values
+        filter_steps : filters that were applied in addition to the earlier ones
         """
         filters = {**self.filters, name: (*self.filters.get(name, ()), *filter_steps)}
         return replace(
@@ -201,11 +201,13 @@ class Clocks:
         fit = self.force
         if fit is None:
             return {}
-        later = replace(fit, offset=fit.offset + self.error)
-        variants = {CLOCK_OFFSET: replace(self, force=later)}
-        if turn := self.drift_error:
-            faster = replace(fit, offset=fit.offset - turn * self.middle, drift=fit.drift + turn)
-            variants[CLOCK_DRIFT] = replace(self, force=faster)
+        shifted = replace(fit, offset=fit.offset + self.error)
+        variants = {CLOCK_OFFSET: replace(self, force=shifted)}
+        if drift_error := self.drift_error:
+            drifted = replace(
+                fit, offset=fit.offset - drift_error * self.middle, drift=fit.drift + drift_error
+            )
+            variants[CLOCK_DRIFT] = replace(self, force=drifted)
         return variants
 
     def to_curve(self, time: Time, clock: str) -> Time:

@@ -1,4 +1,4 @@
-"""Records of wires: specification, layout of the strands, and table of the wire model."""
+"""Define the records of wires: specification, layout of strands, table of the wire model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records of a calibrated wire model: compared curves, parameters, samples, verdicts."""
+"""Define the records of a calibrated wire model: compared curves, parameters, verdicts."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class CurveAgreement(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class IsotropicShare:
-    """The share of isotropic hardening, from what the cycles of tests leave.
+    """The share of isotropic hardening, from residual deflections and peaks of cyclic tests.
 
     Parameters
     ----------
     value, interval : of least squares, with its 95 % interval within 0 and 1
     by_number : 95 % interval by the residual deflection alone and by the peaks alone
-    n_tests : with cycles
+    n_tests : number of tests with cycles
     is_creep : whether these two disagree, so that the share is not calibrated
     """
 
@@ -155,11 +155,11 @@ class ExternalCurveComparison:
 
     Parameters
     ----------
-    curve : from elsewhere
-    tests : beside the mean of the tests of that wire and length; None where there are none
-    model : beside the model
-    prediction : the model as far as the curve and the tests go; None where it has none
-    notes : what was not compared, and why
+    curve : external curve
+    tests : match with the mean of the tests of that wire and length; None without tests
+    model : match with the model
+    prediction : curve of the model over the range of curve and tests; None if it has none
+    notes : on points that were not compared
     """
 
     curve: ExternalCurve
@@ -426,8 +426,8 @@ class Calibration(ArrayRecord):
     wire : name
     parameters : in the order of `PARAMETERS`
     solutions : local minima of the objective that the tests allow at 99 %, the best first
-    widening : factor on quantiles, at least 1, since insulation and copper compensate each other
-        along a curved valley of the objective
+    widening : factor on quantiles, at least 1, since the objective has a curved valley along which
+        insulation and copper compensate each other
     correlations : shape (3, 3), of the logarithms at the best solution; NaN in rows of fixed
         parameters
     levels : noise, scatter, gain
@@ -466,4 +466,4 @@ class Calibration(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFailure(Reason):
-    """Why there is no calibration."""
+    """Reason why there is no calibration."""

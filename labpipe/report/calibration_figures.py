@@ -1,4 +1,4 @@
-"""Figures of a calibration: its result on one page, tests and external curves beside the model."""
+"""Make the figures of a calibration: its results, and tests and external curves with the model."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line, thi
 from labpipe.report.wording import write_count
 
 MAX_PANELS = 6
-"""Panels on a page of wires and lengths, or of external curves."""
+"""Largest number of panels on a page of wires and lengths, or of external curves."""
 _HEADROOM = 1.08
-"""Top of an axis, of the largest value."""
+"""Top of an axis over the largest value."""
 
 
 def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page]:
@@ -38,7 +38,7 @@ def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page
 
     Parameters
     ----------
-    report : of the calibration
+    report : contents of the figures
 
     Yields
     ------
@@ -61,48 +61,56 @@ def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[summary.BentS
 
     Parameters
     ----------
-    name : of the files
-    sample : its name with its length, such as ``A2, 85 mm``
-    shapes : one for each deflection; if there is none, the page says so
+    name : file name without the ending
+    sample : name and length of the sample, such as ``A2, 85 mm``
+    shapes : one for each deflection; without any, the page gives the reason
     """
-    frame_mm, margin = 14.0, 0.06  # of the panel, for tick labels; of the larger side
+    frame_mm = 14.0  # tick labels and axis label beside the panel
+    margin = 0.06  # over the longer side of the shapes
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{sample}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
         panels = [plots.make_empty_plot("There is no shape to draw.")]
         return Page(name, title, panels, height=40.0, width=plots.SINGLE_COLUMN)
-    lines, labels, places = [], [], [np.zeros((1, 2))]
+    lines, labels, point_sets = [], [], [np.zeros((1, 2))]
     for shape in shapes:
-        parts = {"shape_markers": shape.markers, "shape_fit": shape.fit, "shape_model": shape.model}
-        lines += [line(look, *points.T) for look, points in parts.items() if len(points)]
-        finite = [points[np.isfinite(points).all(axis=1)] for points in parts.values()]
-        places += finite
+        curves = {
+            "shape_markers": shape.markers,
+            "shape_fit": shape.fit,
+            "shape_model": shape.model,
+        }
+        lines += [line(look, *points.T) for look, points in curves.items() if len(points)]
+        finite = [points[np.isfinite(points).all(axis=1)] for points in curves.values()]
+        point_sets += finite
         ends = [points[-1] for points in finite if len(points)]
-        if ends:  # the deflection stands beside the end furthest from the clamp
+        if ends:  # the label is beside the end furthest from the clamp
             x, y = np.max(ends, axis=0).tolist()
             labels.append(Label(summary.write_length(shape.deflection), x, y, (5.0, 0.0)))
-    points = np.concatenate(places)
+    points = np.concatenate(point_sets)
     low, high = points.min(axis=0), points.max(axis=0)
-    room = margin * max(float(np.max(high - low)), 1.0 / summary.DEFLECTION.factor)
-    (left, bottom), (right, top) = low - room, high + np.array([2.5 * room, room])
+    margin_length = margin * max(float(np.max(high - low)), 1.0 / summary.DEFLECTION.factor)
+    (left, bottom), (right, top) = (
+        low - margin_length,
+        high + np.array([2.5 * margin_length, margin_length]),
+    )
     x_axis = Axis("Along the undeformed wire, x", summary.DEFLECTION, left, right)
     y_axis = Axis("Towards the pull, y", summary.DEFLECTION, bottom, top)
-    share = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
-    height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * share
+    aspect = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
+    height = frame_mm + (plots.SINGLE_COLUMN - frame_mm) * aspect
     note = "Markers are on the surface of the wire; the curves are its axis."
     panels = [Plot(x_axis, y_axis, lines, labels=labels, is_to_scale=True)]
     return Page(name, title, panels, note, height, plots.SINGLE_COLUMN)
 
 
 MIN_RESIDUAL_BLOCKS = 25
-"""Least number of blocks over which residuals are averaged."""
+"""Smallest number of blocks over which residuals are averaged."""
 _DEFLECTIONS = Axis("Tip deflection", summary.DEFLECTION, low=0.0)
 
 
 def make_calibration_page(
     calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
 ) -> Page:
-    """Make the page of a calibration, to be printed upright on A4.
+    """Make the page of a calibration, for A4 in portrait format.
 
     Parameters
     ----------
@@ -111,11 +119,12 @@ def make_calibration_page(
 
     Returns
     -------
-    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with the
-    own factor of each sample, (d) to (f) the profiles of the parameters, and in words the values
+    A page with (a) the first loadings and the model, (b) the residuals, (c) the residuals with a
+    factor for each sample, (d) to (f) the profiles of the parameters. The footnote gives the values
     and verdicts.
     """
-    heights, frame_mm = (58.0, 34.0, 32.0), 16.5  # of each row; for headings and labels
+    heights = (58.0, 34.0, 32.0)  # of the rows of panels, mm
+    frame_mm = 16.5  # headings and labels of a row
     panels = [
         _make_loading_plot(calibration, predictions or {}),
         make_residual_plot(calibration, "residuals"),
@@ -130,14 +139,14 @@ def make_calibration_page(
             summary.write_parameter, calibration.parameters
         )
     ]
-    about = "Residuals: points faint, means of neighbouring points as lines."
-    about += "" if predictions else " The band of the model is not drawn."
+    residual_note = "Residuals: points faint, means of neighbouring points as lines."
+    residual_note += "" if predictions else " The band of the model is not drawn."
     count = write_count(calibration.n_samples, "sample")
     return Page(
         "calibration",
         f"{calibration.wire}  ·  calibration of the wire model  ·  {count}",
         panels,
-        "\n".join([*numbers, *summary.describe_calibration(calibration), about]),
+        "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note]),
         sum(heights) + frame_mm * len(heights),
         layout="aaaaaa;bbbccc;ddeeff",
         heights=heights,
@@ -145,7 +154,7 @@ def make_calibration_page(
 
 
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
-    """Choose a colour and a dash for each length of the samples, which also differ in grey."""
+    """Choose a colour and a dash for each length of samples; the colours differ in brightness."""
     colours = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
     lengths = sorted({curve.length for curve in calibration.curves})
     return {
@@ -157,21 +166,27 @@ def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]
 def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Prediction]) -> Plot:
     """Make the panel of the first loadings, and of the model with its band for each length."""
     lines, labels = [], []
-    for length, look in _choose_length_looks(calibration).items():
+    for length, settings in _choose_length_looks(calibration).items():
         curves = [curve for curve in calibration.curves if curve.length == length]
         label = f"measured, {summary.write_length(length)} ({len(curves)})"
         for curve in curves:
             x, y = curve.deflection, curve.force
-            lines.append(thinned_line("measured_loading", x, y, n_bins=120, label=label, **look))
-        deepest = max(curves, key=lambda curve: float(np.max(curve.deflection)))
-        order = np.argsort(deepest.deflection)
-        deflection, force = deepest.deflection[order], deepest.model[order]
+            lines.append(
+                thinned_line("measured_loading", x, y, n_bins=120, label=label, **settings)
+            )
+        longest_curve = max(curves, key=lambda curve: float(np.max(curve.deflection)))
+        order = np.argsort(longest_curve.deflection)
+        deflection, force = longest_curve.deflection[order], longest_curve.model[order]
         lines.append(line("model_of_sample", deflection, force))
         labels.append(Label(summary.write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
         if length in predictions:
             model = predictions[length]
-            use = model.deflection <= deflection[-1]
-            x, low, high = model.deflection[use], model.lower_mean[use], model.upper_mean[use]
+            is_measured = model.deflection <= deflection[-1]
+            x, low, high = (
+                model.deflection[is_measured],
+                model.lower_mean[is_measured],
+                model.upper_mean[is_measured],
+            )
             lines.append(plots.area("band_of_mean_sample", x, low, high))
     y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
     return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
@@ -180,27 +195,30 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
 def make_residual_plot(
     calibration: Calibration, heading: str, *, has_own_factor: bool = False
 ) -> Plot:
-    """Make the panel of the measured force less the force of the model against deflection.
+    """Make the panel of measured force minus force of the model against deflection.
 
     Parameters
     ----------
-    calibration : its curves are drawn
+    calibration : curves of the tests and of the model
     heading : of the panel
-    has_own_factor : multiply the model by the factor of each sample first; the residuals are then
-        noise and an error of the shape of the curve
+    has_own_factor : whether the model is multiplied by the factor of each sample; the residuals are
+        then noise and errors of the shape of the curve
 
     Notes
     -----
-    Every point is drawn faint. A line shows the means of blocks of neighbouring points: at least
-    `MIN_RESIDUAL_BLOCKS`, if there are as many points.
+    All points are drawn faintly. A line shows the means of blocks of neighbouring points. There are
+    at least `MIN_RESIDUAL_BLOCKS` blocks, if there are as many points.
     """
-    looks, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
+    settings_by_length, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
     for curve in calibration.curves:
-        factor, look = curve.sample_factor if has_own_factor else 1.0, looks[curve.length]
+        factor, settings = (
+            curve.sample_factor if has_own_factor else 1.0,
+            settings_by_length[curve.length],
+        )
         x, y = curve.deflection, curve.force - factor * curve.model
         means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
-        lines.append(thinned_line("residual", x, y, n_bins=120, **look))
-        lines.append(line("mean_residual", *means, **look))
+        lines.append(thinned_line("residual", x, y, n_bins=120, **settings))
+        lines.append(line("mean_residual", *means, **settings))
     return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", summary.SMALL_FORCE), lines, heading)
 
 
@@ -209,14 +227,15 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
 
     Parameters
     ----------
-    parameter : if it was not fitted, the panel says so
+    parameter : without profiles, the panel explains why it was not fitted
     heading : of the panel
 
     Notes
     -----
-    A dashed line is the threshold on either side of each solution. The 95 % interval is grey; an
-    open interval ends with the panel. A triangle is the value, an open triangle another solution.
-    If there is a prior, its deviance from its own centre is drawn, too.
+    Dashed lines are the thresholds on both sides of each solution. The 95 % interval is grey; an
+    open interval extends to the end of the panel. A filled triangle is the value, an open triangle
+    another solution. If the parameter has a prior, the deviance from the centre of the prior is
+    also drawn.
     """
     normal_quantile = 1.959963984540054
     if not parameter.profiles:
@@ -242,10 +261,10 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     if parameter.conflict is not None:
         values: Floats = np.geomspace(low, high, 200)
         error = np.log(parameter.conflict.factor) / normal_quantile
-        away = np.log(values / parameter.conflict.centre) / error
-        lines.append(line("prior", values, away**2))
-    shown = summary.DISPLAYS[parameter.name]
-    value = Axis(shown.symbol, shown.scale, low, high, is_log=True)
+        standard_errors = np.log(values / parameter.conflict.centre) / error
+        lines.append(line("prior", values, standard_errors**2))
+    display = summary.DISPLAYS[parameter.name]
+    value = Axis(display.symbol, display.scale, low, high, is_log=True)
     return Plot(value, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
 
 
@@ -271,20 +290,20 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
 
     Returns
     -------
-    Both ends: the panel shows the value, the points of the profiles below its top, the ends of the
-    interval that the profiles reach, and the centre of the prior.
+    Lower and upper end. The range includes the value, the points of the profiles below the top of
+    the panel, the ends of the interval within the profiles, and the centre of the prior.
     """
-    margin_share = 0.12  # beside the shown values, of their logarithmic range
+    margin_share = 0.12  # over the logarithmic range of the values
     top, profiles = _find_panel_top(parameter), parameter.profiles
-    shown = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
-    shown.append(parameter.value)
+    values = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
+    values.append(parameter.value)
     first = min(profile.value[0] for profile in profiles)
     last = max(profile.value[-1] for profile in profiles)
     ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
-    shown += [end for end in ends if first <= end <= last]
+    values += [end for end in ends if first <= end <= last]
     if parameter.conflict is not None:
-        shown.append(parameter.conflict.centre)
-    low, high = float(np.log(min(shown))), float(np.log(max(shown)))
+        values.append(parameter.conflict.centre)
+    low, high = float(np.log(min(values))), float(np.log(max(values)))
     margin = margin_share * max(high - low, 0.02)
     return float(np.exp(low - margin)), float(np.exp(high + margin))
 
@@ -302,11 +321,11 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
     logarithm of the value: for a normal parameter that root is a straight line.
     """
     fine_points = 200
-    logs, (least, height) = np.log(profile.value), _find_minimum(profile)
-    side = np.sign(logs - np.log(least))
-    fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
-    root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
-    return np.exp(fine), root**2 + height
+    logs, (best, height) = np.log(profile.value), _find_minimum(profile)
+    side = np.sign(logs - np.log(best))
+    fine_logs: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
+    root = np.interp(fine_logs, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
+    return np.exp(fine_logs), root**2 + height
 
 
 def make_validation_page(name: str, groups: Sequence[summary.ValidationGroup]) -> Page:
@@ -319,13 +338,15 @@ def make_validation_page(name: str, groups: Sequence[summary.ValidationGroup]) -
     """
     row_mm, columns = 66.0, 2
     height, panels = row_mm * math.ceil(len(groups) / columns), list(map(_make_group_plot, groups))
-    return Page(name, "Measured and predicted first loadings", panels, _note(groups), height)
+    return Page(
+        name, "Measured and predicted first loadings", panels, _describe_bands(groups), height
+    )
 
 
 def _make_group_plot(group: summary.ValidationGroup) -> Plot:
-    """Make the panel of samples, mean and model with their bands; describe the agreement.
+    """Make the panel of samples, mean and model with their bands and a label on the agreement.
 
-    The model is lighter where it is doubtful.
+    The model is drawn lighter where it is doubtful.
     """
     samples = group.samples.values()
     lines = [
@@ -342,14 +363,14 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
         lines.append(plots.area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
         lines += [line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
     text = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
-    use = "calibrated" if group.is_calibrated else "predicted"
-    heading = f"{group.wire}, {summary.write_length(group.length)}: {use}"
+    use_text = "calibrated" if group.is_calibrated else "predicted"
+    heading = f"{group.wire}, {summary.write_length(group.length)}: {use_text}"
     measured = [group.band.mean, *(sample.force for sample in samples)]
     return Plot(_DEFLECTIONS, _make_force_axis(lines, measured), lines, heading, [text])
 
 
 def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: float = 1.08) -> Axis:
-    """Make the axis of force from zero, or the lowest force of some, to above all lines."""
+    """Make the axis of force, from zero or the lowest force of `low` to above all lines."""
     bottom, top = (
         np.concatenate([np.zeros(1), *arrays]) for arrays in (low, [part.y for part in lines])
     )
@@ -358,11 +379,11 @@ def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: flo
 
 
 def describe_agreement(group: summary.ValidationGroup) -> list[str]:
-    """Describe in a few texts how well the model agrees with a group.
+    """Describe the agreement of the model with a group in short texts.
 
     Parameters
     ----------
-    group : without a prediction, the texts give the reason
+    group : samples and prediction; without a prediction, the texts give the reason
     """
     lines = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
@@ -389,21 +410,21 @@ def _plot_measured(band: Band) -> list[Line]:
 _BAND_OPACITY = 0.5
 
 
-def _note(groups: Sequence[summary.ValidationGroup]) -> str:
-    """Describe the bands."""
+def _describe_bands(groups: Sequence[summary.ValidationGroup]) -> str:
+    """Describe the bands of groups, and join the notes on their predictions."""
     lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
         lines.append("One sample has no band.")
     counts = sorted({group.mean_of for group in groups if group.prediction is not None})
     for number in counts:
-        what = "one more sample" if number == 1 else f"the mean of {number} samples"
+        prediction_text = "one more sample" if number == 1 else f"the mean of {number} samples"
         names = [
             f"{group.wire} {summary.write_length(group.length)}"
             for group in groups
             if group.mean_of == number and group.prediction is not None
         ]
-        of = f" ({', '.join(names)})" if len(counts) > 1 else ""
-        lines.append(f"Blue band: model, for {what}{of}.")
+        wires_text = f" ({', '.join(names)})" if len(counts) > 1 else ""
+        lines.append(f"Blue band: model, for {prediction_text}{wires_text}.")
     if not all(group.is_sure.all() for group in groups):
         lines.append(format_sentence("report.doubtful_model"))
     notes = {
@@ -439,7 +460,7 @@ class ExternalPanel(NamedTuple):
 
     @property
     def prediction(self) -> Prediction | None:
-        """Return the prediction that reaches furthest; None if no curve has one."""
+        """Return the prediction up to the largest deflection; None if no curve has one."""
         predictions = [
             comparison.prediction
             for comparison in self.comparisons
@@ -476,7 +497,8 @@ def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
     name : of the files
     panels : 1 to `MAX_PANELS`
     """
-    row_mm, free_key_rows, columns = 70.0, 4, 2  # of a key above most curves
+    row_mm, columns = 70.0, 2
+    free_key_rows = 4  # rows of a key for which the panel has room above the curves
     key_rows = [sum(1 + label.count("\n") for label in _label_curves(panel)) for panel in panels]
     extra_rows = [max(0, rows - free_key_rows) for rows in key_rows]
     height = (row_mm + 4.0 * max(extra_rows)) * math.ceil(len(panels) / columns)
@@ -484,11 +506,13 @@ def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
         _make_external_plot(panel, _HEADROOM + 0.06 * extra)
         for panel, extra in zip(panels, extra_rows, strict=True)
     ]
-    return Page(name, "External curves, tests and model", drawn, _external_note(panels), height)
+    return Page(
+        name, "External curves, tests and model", drawn, _describe_external_bands(panels), height
+    )
 
 
 def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
-    """Make the panel of tests and model with their bands, and external curves on top.
+    """Make the panel of tests and model with their bands, and of external curves.
 
     The key in the panel gives the RMSE of each external curve to the tests and to the model.
     """
@@ -500,12 +524,12 @@ def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
         lines.append(plots.area("band_of_model", *edges, alpha=_BAND_OPACITY))
     for number, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
-        look: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "color": _COLOURS[number % len(_COLOURS)],
             "marker": _MARKS[number % len(_MARKS)],
             "markevery": max(1, len(curve.force) // 14),
         }
-        lines.append(line("external_curve", curve.deflection, curve.force, **look))
+        lines.append(line("external_curve", curve.deflection, curve.force, **settings))
     load = ", load normal to the axis" if panel.is_normal else ""
     heading = f"{panel.wire}, {summary.write_length(panel.length)}{load}"
     force = _make_force_axis(lines, [part.y for part in lines], headroom)
@@ -533,16 +557,16 @@ def describe_match(comparison: ExternalCurveComparison) -> list[str]:
     return [comparison.curve.name, by_tests, _describe_rmse("model", comparison.model)]
 
 
-def _describe_rmse(other: str, match: CurveMatch) -> str:
+def _describe_rmse(reference: str, match: CurveMatch) -> str:
     if match.errors is None:
-        return f"{other}: not compared"
+        return f"{reference}: not compared"
     rmse = summary.SMALL_FORCE.factor * match.errors.rmse
     share = summary.write_percent(match.errors.rmse_share)
-    return f"{other}: RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of peak"
+    return f"{reference}: RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of peak"
 
 
-def _external_note(panels: Sequence[ExternalPanel]) -> str:
-    """Describe the bands and list points that were not compared."""
+def _describe_external_bands(panels: Sequence[ExternalPanel]) -> str:
+    """Describe the bands of external curves, and join the notes on their comparison."""
     lines = []
     if any(panel.group is not None for panel in panels):
         lines.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")

@@ -1,4 +1,4 @@
-"""Contents of the report of a calibration: what it compares, its sentences and its workbook."""
+"""Collect the contents of the report of a calibration: comparisons, sentences and workbook."""
 
 from __future__ import annotations
 
@@ -138,11 +138,11 @@ class ValidationGroup:
     samples : first loading of each, by the name of its test
     band : mean of the samples with its 95 % bands; one sample has no bands
     prediction : of the model; None without one
-    mean_of : number of samples for whose mean `lower` and `upper` of the prediction hold
+    mean_of : number of samples; `lower` and `upper` of the prediction are for the mean of so many
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; None with one
-    doubtful_deflection : m, beyond which the prediction is doubtful, because the strain at the rim
-        of the insulation exceeds its linear range; infinite if it does not
+    doubtful_deflection : m; beyond it the prediction is doubtful because the strain at the rim of
+        the insulation exceeds the linear range. Infinite if the strain never exceeds it
     """
 
     wire: str
@@ -158,7 +158,7 @@ class ValidationGroup:
 
     @property
     def is_sure(self) -> Flags:
-        """Return whether each point of the prediction is up to `doubtful_deflection`, (n,)."""
+        """Return whether each point of the prediction is within `doubtful_deflection`, (n,)."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -225,8 +225,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
 
     Returns
     -------
-    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``; several
-    parts are joined by ``or``; a dash stands for no interval, and the unit of a ratio is ``1``.
+    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``; the parts of
+    an interval are joined by ``or``. A missing interval is a dash. The unit of a ratio is ``1``.
     """
     display = DISPLAYS[parameter.name]
     factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
@@ -234,13 +234,13 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
         parameter.interval,
     )
-    written = write_number(parameter.value, interval, factor)
-    value = write_number(parameter.value, None, factor, digits=2) if is_open else written
+    number_text = write_number(parameter.value, interval, factor)
+    value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
     interval_text = " or ".join(_interval_parts(parameter, factor))
     unit = display.scale.unit or "1"
     return (
         typeset(display.name).rstrip("."),
-        value.value,
+        value_text.value,
         interval_text or "\u2013",
         unit,
         parameter.verdict.value,
@@ -271,7 +271,7 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
     Parameters
     ----------
-    calibration : all of it
+    calibration : results of the calibration
 
     Returns
     -------
@@ -348,13 +348,13 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
 
 def _external_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
     curve = comparison.curve
-    for other, match in (("tests", comparison.tests), ("model", comparison.model)):
+    for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
         yield {
             "name": curve.name,
             "wire": curve.wire,
             _LENGTH: DEFLECTION.factor * curve.length,
             "load": "normal" if curve.is_normal else "as tested",
-            "compared with": other,
+            "compared with": reference,
             **_match_record(match),
             "file": curve.file,
             "from": curve.source,
@@ -373,7 +373,7 @@ def _match_record(match: CurveMatch | None) -> tables.Record:
     }
 
 
-def _yes(value: bool) -> str:
+def _write_flag(value: bool) -> str:
     return "yes" if value else "no"
 
 
@@ -388,8 +388,8 @@ def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
         "lower": None if interval is None else factor * interval.lower,
         "upper": None if interval is None else factor * interval.upper,
         "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
-        "open below": _yes(parameter.is_open_below) if has_ends else "",
-        "open above": _yes(parameter.is_open_above) if has_ends else "",
+        "open below": _write_flag(parameter.is_open_below) if has_ends else "",
+        "open above": _write_flag(parameter.is_open_above) if has_ends else "",
         "standard error of its logarithm": parameter.log_error if has_ends else None,
         "degrees of freedom": parameter.freedom if has_ends else None,
         "verdict": parameter.verdict.value,
@@ -398,7 +398,7 @@ def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
         "prior, factor": None if conflict is None else conflict.factor,
         "without the prior": None if conflict is None else factor * conflict.alone,
         "conflict (standard errors)": None if conflict is None else conflict.size,
-        "contradicts": "" if conflict is None else _yes(conflict.contradicts),
+        "contradicts": "" if conflict is None else _write_flag(conflict.contradicts),
         "source of prior or fixed value": (conflict or parameter).source,
         "in words": typeset(parameter.explanation),
         "prior in words": "" if conflict is None else typeset(conflict.message),
@@ -420,7 +420,7 @@ def _solution_records(calibration: Calibration) -> Iterator[tables.Record]:
             "RMSE (N)": solution.rmse,
             "rise of the objective": solution.rise,
             "likelihood relative to the best": solution.likelihood,
-            "in the 95 % set": _yes(solution.is_allowed),
+            "in the 95 % set": _write_flag(solution.is_allowed),
         }
 
 
@@ -447,9 +447,9 @@ def _fit_records(calibration: Calibration) -> list[tables.Record]:
 
 
 def _agreement_record(group: ValidationGroup) -> tables.Record:
-    errors, why = group.errors, group.reason
+    errors, reason = group.errors, group.reason
     if errors is not None:
-        why = None if np.isfinite(group.band.lower).any() else group.band.reason
+        reason = None if np.isfinite(group.band.lower).any() else group.band.reason
     return {
         "wire": group.wire,
         _LENGTH: DEFLECTION.factor * group.length,
@@ -461,7 +461,7 @@ def _agreement_record(group: ValidationGroup) -> tables.Record:
         "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
         "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
         "band predicts the mean of (samples)": None if errors is None else group.mean_of,
-        "reason": str(why or ""),
+        "reason": str(reason or ""),
     }
 
 
@@ -490,19 +490,23 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
     sources += [("prediction", prediction.notes) for prediction in predictions]
     for comparison in report.comparisons:
         sources.append((f"external curve '{comparison.curve.name}'", comparison.notes))
-    notes = {(of, note.message): note for of, several in sources for note in several}
+    notes = {
+        (source, note.message): note for source, source_notes in sources for note in source_notes
+    }
     order = list(reversed(Severity))
     rows = [
-        (of, note.severity, note.where, note.message, note.code)
-        for (of, _), note in sorted(notes.items(), key=lambda item: order.index(item[1].severity))
+        (source, note.severity, note.where, note.message, note.code)
+        for (source, _), note in sorted(
+            notes.items(), key=lambda item: order.index(item[1].severity)
+        )
     ]
     for separability in (report.calibration.friction_separability, report.calibration.separability):
         if separability is not None:
             names, text = ", ".join(separability.names), typeset(separability.explanation)
             rows.append(("calibration", Severity.INFO, names, text, "told_apart"))
     return [
-        {"of": of, "kind": kind.value, "where": where, "what": what, "code": code}
-        for of, kind, where, what, code in rows
+        {"of": source, "kind": kind.value, "where": where, "what": message, "code": code}
+        for source, kind, where, message, code in rows
     ]
 
 

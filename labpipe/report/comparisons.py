@@ -1,4 +1,4 @@
-"""Comparisons of groups that differ in one field alone: pairs, families, tables and figures."""
+"""Compare groups that differ in a single field: pairs, families, tables and figures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from labpipe.statistics.group_fields import (
 MAX_COMPARED_GROUPS = 6
 """Largest number of groups in one figure, whose curves a reader can distinguish."""
 
-_OF_BUNDLES = (
+_BUNDLE_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     BORE,
 )  # fmt: skip
@@ -43,8 +43,8 @@ class Pair:
 
     Parameters
     ----------
-    first, second : each difference is that of the second from the first
-    differences : one per number, at least one
+    first, second : groups
+    differences : values of the second group minus those of the first, one per number, at least one
     """
 
     first: Group
@@ -59,11 +59,11 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """Groups of which each pair differs in the same field alone.
+    """Groups that differ from each other in one and the same field.
 
     Parameters
     ----------
-    field : in which they differ
+    field : name of the field
     groups : two to `MAX_COMPARED_GROUPS`, in the order of the values of the field
     """
 
@@ -115,27 +115,27 @@ def find_families(campaign: Campaign) -> list[Family]:
         }
         values = {key: group.fields.get(name, "") for key, group in groups.items()}
         order = sorted(groups, key=lambda key: make_field_sort_key(name, values[key]))
-        linked = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
-        for names in _find_cliques(order, linked):
-            first, *others = (groups[key] for key in names)
+        linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
+        for names in _find_cliques(order, linked_pairs):
+            first, *other_groups = (groups[key] for key in names)
             families += [
                 Family(name, (first, *part))
-                for part in split_pages(others, MAX_COMPARED_GROUPS - 1)
+                for part in split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
             ]
     return families
 
 
-def _find_cliques(names: Sequence[str], linked: set[frozenset[str]]) -> Iterator[list[str]]:
+def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
     """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
-    covered: set[frozenset[str]] = set()
+    covered_pairs: set[frozenset[str]] = set()
     for pair in combinations(names, 2):
-        if frozenset(pair) not in linked - covered:
+        if frozenset(pair) not in linked_pairs - covered_pairs:
             continue
         members = set(pair)
         for name in names:
-            if all(frozenset((name, member)) in linked for member in members - {name}):
+            if all(frozenset((name, member)) in linked_pairs for member in members - {name}):
                 members.add(name)
-        covered |= set(map(frozenset, combinations(members, 2)))
+        covered_pairs |= set(map(frozenset, combinations(members, 2)))
         yield [name for name in names if name in members]
 
 
@@ -149,14 +149,14 @@ def describe_pair(pair: Pair) -> str:
 
     Parameters
     ----------
-    pair : that differs in one field alone
+    pair : groups that differ in one field
 
     Returns
     -------
     Text such as ``Taping: half-lap against none, all else equal (19 B2, corrugated-tube)``.
     """
-    alike = describe_equal_fields((pair.first, pair.second), pair.field)
-    return f"{name_comparison(pair)}, {alike}"
+    equal_fields = describe_equal_fields((pair.first, pair.second), pair.field)
+    return f"{name_comparison(pair)}, {equal_fields}"
 
 
 def name_comparison(pair: Pair) -> str:
@@ -166,7 +166,7 @@ def name_comparison(pair: Pair) -> str:
 
 
 def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
-    """Describe the common fields of groups and the fields that vary within them."""
+    """Describe the common fields of groups, and name the fields that vary within a group."""
     varying = dict.fromkeys(
         name
         for group in groups
@@ -174,12 +174,12 @@ def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
         if name != field and not (name == "type" and "composition" in _field_names(group))
     )
     context = describe_context(groups, field)
-    inside = f" ({context})" if context else ""
+    context_text = f" ({context})" if context else ""
     if not varying:
-        return f"all else equal{inside}"
+        return f"all else equal{context_text}"
     names = ", ".join(name.replace("_", " ") for name in varying)
     verb = "varies" if len(varying) == 1 else "vary"
-    return f"all else equal{inside} but for {names}, which {verb} within the groups"
+    return f"all else equal{context_text} but for {names}, which {verb} within the groups"
 
 
 def _field_names(group: Group) -> set[str]:
@@ -191,26 +191,26 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
 
     The list omits sizes of the section, which follow from the type or the conduit.
     """
-    alike = {
-        name: word
-        for name, word in groups[0].fields.items()
-        if name != field and all(group.fields.get(name) == word for group in groups)
+    common_fields = {
+        name: value
+        for name, value in groups[0].fields.items()
+        if name != field and all(group.fields.get(name) == value for group in groups)
     }
-    others = [
-        f"{name.replace('_', ' ')} {word}"
-        for name, word in alike.items()
-        if name not in _OF_BUNDLES and name not in SECTION_SIZES
+    named_fields = [
+        f"{name.replace('_', ' ')} {value}"
+        for name, value in common_fields.items()
+        if name not in _BUNDLE_FIELDS and name not in SECTION_SIZES
     ]
     if "composition" not in _field_names(groups[0]):
-        return ", ".join(filter(None, [alike.get("type", ""), *others]))
-    stated = {name: word for name, word in alike.items() if word != NONE}
-    number = f"{stated['number']} wires" if "number" in stated else ""
-    wires = stated.get("composition") or stated.get("wire") or number
+        return ", ".join(filter(None, [common_fields.get("type", ""), *named_fields]))
+    stated_fields = {name: value for name, value in common_fields.items() if value != NONE}
+    number = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
+    wires = stated_fields.get("composition") or stated_fields.get("wire") or number
     is_mixed = [group for group in groups if "&" in group.fields.get("wire", "")]
     arrangements = sorted({group.fields.get("arrangement", "") for group in is_mixed})
-    tape = f"{stated.get('taping', '')} {stated.get('tape', '')}".strip()
-    tape = "no tape" if alike.get("taping") == NONE else tape
-    parts = (wires, *arrangements, tape, stated.get("conduit", ""), *others)
+    tape = f"{stated_fields.get('taping', '')} {stated_fields.get('tape', '')}".strip()
+    tape = "no tape" if common_fields.get("taping") == NONE else tape
+    parts = (wires, *arrangements, tape, stated_fields.get("conduit", ""), *named_fields)
     return ", ".join(filter(None, parts))
 
 
@@ -246,15 +246,15 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
 
     Parameters
     ----------
-    pair : that differs in one field alone
+    pair : groups that differ in one field
     """
     difference = pair.differences[0]
-    shift = _write_difference(difference, wording.find_display(pair.first))
+    difference_text = _write_difference(difference, wording.find_display(pair.first))
     first, second = count_values(pair)
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        f"{wording.write_heading(difference.name, '1')} {shift}",
+        f"{wording.write_heading(difference.name, '1')} {difference_text}",
         f"{second} v {first}",
     )
 
@@ -278,25 +278,26 @@ def count_values(pair: Pair) -> list[int]:
 
 def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
     """Write a difference in per cent or in its unit, with its corrected interval, if any."""
-    max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
-    ends, shift, more = difference.interval, difference.difference, ""
+    max_shown_ratio = 10.0  # a larger upper end is written "more than +1000 %"
+    ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.share is None:
         scale = wording.find_display_unit(difference.name, difference.unit, display)
-        estimate = shift.distinct_estimate
-        number = wording.write_number(shift.mean, ends, scale.factor, estimate=estimate)
+        estimate = mean_difference.distinct_estimate
+        number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
         unit = f" {wording.typeset_unit(scale.unit)}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
-            more = "more than "
+            bound_text = "more than "
         number, unit = wording.write_number(difference.share, ends, 100.0), " %"
-    behind = join_sentences([shift.reason])
+    interval_text = join_sentences([mean_difference.reason])
     if number.lower:
-        behind = f"({_signed(number.lower)}{unit} to {more}{_signed(number.upper)}{unit})"
-    return f"{_signed(number.value)}{unit} {behind}".strip()
+        lower, upper = map(_add_plus_sign, (number.lower, number.upper))
+        interval_text = f"({lower}{unit} to {bound_text}{upper}{unit})"
+    return f"{_add_plus_sign(number.value)}{unit} {interval_text}".strip()
 
 
-def _signed(number: str) -> str:
+def _add_plus_sign(number: str) -> str:
     """Write a plus before a positive difference."""
     is_zero = not number.strip("0.")
     return number if is_zero or number.startswith(("-", "\u2013")) else f"+{number}"
@@ -305,8 +306,8 @@ def _signed(number: str) -> str:
 def describe_fields(difference: Difference) -> str:
     """List the fields in which two groups differ, such as ``taping: half-lap against none``."""
     return "; ".join(
-        f"{name.replace('_', ' ')}: {after} against {before}"
-        for name, (before, after) in difference.fields.items()
+        f"{name.replace('_', ' ')}: {second_value} against {first_value}"
+        for name, (first_value, second_value) in difference.fields.items()
     )
 
 
@@ -343,18 +344,18 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     ----------
     campaign : with its differences
     """
-    drawn = find_families(campaign)
-    contexts = [describe_context(family.groups, family.field) for family in drawn]
+    families = find_families(campaign)
+    contexts = [describe_context(family.groups, family.field) for family in families]
     names = make_stems(
         f"difference {family.field}: {context}"
-        for family, context in zip(drawn, contexts, strict=True)
+        for family, context in zip(families, contexts, strict=True)
     )
-    for family, context, name in zip(drawn, contexts, names, strict=True):
+    for family, context, name in zip(families, contexts, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
             field, labels = name_field(family.field), ", ".join(family.labels)
-            alike = describe_equal_fields(family.groups, family.field)
-            caption = f"{field}: {labels}; {alike}. Protocol: {family.groups[0].protocol}."
+            equal_fields = describe_equal_fields(family.groups, family.field)
+            caption = f"{field}: {labels}; {equal_fields}. Protocol: {family.groups[0].protocol}."
             yield group_plots.make_page(name, f"{field}  \u00b7  {context}", panels, 3, caption)
 
 
@@ -385,10 +386,10 @@ def _make_curve_plots(
         y_scale, name, heading = plots.NUMBER, "Force / peak force", "Force / peak force"
     lines, legend, bands = [], [], []
     count = wording.write_count(len(family.groups), "group")
-    for at, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
+    for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
-            look, stem = f"c{at % N_COLOURS}", stems[group.name]
+            look, stem = f"c{index % N_COLOURS}", stems[group.name]
             bands.append(band)
             lines += [
                 *group_plots.make_band_lines(band, look, stem),
@@ -398,7 +399,7 @@ def _make_curve_plots(
             legend.append(LegendEntry(f"mean {look}", text, "group", stem))
     if not lines:
         return
-    # full means, and intervals only as far as the means stay apart
+    # the axis includes the means; wide intervals are cut off so that the means remain distinct
     means = np.concatenate([band.mean for band in bands])
     edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
     ends = np.array(plots.clip_range(means, edges, 0.4))
@@ -418,7 +419,7 @@ _KEY = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
 
 
 def find_main_number(family: Family) -> str:
-    """Find the number by which groups are compared: bending stiffness, or the first common one.
+    """Find the number by which groups are compared: bending stiffness, or the first in common.
 
     Parameters
     ----------
@@ -428,11 +429,13 @@ def find_main_number(family: Family) -> str:
     -------
     Name of the number; empty if the groups have none in common.
     """
-    has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
+    names_by_group = [
+        {number.name for number in group.numbers if number.mean} for group in family.groups
+    ]
     shared = [
         number.name
         for number in family.groups[0].numbers
-        if all(number.name in names for names in has)
+        if all(number.name in names for names in names_by_group)
     ]
     return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
 

@@ -49,8 +49,8 @@ def choose_dash(number: int) -> Any:
 
 
 def choose_line_look(number: int) -> dict[str, Any]:
-    """Choose colour and dash of a line by its number, from 0; none of the first 48 are equal."""
-    # one more step of the dash whenever the colours repeat
+    """Choose colour and dash of a line by its number, from 0; the first 48 lines all differ."""
+    # shift the dashes by one whenever the colours repeat
     dash = choose_dash(number + number // N_COLOURS)
     return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
 
@@ -94,16 +94,16 @@ def _find_settings(look: str) -> dict[str, Any]:
 
 @contextmanager
 def style(*, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in the style of labpipe inside this block, without global changes.
+    """Draw and save in the style of labpipe inside a block; global settings are restored.
 
     Parameters
     ----------
-    is_journal : serif letters and colours of journals, instead of the look of the page
+    is_journal : serif letters and colours of journals, instead of the style of the page
 
     Notes
     -----
-    Matplotlib's warning about a letter that is missing from all fonts is suppressed: the figure
-    shows a box instead; summary, page and workbook have the letter.
+    Matplotlib's warning about a letter that is missing from all fonts is suppressed. The figure
+    shows a box instead of the letter; summary, page and workbook show the letter.
     """
     import matplotlib as mpl
 
@@ -123,7 +123,7 @@ def draw_page(page: Page) -> Figure:
 
     Returns
     -------
-    The figure, laid out for SVG. A page without a plot that has a heading has no letters.
+    The figure, laid out for SVG. Panels have letters if more than one of them has a heading.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -175,7 +175,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     ----------
     plot : panel of a page
     axes : to draw on
-    colours : of lines that are coloured by values
+    colours : axis of the values that colour lines; None without such lines
     """
     from matplotlib.legend import Legend
 
@@ -184,8 +184,13 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         text = textwrap.fill(plot.reason, 60 if axes.get_position().width > 0.3 else 30)
         axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)
         return
-    for way, axis in (("x", plot.x), ("y", plot.y)):
-        axes.set(**{f"{way}label": axis.label, f"{way}scale": "log" if axis.is_log else "linear"})
+    for axis_name, axis in (("x", plot.x), ("y", plot.y)):
+        axes.set(
+            **{
+                f"{axis_name}label": axis.label,
+                f"{axis_name}scale": "log" if axis.is_log else "linear",
+            }
+        )
     artists = [_draw_line(line, plot, axes, colours) for line in plot.lines]
     for entry in plot.legend:
         settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
@@ -194,7 +199,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     for axis, drawn in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
         low, high = (None if math.isnan(end) else end for end in axis.ends)
         set_limits = axes.set_xlim if drawn is axes.xaxis else axes.set_ylim
-        set_limits(low, high, auto=True)  # one scale for both axes may extend them
+        set_limits(low, high, auto=True)  # equal axis scales may extend the limits
         _set_ticks(drawn, axis)
     axes.spines[:].set_zorder(10)  # no area covers the frame
     if not plot.has_frame:
@@ -203,8 +208,10 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         _draw_label(label, plot, axes)
     if plot.inner_key:
         # `axes.legend` would take the labels of the other lines out of the key of the page
-        shown = artists[-len(plot.inner_key) :]
-        axes.add_artist(Legend(axes, shown, plot.inner_key, loc="upper left", borderaxespad=0.4))
+        keyed_artists = artists[-len(plot.inner_key) :]
+        axes.add_artist(
+            Legend(axes, keyed_artists, plot.inner_key, loc="upper left", borderaxespad=0.4)
+        )
 
 
 def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
@@ -232,7 +239,7 @@ def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Arti
 
 
 def _map_colours(axis: Axis) -> Any:
-    """Return the colours of values; below the low end red."""
+    """Return the colour map of values; values below the low end are red."""
     import matplotlib as mpl
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
@@ -243,17 +250,21 @@ def _map_colours(axis: Axis) -> Any:
 
 def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
     """Write a label; an infinite coordinate is at the end of the axis."""
-    at = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
-    place = [float(value > 0) if math.isinf(value) else factor * value for value, factor in at]
-    x_frame, y_frame = ("axes fraction" if math.isinf(value) else "data" for value, _ in at)
+    coordinates = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
+    position = [
+        float(value > 0) if math.isinf(value) else factor * value for value, factor in coordinates
+    ]
+    x_frame, y_frame = (
+        "axes fraction" if math.isinf(value) else "data" for value, _ in coordinates
+    )
     axes.annotate(
-        label.text, (place[0], place[1]), label.offset, (x_frame, y_frame), "offset points",
+        label.text, (position[0], position[1]), label.offset, (x_frame, y_frame), "offset points",
         annotation_clip=False, **{"va": "center", "zorder": 6, **label.settings},
     )  # fmt: skip
 
 
 def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
-    """Set the ticks of an axis: its rows, or round numbers at steps that suit its ends."""
+    """Set the ticks of an axis: the names of its rows, or round numbers."""
     max_steps, linear_below, few_decades_below = 7, 6.0, 500.0
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
@@ -276,7 +287,7 @@ def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
 
 
 def _add_texts(figure: Figure, page: Page) -> None:
-    """Add title, footnote and a key of all labelled artists; the figure becomes higher by them."""
+    """Add title, footnote and a key of all labelled artists; increase the height accordingly."""
     import matplotlib as mpl
 
     size: float = mpl.rcParams["font.size"]
@@ -307,9 +318,9 @@ def _add_texts(figure: Figure, page: Page) -> None:
     figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
 
 
-def _count_key_columns(labels: Sequence[str], room: float) -> int:
-    """Return the number of columns of a key that fit beside each other into a room, mm."""
-    handle_mm = 11.8  # sample of a line with its gaps
+def _count_key_columns(labels: Sequence[str], width_mm: float) -> int:
+    """Return the number of columns of a key that fit into a width, mm."""
+    handle_mm = 11.8  # drawn piece of a line and the gaps beside it
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
@@ -317,22 +328,22 @@ def _count_key_columns(labels: Sequence[str], room: float) -> int:
     font = FontProperties(size=mpl.rcParams["legend.fontsize"])
     points = [text_to_path.get_text_width_height_descent(text, font, False)[0] for text in labels]
     widths = [handle_mm + width / _POINTS_PER_INCH * _MM_PER_INCH for width in points]
-    if sum(widths) <= room:
+    if sum(widths) <= width_mm:
         return max(len(widths), 1)
-    max_columns = max(int(room / max(widths)), 1)
+    max_columns = max(int(width_mm / max(widths)), 1)
     return math.ceil(len(widths) / math.ceil(len(widths) / max_columns))
 
 
 def draw_for_notebook(page: Page) -> Figure:
-    """Draw a page that looks the same outside the current style.
+    """Draw a page in the current style for a notebook, which may have another style.
 
     Parameters
     ----------
-    page : drawn in the current style
+    page : with at least one plot
 
     Returns
     -------
-    The figure, with the names of installed fonts, and an image for notebooks.
+    The figure; it names installed fonts only and provides an image for notebooks.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
@@ -382,13 +393,13 @@ def save_pages(
 
     Parameters
     ----------
-    pages : each figure is drawn and released before the next
-    folder : made if it does not exist
+    pages : figures; each is drawn and released before the next
+    folder : created if it does not exist
     say : called with the name of each figure before it is drawn
     run : key of the run of the figures, written to SVG and PNG; may be empty
-    png, pdf : write each as PNG or PDF, too; the SVG does not depend on it
+    png, pdf : whether each figure is also written as PNG or PDF; the SVG does not depend on them
     dpi : dots per inch of the PNG
-    is_journal : serif letters and colours of journals, instead of the look of the page
+    is_journal : serif letters and colours of journals, instead of the style of the page
 
     Returns
     -------
@@ -419,7 +430,7 @@ def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
 
 @contextmanager
 def writing(path: Path, what: str) -> Iterator[None]:
-    """Turn errors of writing inside this block into one that names the file and a remedy.
+    """Convert errors of writing inside a block to a `StoreError` with the file and a remedy.
 
     Parameters
     ----------

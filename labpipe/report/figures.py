@@ -1,4 +1,4 @@
-"""Figures of one test by their names in protocols: its curve, its measured law, its clocks."""
+"""Make the figures of a test that protocols name: its curve, its measured law, its clocks."""
 
 from __future__ import annotations
 
@@ -45,35 +45,42 @@ def is_as_recorded(result: TestResult, *names: str) -> bool:
 
     Parameters
     ----------
-    result : with a curve and aligned series
+    result : curve and aligned series of the test
     names : of the signals to compare, ``force`` or ``displacement``
 
     Returns
     -------
-    False also if the curve or one of the series is missing, or the curve is NaN throughout.
-    Samples that are NaN in one of them are not compared.
+    False also if the curve or one of the series is missing, or if all samples of the curve are NaN.
+    Samples that are NaN in the curve or in the series are not compared.
     """
     rounding_share = 1e-9  # of the range of the signal
     series = result.aligned.series if result.aligned is not None else {}
     for name in names:
-        after = None if result.curve is None else getattr(result.curve, name)
-        if after is None or name not in series or len(series[name].values) != len(after):
+        curve_values = None if result.curve is None else getattr(result.curve, name)
+        if (
+            curve_values is None
+            or name not in series
+            or len(series[name].values) != len(curve_values)
+        ):
             return False
-        if np.isnan(after).all():
+        if np.isnan(curve_values).all():
             return False
-        change = np.nanmax(np.abs(after - series[name].values))
-        if change > rounding_share * float(np.nanmax(after) - np.nanmin(after)):
+        change = np.nanmax(np.abs(curve_values - series[name].values))
+        if change > rounding_share * float(np.nanmax(curve_values) - np.nanmin(curve_values)):
             return False
     return True
 
 
 _MAX_CYCLE_KEYS = 6
-"""Cycles that the key lists. Up to as many have the colours of the style, more a colour map."""
+"""Largest number of cycles in the key, and of cycles with the colours of the style.
+
+More cycles have the colours of a colour map.
+"""
 _DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
-    """Make the page of the aligned samples and the curve, in one panel if they are equal."""
+    """Make the page of the aligned samples and of the curve; one panel if both are equal."""
     name, limit = "force-displacement", find_result(result.results, FORCE_LIMIT)
     limits = []
     if limit is not None and limit.value is not None:
@@ -82,17 +89,23 @@ def make_force_displacement_page(result: TestResult) -> Page:
     if is_as_recorded(result, "force", "displacement"):
         panels = [replace(processed, heading="As recorded")]
         return plots.make_test_page(result, name, panels, height=82, width=plots.SINGLE_COLUMN)
-    what = "unfiltered force and displacement"
-    recorded = _make_force_plot(result, limits, "As recorded", _plot_recorded(result), what)
+    missing_content = "unfiltered force and displacement"
+    recorded = _make_force_plot(
+        result, limits, "As recorded", _plot_recorded(result), missing_content
+    )
     return plots.make_test_page(result, name, [recorded, processed], height=82, shared="xy")
 
 
 def _make_force_plot(
-    result: TestResult, limits: list[Line], heading: str, lines: Iterator[Line], what: str
+    result: TestResult,
+    limits: list[Line],
+    heading: str,
+    lines: Iterator[Line],
+    missing_content: str,
 ) -> Plot:
-    """Make a panel of force against displacement; without lines, it says what is missing."""
+    """Make a panel of force against displacement; without lines, it states the missing data."""
     drawn = list(lines)
-    reason = "" if drawn else wording.explain_missing(result, what)
+    reason = "" if drawn else wording.explain_missing(result, missing_content)
     return Plot(*_make_axes(result), [*drawn, *limits], heading, reason=reason)
 
 
@@ -117,7 +130,7 @@ def _plot_recorded(result: TestResult) -> Iterator[Line]:
 
 
 def _plot_curve(result: TestResult) -> Iterator[Line]:
-    """Yield the curve, and a mark at the highest force of each cycle."""
+    """Yield the curve, and a mark at the peak force of each cycle."""
     curve = result.curve
     if curve is None:
         return
@@ -164,7 +177,7 @@ def _find_branches(result: TestResult) -> tuple[Branch, ...]:
 
 
 def choose_cycle_colours(count: int) -> list[str]:
-    """Return a colour per cycle: those of the style for up to six cycles, else of a colour map."""
+    """Return a colour per cycle: from the style for up to six cycles, else from a colour map."""
     if count > _MAX_CYCLE_KEYS:
         return figure_page.sample_colour_map(count, 0.92)
     return [f"C{number}" for number in range(count)]
@@ -191,25 +204,25 @@ def _plot_loading(result: TestResult, curve: Curve, part: slice) -> Iterator[Lin
     """Yield a loading branch, and the measured one if slips were repaired."""
     x, n_bins = curve.displacement[part], 1500
     if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
-        before = result.aligned.series["force"].values[part]
-        yield thinned_line("as_measured", x, before, n_bins=n_bins)
+        measured_force = result.aligned.series["force"].values[part]
+        yield thinned_line("as_measured", x, measured_force, n_bins=n_bins)
     yield thinned_line("loading", x, curve.force[part], n_bins=n_bins)
 
 
 def _plot_fits(result: TestResult) -> Iterator[Line]:
-    """Yield each fitted line over its window: broad and pale, or dotted for a segment."""
+    """Yield each fitted line over its window, broad and pale; lines of segments are dotted."""
     names = list(dict.fromkeys(fit.result for fit in result.lines))
     windows = [name for name in names if not name.startswith("segment")]
     for fit in result.lines:
         x = np.array([fit.start, fit.stop])
-        look: dict[str, Any] = {"look": "fitted_segment"}
+        settings: dict[str, Any] = {"look": "fitted_segment"}
         if fit.result in windows:  # the first colour is that of the curve
-            look = {"look": "fit_window", "color": f"C{windows.index(fit.result) % 7 + 1}"}
+            settings = {"look": "fit_window", "color": f"C{windows.index(fit.result) % 7 + 1}"}
         y, number = fit.level + fit.slope * (x - fit.start), find_result(result.results, fit.result)
         if number is None or number.value is None:
             number = Result(fit.result, fit.slope, "N/m")
         label = f"{wording.write_label(fit.result)}: {_describe_number(result, number)}"
-        yield line(x=x, y=y, label=label, **look)
+        yield line(x=x, y=y, label=label, **settings)
 
 
 def _describe_number(result: TestResult, number: Result) -> str:
@@ -236,7 +249,7 @@ def _plot_events(result: TestResult) -> Iterator[Line]:
 
 
 class _Tension(NamedTuple):
-    """The curve of a tension test in stress and strain, which is counted from the elastic line.
+    """The curve of a tension test in stress and strain; the elastic line starts at zero strain.
 
     Parameters
     ----------
@@ -307,7 +320,7 @@ def make_stress_strain_page(result: TestResult) -> Page:
 
 
 def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:
-    """Yield the points of proof, yield and largest stress and of the break, and the elongation."""
+    """Yield the points of proof stress, yield stress, strength and break, and the elongation."""
     numbers = {number.name: number for number in result.results if number.value is not None}
     values = {name: number.value or 0.0 for name, number in numbers.items()}
     points, sample = [], 0
@@ -335,14 +348,14 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
 
 
 def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> Iterator[Line]:
-    """Yield the elastic line over its window, and up to a stress with its lines of offsets."""
-    window, run = tension.window, top / tension.modulus
+    """Yield the elastic line over its window and up to the stress `top`, and its offset lines."""
+    window, strain_at_top = tension.window, top / tension.modulus
     number = Result("elastic_modulus", tension.modulus, "Pa")
     label = f"E {_describe_number(result, find_result(result.results, number.name) or number)}"
     yield line("fit_window", window, tension.modulus * window, label=label, color="C0")
-    yield line("elastic_line", [0.0, run], [0.0, top])
+    yield line("elastic_line", [0.0, strain_at_top], [0.0, top])
     for offset in tension.offsets.values():
-        yield line("offset_line", [offset, offset + run], [0.0, top])
+        yield line("offset_line", [offset, offset + strain_at_top], [0.0, top])
 
 
 def make_moment_curvature_page(result: TestResult) -> Page:
@@ -367,9 +380,9 @@ def make_moment_curvature_page(result: TestResult) -> Page:
 def _plot_cloud(result: TestResult) -> Iterator[Line]:
     """Yield the points of all branches, and the law with its 95 % interval.
 
-    Loading has dots and unloading open circles, in the colours of the cycles. The points are
-    moved to start at the straight, unloaded state, if the law is known. A grey stripe shows the
-    curvatures below their noise.
+    Loading has dots and unloading has open circles, in the colours of the cycles. If the law is
+    known, the points are shifted so that the origin is the straight, unloaded state. A grey stripe
+    marks the curvatures below the noise of the curvature.
     """
     max_cloud_points = 2500
     if result.bending is None:
@@ -385,11 +398,11 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
-        look: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "color": colour,
             "markerfacecolor": colour if is_loading else "none",
         }
-        yield line("cloud", x[rows].ravel()[::stride], y[rows].ravel()[::stride], **look)
+        yield line("cloud", x[rows].ravel()[::stride], y[rows].ravel()[::stride], **settings)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
         yield key("cloud_key", label=f"cycle {number}", color=colour)
     for label, face in (("loading", GREY), ("unloading", "none")):
@@ -406,16 +419,19 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
 def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> Plot:
     """Make the panel of the secant and the tangent stiffness of a law, with their intervals.
 
-    Tangents are drawn at the knots of the law. A grey stripe shows the curvatures below their
-    noise.
+    Tangents are drawn at the knots of the law. A grey stripe marks the curvatures below the noise
+    of the curvature.
     """
-    min_curvature_share = 1e-3  # start of the axis, of the largest curvature
+    min_curvature_share = 1e-3  # start of the axis over the largest curvature
     start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1])
     x, y = _make_axes(result, "Curvature", "Bending stiffness")
-    at = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
-    at = at[np.isfinite(law.tangent[at])]
-    curvature, tangent = law.curvature[at], law.tangent[at]
-    ends = np.fmin(law.tangent_lower[at], tangent), np.fmax(law.tangent_upper[at], tangent)
+    knot_rows = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
+    knot_rows = knot_rows[np.isfinite(law.tangent[knot_rows])]
+    curvature, tangent = law.curvature[knot_rows], law.tangent[knot_rows]
+    ends = (
+        np.fmin(law.tangent_lower[knot_rows], tangent),
+        np.fmax(law.tangent_upper[knot_rows], tangent),
+    )
     bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(*ends)
     lines = [
         plots.area("band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]),
@@ -432,19 +448,19 @@ def make_timeline_page(result: TestResult) -> Page:
     """Make the page of force and motion against time, and the residuals of clock alignment."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
     forces, motions = list(_plot_force(result)), list(_plot_motion(result))
-    scale, word = wording.find_unit(result.display, "time"), "Displacement"
+    scale, motion_name = wording.find_unit(result.display, "time"), "Displacement"
     if result.aligned is not None and "travel" in result.aligned.series:
-        word = "Travel"
+        motion_name = "Travel"
     reasons = [
-        "" if lines else wording.explain_missing(result, what)
-        for lines, what in ((forces, "force"), (motions, "motion"))
+        "" if lines else wording.explain_missing(result, missing_content)
+        for lines, missing_content in ((forces, "force"), (motions, "motion"))
     ]
     times = [drawn.x for drawn in (*forces, *motions)]
     time = plots.make_axis("Time", scale, times, margin=0.01)
     force, motion = wording.find_units(result.display, "force", "displacement")
     panels = [
         Plot(time, Axis("Force", force), forces, reason=reasons[0]),
-        Plot(time, Axis(word, motion), motions, reason=reasons[1]),
+        Plot(time, Axis(motion_name, motion), motions, reason=reasons[1]),
     ]
     if fit is not None:
         panels.append(_make_residual_plot(fit, time))
@@ -456,7 +472,7 @@ def make_timeline_page(result: TestResult) -> Page:
 
 
 def _plot_force(result: TestResult) -> Iterator[Line]:
-    """Yield the force of the curve; the force as recorded is grey if it differs."""
+    """Yield the force of the curve, and the recorded force in grey if both differ."""
     aligned, curve, is_untouched = result.aligned, result.curve, is_as_recorded(result, "force")
     if aligned is not None and "force" in aligned.series and not is_untouched:
         recorded = aligned.series["force"].values
@@ -467,7 +483,7 @@ def _plot_force(result: TestResult) -> Iterator[Line]:
 
 
 def _plot_motion(result: TestResult) -> Iterator[Line]:
-    """Yield travel, else displacement, with the turning points of the curve."""
+    """Yield the travel, or the displacement if there is none, with the turning points."""
     aligned, curve = result.aligned, result.curve
     names = [name for name in ("travel", "displacement") if aligned and name in aligned.series]
     if aligned is not None and names:
@@ -489,13 +505,13 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
 def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
     """Make the panel of the residual of the clock fit at each event, with its 95 % interval."""
     normal_quantile = 1.96
-    at, errors = fit.event_times_motion, normal_quantile * fit.event_errors
-    residuals = fit.event_times_force - fit.to_force_time(at)
+    event_times, errors = fit.event_times_motion, normal_quantile * fit.event_errors
+    residuals = fit.event_times_force - fit.to_force_time(event_times)
     bars = plots.join_with_gaps(residuals - errors, residuals + errors)
     lines = [
         plots.level("zero", 0.0),
-        line("clock_interval", plots.join_with_gaps(at, at), bars),
-        line("clock_residual", at, residuals),
+        line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
+        line("clock_residual", event_times, residuals),
     ]
     place = {"ha": "right", "va": "bottom", "color": GREY}
     label = plots.Label(_describe_clock_fit(fit), np.inf, np.inf, (0.0, 3.0), place)
@@ -506,15 +522,15 @@ def _describe_clock_fit(fit: ClockFit) -> str:
     """Write offset and drift, each with half its interval, and the residual, if any."""
     clock_parameters = 2  # offset and drift
     events = len(fit.event_times_motion)
-    left = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
+    residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
     if events <= clock_parameters:
-        left = f"{wording.write_count(events, 'event')} for two unknowns: no residual"
-    offset = _with_half(fit.offset, fit.offset_interval, 1.0)
-    drift = _with_half(fit.drift, fit.drift_interval, 1e6)
-    return f"offset {offset} s,  drift {drift} ppm,  {left};  bars: 95 % of each event"
+        residual_text = f"{wording.write_count(events, 'event')} for two unknowns: no residual"
+    offset = _write_with_half_width(fit.offset, fit.offset_interval, 1.0)
+    drift = _write_with_half_width(fit.drift, fit.drift_interval, 1e6)
+    return f"offset {offset} s,  drift {drift} ppm,  {residual_text};  bars: 95 % of each event"
 
 
-def _with_half(value: float, interval: Interval, factor: float) -> str:
+def _write_with_half_width(value: float, interval: Interval, factor: float) -> str:
     """Write a number and half the width of its interval, to the second digit of that half."""
     place = wording.find_last_place(value, interval, factor)
     half = 0.5 * (interval.upper - interval.lower)
@@ -535,13 +551,13 @@ FIGURES: dict[str, Callable[[TestResult], Page]] = {
 
 
 def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list[Path]:
-    """Write the figures that the protocol names as SVG.
+    """Write the figures that the protocol of a test names as SVG.
 
     Parameters
     ----------
-    result : a processed test; a figure without data says why it is empty
-    folder : made if it does not exist
-    png : write each as PNG, too
+    result : a processed test; a figure without data states the reason
+    folder : created if it does not exist
+    png : whether each figure is also written as PNG
 
     Returns
     -------
@@ -570,7 +586,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 def is_for_journal(result: TestResult) -> bool:
     """Return whether the protocol of a test sets ``style: journal`` for its figures.
 
-    A protocol of an earlier grammar, which is no longer valid, does not.
+    False for a protocol that is not valid, such as one of an earlier grammar.
     """
     if "style: journal" not in result.protocol_yaml:  # saves parsing, which takes longer
         return False
@@ -590,7 +606,7 @@ def draw_figure(result: TestResult, name: str) -> Figure:
 
     Returns
     -------
-    The figure, laid out in labpipe's style, which it keeps wherever it is drawn.
+    The figure with labpipe's style and layout, which do not depend on the style of the notebook.
     """
     with figure_page.style(is_journal=is_for_journal(result)):
         return figure_page.draw_for_notebook(FIGURES[name](result))

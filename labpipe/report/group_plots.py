@@ -1,4 +1,4 @@
-"""Plots and figures of a group: curves, shapes, measured laws, numbers."""
+"""Make the plots and figures of a group: curves, shapes, measured laws, numbers."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, joi
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
 MAX_DOT_NUMBERS, MAX_DOT_ROWS = 6, 24
-"""Largest number of panels of numbers, and of samples that have a row each in a panel."""
+"""Largest number of panels of numbers, and of samples with a row each in a panel."""
 
 
 class _Points(NamedTuple):
-    """Largest numbers of points of the lines of a test, and of its shapes.
+    """Largest numbers of points and shapes that are drawn for a test.
 
     Parameters
     ----------
-    first : of the first loading
-    others : of all other branches together
-    scaled : of the curve over its peak force
+    first : points of the first loading
+    others : points of all other branches together
+    scaled : points of the curve over its peak force
     shapes : number of shapes
     """
 
@@ -47,14 +47,14 @@ class _Points(NamedTuple):
 
 
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
-"""On the page for few samples, and for many: a test takes less than 3 kB."""
+"""Limits on the page for few samples and for many samples: a test takes less than 3 kB."""
 _IN_FILES = _Points(120, 80, 120, 6)
 _MAX_DETAILED_SAMPLES = 6
 _SMALL_PLOT = (262, 150)
 
 
-class _Shown(NamedTuple):
-    """A sample with its first loading, and the colour and the number of its lines on the page."""
+class _PlottedSample(NamedTuple):
+    """A sample with its first loading, the colour of its lines and its number on the page."""
 
     sample: Sample
     first: SampleCurve | None
@@ -71,9 +71,9 @@ class _GroupView:
 
     Parameters
     ----------
-    group : with or without samples
-    stem : of its links
-    tests : all of the page; None for a figure in a file, whose lines have more points
+    group : group of samples; may be empty
+    stem : stem of the addresses of its links
+    tests : tests of the page; None for a figure in a file, whose lines have more points
     """
 
     group: Group
@@ -92,16 +92,16 @@ class _GroupView:
         return _IN_FILES if self.tests is None else _FEW if self.is_detailed else _MANY
 
     def make_plot(
-        self, kind: str, axes: tuple[Axis, Axis], lines: Sequence[Line], title: str, **more: Any
+        self, kind: str, axes: tuple[Axis, Axis], lines: Sequence[Line], title: str, **settings: Any
     ) -> Plot:
-        """Make a plot of lines with their key; its mean is named by `mean`, if any."""
-        legend = _make_legend(self, lines, more.pop("mean", "mean"))
-        settings = {"legend": legend, "group": self.stem, "size": _SMALL_PLOT, **more}
-        return Plot(*axes, lines, kind=kind, title=f"{title} {self.group.name}.", **settings)
+        """Make a plot of lines with their key; the setting `mean` is the label of the mean."""
+        legend = _make_legend(self, lines, settings.pop("mean", "mean"))
+        all_settings = {"legend": legend, "group": self.stem, "size": _SMALL_PLOT, **settings}
+        return Plot(*axes, lines, kind=kind, title=f"{title} {self.group.name}.", **all_settings)
 
     @cached_property
-    def shown(self) -> list[_Shown]:
-        """Return the samples in the colours of their spools, or in their own for one spool."""
+    def shown(self) -> list[_PlottedSample]:
+        """Return the samples with colours: one per spool, or one per sample of a single spool."""
         samples = self.group.samples
         names = [sample.specimen.spool for sample in samples]
         if len(set(names)) == 1 and self.is_detailed:
@@ -109,23 +109,25 @@ class _GroupView:
         colours = {name: f"c{at % N_COLOURS}" for at, name in enumerate(dict.fromkeys(names))}
         numbers = {} if self.tests is None else self.tests.number
         return [
-            _Shown(sample, find_first_loading(sample), colours[name], numbers.get(make_key(sample)))
+            _PlottedSample(
+                sample, find_first_loading(sample), colours[name], numbers.get(make_key(sample))
+            )
             for sample, name in zip(samples, names, strict=True)
         ]
 
 
 def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = None) -> list[Plot]:
-    """Make the plots of a group for the page, as far as it has data for them.
+    """Make the plots of a group for the page for which it has data.
 
     Parameters
     ----------
-    group : with or without samples
-    stem : of its links
-    tests : all of the page; None for plots in files, whose lines have more points
+    group : group of samples; may be empty
+    stem : stem of the addresses of its links
+    tests : tests of the page; None for plots in files, whose lines have more points
 
     Returns
     -------
-    Force against displacement first, if any sample has a curve; then smaller plots.
+    The plot of force against displacement, if any sample has a curve; then smaller plots.
     """
     view = _GroupView(group, stem, tests)
     makers = (_make_curve_plots, _make_shape_plots, _make_moment_plots, _make_scaled_plots)
@@ -133,19 +135,22 @@ def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = Non
 
 
 def make_file_plots(group: Group) -> dict[str, list[Plot]]:
-    """Make the plots of a group for files, as far as it has data for them.
+    """Make the plots of a group for files for which it has data.
 
     Parameters
     ----------
-    group : with or without samples
+    group : group of samples; may be empty
 
     Returns
     -------
     Plots by the name of their figure: ``curves``, ``scaled`` (force over peak force), ``shapes``,
     ``moment`` and ``numbers``.
     """
-    drawn = [*make_group_plots(group), *_make_number_plots(group)]
-    return {kind: list(same) for kind, same in groupby(drawn, key=lambda plot: plot.kind)}
+    all_plots = [*make_group_plots(group), *_make_number_plots(group)]
+    return {
+        kind: list(plots_of_kind)
+        for kind, plots_of_kind in groupby(all_plots, key=lambda plot: plot.kind)
+    }
 
 
 def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
@@ -153,9 +158,9 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
 
     Parameters
     ----------
-    name : of its files
-    title, columns, caption : of the page
-    panels : at least one, with a size
+    name : file name without the ending
+    title, columns, caption : see `Page`
+    panels : plots with a size, at least one
     """
     frame_mm, mm_per_point, single_mm = 14.0, 0.3, 68.0
     first = panels[0]
@@ -185,8 +190,8 @@ def list_group_figures(group: Group) -> Iterator[Page]:
 
     Yields
     ------
-    The figures of `make_file_plots` by names without the group. Without curves, the figure
-    ``curves`` says why it is empty.
+    The figures of `make_file_plots`; their names are without the group. Without curves, the figure
+    ``curves`` states the reason.
     """
     title, figures = wording.write_group_title(group), make_file_plots(group)
     if "curves" not in figures:
@@ -205,7 +210,7 @@ def find_first_loading(sample: Sample) -> SampleCurve | None:
 def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
     """Yield the plot of force against displacement, if any sample has a curve."""
     group, band = view.group, view.group.band
-    if all(shown.first is None for shown in view.shown):
+    if all(plotted.first is None for plotted in view.shown):
         return
     rejected = [] if view.tests is None else view.tests.rejected(view.stem)
     lines = list(make_band_lines(band))
@@ -213,12 +218,12 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
         first = find_first_loading(test.sample)
         if first is not None:
             lines.append(_thin("rejected", first, first.force, test.number, view.points.others))
-    lines += [line for shown in view.shown for line in _plot_sample(view, shown)]
-    lines += [line for shown in view.shown for line in _plot_windows(shown)]
+    lines += [line for plotted in view.shown for line in _plot_sample(view, plotted)]
+    lines += [line for plotted in view.shown for line in _plot_windows(plotted)]
     lines += make_mean_lines(band)
-    lines += [line for shown in view.shown for line in _plot_events(shown)]
+    lines += [line for plotted in view.shown for line in _plot_events(plotted)]
     x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
-    limits = {shown.find_value(FORCE_LIMIT) for shown in view.shown} - {None}
+    limits = {plotted.find_value(FORCE_LIMIT) for plotted in view.shown} - {None}
     lines += [plots.level("limit", limit) for limit in sorted(filter(None, limits))]
     forces = [
         curve.force for sample in group.samples for curve in (*sample.loading, *sample.unloading)
@@ -232,10 +237,10 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
 
 
 def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], band: Band) -> Axis:
-    """Make the axis of force: all curves, and of bands as much as leaves the curves readable.
+    """Make the axis of force, which includes all curves and clips wide bands.
 
-    Beyond the curves, the axis shows the pointwise band up to half their height. It shows the
-    simultaneous band in full if that needs at most a quarter more, else clipped.
+    The axis extends beyond the curves by at most half their range for the pointwise band. It
+    includes the whole simultaneous band if this extends the axis by at most a quarter.
     """
     joined = np.concatenate([np.zeros(0), *forces])
     low, high = plots.clip_range(joined, [*band.lower, *band.upper], 0.5)
@@ -245,14 +250,14 @@ def _make_force_axis(name: str, scale: wording.Scale, forces: Sequence[Floats], 
     return plots.make_axis(name, scale, [np.array([low, high])], margin=0.04)
 
 
-def _plot_sample(view: _GroupView, shown: _Shown) -> Iterator[Line]:
-    """Yield the other branches, the force as measured if slips were repaired, the first loading."""
-    sample, first, colour, number = shown
+def _plot_sample(view: _GroupView, plotted: _PlottedSample) -> Iterator[Line]:
+    """Yield the later branches and the first loading, also as measured if slips were repaired."""
+    sample, first, colour, number = plotted
     branches = [branch for branch in (*sample.loading, *sample.unloading) if branch is not first]
-    others = [branch for branch in branches if len(branch.displacement)]
-    for other in others:
-        points = max(view.points.others // len(others), 8)
-        yield _thin(f"unloading {colour}", other, other.force, number, points)
+    later_branches = [branch for branch in branches if len(branch.displacement)]
+    for later_branch in later_branches:
+        points = max(view.points.others // len(later_branches), 8)
+        yield _thin(f"unloading {colour}", later_branch, later_branch.force, number, points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
@@ -267,23 +272,23 @@ def _thin(look: str, branch: SampleCurve | Band, y: Floats, test: int | None, po
     return Line(look, x[rows], y[rows], test)
 
 
-def _plot_windows(shown: _Shown) -> Iterator[Line]:
+def _plot_windows(plotted: _PlottedSample) -> Iterator[Line]:
     """Yield the fitted lines over their windows."""
     parts: dict[str, list[FittedLine]] = {}
-    for fit in shown.sample.lines:
-        look = "segment" if fit.result.startswith("segment") else "window"
-        parts.setdefault(look, []).append(fit)
-    for look, fits in parts.items():
+    for fit in plotted.sample.lines:
+        kind = "segment" if fit.result.startswith("segment") else "window"
+        parts.setdefault(kind, []).append(fit)
+    for kind, fits in parts.items():
         start, stop, slope, height = np.array(
             [(fit.start, fit.stop, fit.slope, fit.level) for fit in fits]
         ).T
         heights = join_with_gaps(height, height + slope * (stop - start))
-        yield Line(look, join_with_gaps(start, stop), heights, shown.number)
+        yield Line(kind, join_with_gaps(start, stop), heights, plotted.number)
 
 
-def _plot_events(shown: _Shown) -> Iterator[Line]:
+def _plot_events(plotted: _PlottedSample) -> Iterator[Line]:
     """Yield slips and failure of a test as dots on its curve."""
-    sample, first, _, number = shown
+    sample, first, _, number = plotted
     if first is None:
         return
     finite = np.isfinite(first.displacement) & np.isfinite(first.force)
@@ -291,9 +296,9 @@ def _plot_events(shown: _Shown) -> Iterator[Line]:
     if len(places) and finite.any():
         heights = np.interp(places, first.displacement[finite], first.force[finite])
         yield Line("slip", join_with_gaps(places), join_with_gaps(heights), number)
-    place, force = (shown.find_value(f"failure_{name}") for name in ("displacement", "force"))
-    if place is not None and force is not None:
-        yield Line("failure", np.array([place, nan]), np.array([force, nan]), number)
+    position, force = (plotted.find_value(f"failure_{name}") for name in ("displacement", "force"))
+    if position is not None and force is not None:
+        yield Line("failure", np.array([position, nan]), np.array([force, nan]), number)
 
 
 def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
@@ -301,9 +306,9 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
     Parameters
     ----------
-    band : one of fewer than two curves, or one without an area, is not drawn
+    band : a band of fewer than two curves, or without an area, is not drawn
     look : class of its colour
-    group : stem, if several groups are in one plot: only the pointwise band is then drawn
+    group : stem of the group in a plot of several groups, which shows only the pointwise band
     """
     if band.n < 2 or not band.has_area:
         return
@@ -317,12 +322,12 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
 
 def _find_band_rows(band: Band, values: Floats) -> Ints:
-    """Find the points with which a band or a mean is drawn."""
+    """Find the points of a simplified band or mean."""
     return plots.simplify_line(band.displacement, values, max_points=28, tolerance=0.001)
 
 
 def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Line]:
-    """Yield a mean curve, and its intervals at single displacements if it has no area.
+    """Yield a mean curve, and its intervals at single displacements if the band has no area.
 
     Parameters
     ----------
@@ -339,12 +344,12 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
 
 def _make_legend(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[LegendEntry]:
-    """Make the key of a plot: its tests if they are few, else its spools; then the other signs."""
-    spools = {shown.sample.specimen.spool: shown.colour for shown in view.shown}
+    """Make the key of a plot: its tests if they are few, else its spools; then other entries."""
+    spools = {plotted.sample.specimen.spool: plotted.colour for plotted in view.shown}
     if view.is_detailed and (view.tests is not None or len(spools) == 1):  # each can be hidden
         entries = [
-            LegendEntry(f"curve {shown.colour}", shown.sample.test, "t", str(shown.number))
-            for shown in view.shown
+            LegendEntry(f"curve {plotted.colour}", plotted.sample.test, "t", str(plotted.number))
+            for plotted in view.shown
         ]
     else:
         entries = [
@@ -358,11 +363,11 @@ def list_signs(
     lines: Sequence[Line], labels: dict[str, str], attribute: str = ""
 ) -> list[LegendEntry]:
     """List the entries of a key for the looks of lines, in the order of their labels."""
-    looks = {line.look.partition(" ")[0] for line in lines}
+    kinds = {line.look.partition(" ")[0] for line in lines}
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
         for look, label in labels.items()
-        if look in looks
+        if look in kinds
     ]
 
 
@@ -382,15 +387,15 @@ _SIGNS = {
 
 
 def _make_shape_plots(view: _GroupView) -> Iterator[Plot]:
-    """Yield the plot of the markers at equal steps of the first loading, with one scale."""
+    """Yield the plot of the markers at equal steps of the first loading, with equal axis scales."""
     min_height, max_height = 88, 190
     lines, steps = [], np.zeros(0)
-    for shown in view.shown:
-        shapes = shown.sample.shapes
+    for plotted in view.shown:
+        shapes = plotted.sample.shapes
         if shapes is not None and np.isfinite(shapes.positions).any():
-            places = shapes.positions[-view.points.shapes :]
-            x, y = (join_with_gaps(*places[:, :, way].T) for way in (0, 1))
-            lines.append(Line(f"shape {shown.colour}", x, y, shown.number))
+            positions = shapes.positions[-view.points.shapes :]
+            x, y = (join_with_gaps(*positions[:, :, axis].T) for axis in (0, 1))
+            lines.append(Line(f"shape {plotted.colour}", x, y, plotted.number))
             steps = max(steps, shapes.deflection, key=len)
     if not lines:
         return
@@ -400,8 +405,8 @@ def _make_shape_plots(view: _GroupView) -> Iterator[Plot]:
     spans = x_axis.high - x_axis.low, y_axis.high - y_axis.low
     height = min(max(round(width * spans[1] / spans[0]), min_height), max_height)
     step = max(spans[0] / width, spans[1] / height)
-    shown_steps = np.round(steps[-view.points.shapes :], 4) + 0.0
-    deflections = ", ".join(f"{way * scale.factor:.2g}" for way in shown_steps)
+    plotted_steps = np.round(steps[-view.points.shapes :], 4) + 0.0
+    deflections = ", ".join(f"{deflection * scale.factor:.2g}" for deflection in plotted_steps)
     axes = _widen(x_axis, step * width), _widen(y_axis, step * height)
     caption = f"Markers at {deflections} {scale.unit} of the first loading, at equal axis scale."
     title = f"Shapes of {wording.write_count(len(lines), 'sample')} of"
@@ -415,25 +420,32 @@ def _widen(axis: Axis, width: float) -> Axis:
 
 
 def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
-    """Yield the plot of the measured laws, for few samples with 95 % intervals as areas."""
+    """Yield the plot of the measured laws; with few samples, areas show their 95 % intervals."""
     areas, lines = [], []
-    laws = [(shown, shown.sample.law) for shown in view.shown if shown.sample.law is not None]
-    for shown, law in laws:
-        x, colour = law.curvature, shown.colour
-        lines.append(Line(f"curve {colour}", x, law.moment, shown.number))
+    laws = [
+        (plotted, plotted.sample.law) for plotted in view.shown if plotted.sample.law is not None
+    ]
+    for plotted, law in laws:
+        x, colour = law.curvature, plotted.colour
+        lines.append(Line(f"curve {colour}", x, law.moment, plotted.number))
         if len(laws) <= _MAX_DETAILED_SAMPLES:
             band = plots.area(f"band {colour}", x, law.moment_lower, law.moment_upper)
-            areas.append(replace(band, test=shown.number))
+            areas.append(replace(band, test=plotted.number))
     if not lines:
         return
-    every, note = [*areas, *lines], " Area: 95 % interval of each sample." if areas else ""
+    areas_and_lines, note = (
+        [*areas, *lines],
+        " Area: 95 % interval of each sample." if areas else "",
+    )
     axes = (
         plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines]),
-        plots.make_axis("Bending moment", view.find_scale("moment"), [line.y for line in every]),
+        plots.make_axis(
+            "Bending moment", view.find_scale("moment"), [line.y for line in areas_and_lines]
+        ),
     )
     title, legend = "Bending moment against curvature of", _make_legend(view, lines)
     caption = f"Measured from the shapes, first loading.{note}"
-    yield view.make_plot("moment", axes, every, title, legend=legend, caption=caption)
+    yield view.make_plot("moment", axes, areas_and_lines, title, legend=legend, caption=caption)
 
 
 def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
@@ -441,11 +453,13 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
     band, curves = view.group.band_scaled, []
     if band is None:
         return
-    for shown in view.shown:
-        peak = shown.find_value("peak_force.1")
-        if shown.first is not None and peak:
-            share, points = shown.first.force / peak, view.points.scaled
-            curves.append(_thin(f"curve {shown.colour}", shown.first, share, shown.number, points))
+    for plotted in view.shown:
+        peak = plotted.find_value("peak_force.1")
+        if plotted.first is not None and peak:
+            share, points = plotted.first.force / peak, view.points.scaled
+            curves.append(
+                _thin(f"curve {plotted.colour}", plotted.first, share, plotted.number, points)
+            )
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
@@ -461,9 +475,9 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:
-    """Yield a plot for each of the first numbers with two or more samples; no later cycles.
+    """Yield a plot for each of the first numbers with two or more samples, without later cycles.
 
-    Its rows are the samples and the mean of each spool, and the mean.
+    The rows of a plot are the samples, the mean of each spool, and the mean.
     """
     first_cycle = [number for number in group.numbers if wording.is_first_cycle(number.name)]
     numbers = [
@@ -471,9 +485,9 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
         for number in first_cycle
         if number.mean is not None and number.mean.over_samples.n > 1
     ][:MAX_DOT_NUMBERS]
-    drawn = {number.name for number in numbers}
-    others = [number.name for number in first_cycle if number.name not in drawn]
-    caption = f"In the tables only: {'; '.join(map(wording.write_label, others))}."
+    plotted_names = {number.name for number in numbers}
+    table_only_names = [number.name for number in first_cycle if number.name not in plotted_names]
+    caption = f"In the tables only: {'; '.join(map(wording.write_label, table_only_names))}."
     for number in numbers:
         names: dict[str, int] = {}
         lines = list(_plot_dots(group, number, names))
@@ -487,7 +501,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             legend=list_signs(lines, _DOT_SIGNS),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
-            caption=caption if others else "",
+            caption=caption if table_only_names else "",
             size=(262, 20 + 11 * len(names)),
         )
 
@@ -502,7 +516,7 @@ _DOT_SIGNS = {
 
 
 def make_dot_axis(name: str, scale: wording.Scale, lines: Sequence[Line]) -> Axis:
-    """Make an axis that includes all dots, and of wide intervals as much as keeps them apart."""
+    """Make an axis that includes all dots, and clips wide intervals so that the dots differ."""
     values = [line.x for line in lines if not line.look.startswith("interval")]
     ends = np.concatenate([line.x for line in lines])
     low, high = plots.clip_range(np.concatenate(values), ends, 1.0)
@@ -519,8 +533,8 @@ def make_dot_lines(
     ----------
     look : class of the dot with its colour
     value, interval : in SI
-    row : height
-    group : stem, if several groups are in one plot
+    row : vertical position
+    group : stem of the group in a plot of several groups
     """
     if interval is not None and np.isfinite(interval.upper - interval.lower):
         bar = " ".join(["interval", *look.split()[1:]])
@@ -529,16 +543,16 @@ def make_dot_lines(
 
 
 def _plot_dots(group: Group, number: GroupNumber, names: dict[str, int]) -> Iterator[Line]:
-    """Yield the dots and bars of samples and means; add the names of the rows to `names`."""
+    """Yield the dots and bars of samples and means; add row names and row numbers to `names`."""
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     is_crowded = len(group.samples) > MAX_DOT_ROWS
     means = {} if number.mean is None else number.mean.spool_means
-    for at, spool in enumerate(spools):
+    for index, spool in enumerate(spools):
         tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
-        colour = f"c{at % N_COLOURS}"
-        for place, test in enumerate(tests):
+        colour = f"c{index % N_COLOURS}"
+        for index_in_spool, test in enumerate(tests):
             name = f"{len(tests)} samples of {spool}" if is_crowded else test
-            shift = (place / len(tests) - 0.5) * 0.7 if is_crowded else 0.0
+            shift = (index_in_spool / len(tests) - 0.5) * 0.7 if is_crowded else 0.0
             row = -names.setdefault(name, len(names)) - shift
             yield from _plot_sample_dot(number, test, colour, row, has_bar=not is_crowded)
         if len(spools) > 1 and spool in means:

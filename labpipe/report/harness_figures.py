@@ -1,4 +1,4 @@
-"""Figures of harnesses: lines and lengths compared; sections, bounds and cycles of bundles."""
+"""Make the figures of harnesses: lines by length; sections, bounds and cycles of bundles."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class DrawnMark:
     name, kind : of the boundary
     position : shape (3,), m, at the last step
     path : shape (steps + 1, 3), m, of a grip or of a string; empty for other kinds
-    direction : shape (3,), of the line or of the force at the boundary; None if it has none
-    is_holding : at the last step
+    direction : shape (3,), of the line or of the force at the boundary; None without a direction
+    is_holding : whether the boundary holds the line at the last step
     """
 
     name: str
@@ -94,12 +94,12 @@ class DrawnHarness:
 
 
 def list_harness_figures(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[Page]:
-    """List the figures of a harness: its shape, and its lengths compared.
+    """List the figures of a harness: its shape, and the comparison of its lengths.
 
     Parameters
     ----------
     drawn : the harness
-    sweep : several lengths of it; None without a sweep
+    sweep : results for several lengths; None without a sweep
     """
     return [make_harness_page(drawn), *([] if sweep is None else [make_sweep_page(sweep)])]
 
@@ -111,7 +111,7 @@ def make_harness_page(drawn: DrawnHarness) -> Page:
     ----------
     drawn : the harness
     """
-    straight_radius_factor = 40.0  # of the allowed radius: straighter lines have one colour
+    straight_radius_factor = 40.0  # times the allowed radius: larger radii have one colour
     ends = drawn.allowed, straight_radius_factor * drawn.allowed
     colours = Axis("Bend radius", LENGTH, *ends, is_log=True)
     views = [make_view(drawn, view) for view in _VIEWS]
@@ -134,11 +134,13 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    min_side_share = 0.12  # smallest side of the view, of the longest side of the lines
+    min_side_share = 0.12  # smallest side of the view over the longest side of the lines
     last, pair, marks = drawn.shapes[-1], list(_VIEWS[view]), drawn.marks
     positions = np.vstack([shape.positions for shape in drawn.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
-    lines = [shown for plane in drawn.planes for shown in _plot_plane(plane, extent, pair)]
+    lines = [
+        shown_line for plane in drawn.planes for shown_line in _plot_plane(plane, extent, pair)
+    ]
     steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
     for shape in drawn.shapes[:-1]:
         lines.append(line("earlier_step", *shape.positions[:, pair].T, label=steps))
@@ -146,22 +148,26 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
         lines.append(_make_band(*(end[:, pair] for end in last.band)))
     lines.append(replace(line("harness_line", *last.positions[:, pair].T), values=last.radius))
     for kind in _KINDS_OF_MARKS:
-        own = [mark for mark in marks if mark.kind == kind]
-        label = f"{kind} {', '.join(mark.name for mark in own)}"
-        lines += [shown for mark in own for shown in _plot_mark(mark, extent, pair, label)]
+        marks_of_kind = [mark for mark in marks if mark.kind == kind]
+        label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
+        lines += [
+            shown_line
+            for mark in marks_of_kind
+            for shown_line in _plot_mark(mark, extent, pair, label)
+        ]
     places = [positions, *(mark.position[None] for mark in marks), *(mark.path for mark in marks)]
     shown_points = np.vstack(places)[:, pair]
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
     half = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_side_share * extent)
     x, y = (
-        Axis("xyz"[way], LENGTH, *ends)
-        for way, *ends in zip(pair, middle - half, middle + half, strict=True)
+        Axis("xyz"[coordinate], LENGTH, *ends)
+        for coordinate, *ends in zip(pair, middle - half, middle + half, strict=True)
     )
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
 
 
 def _make_band(low: Floats, high: Floats) -> Line:
-    """Make the area of a band between neighbouring nodes; none where it has no width."""
+    """Make the area of a band between neighbouring nodes; it has gaps where its width is zero."""
     from scipy.spatial import ConvexHull, QhullError
 
     outlines = [np.full((1, 2), np.nan)]
@@ -178,7 +184,7 @@ def _make_band(low: Floats, high: Floats) -> Line:
 def _plot_plane(plane: tuple[Floats, Floats], extent: float, pair: list[int]) -> Iterator[Line]:
     point, normal = (vector[pair] for vector in plane)
     size = np.hypot(*normal)
-    if size >= 0.5:  # seen from above, the plane is no line
+    if size >= 0.5:  # a plane that faces the reader is not a line
         reach = 10.0 * extent / size * np.array([-normal[1], normal[0]])
         yield line("plane", *np.stack([point - reach, point + reach]).T)
 
@@ -197,10 +203,12 @@ def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], label: str) -> I
 def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     """Make the panel of the bend radius along the line, with the allowed radius."""
     along, last, allowed = drawn.along, drawn.shapes[-1], drawn.allowed
-    lines = [line("earlier_step", along, _bent(shape.radius)) for shape in drawn.shapes[:-1]]
+    lines = [
+        line("earlier_step", along, _mask_straight(shape.radius)) for shape in drawn.shapes[:-1]
+    ]
     if last.radius_band is not None:
-        lines.append(plots.area("harness_band", along, *map(_bent, last.radius_band)))
-    lines.append(line("last_step", along, _bent(last.radius)))
+        lines.append(plots.area("harness_band", along, *map(_mask_straight, last.radius_band)))
+    lines.append(line("last_step", along, _mask_straight(last.radius)))
     lines.append(plots.level("allowed_radius", allowed))
     radii = np.array([np.min(shape.radius, initial=np.inf) for shape in drawn.shapes])
     low = 0.7 * min(allowed, float(radii.min()))
@@ -213,7 +221,7 @@ def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     )
 
 
-def _bent(radius: Floats) -> Floats:
+def _mask_straight(radius: Floats) -> Floats:
     """Return radii with NaN where the line is straight."""
     return np.asarray(np.where(np.isfinite(radius), radius, np.nan))
 
@@ -262,9 +270,12 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
     ):
         if len(positions):
             label = f"{LENGTH.factor * length:.6g} {LENGTH.unit}"
-            look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
-            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **look))
-    x, y = (Axis("xyz"[way], LENGTH) for way in pair)
+            settings: dict[str, Any] = {
+                "color": colour,
+                "linestyle": DASHED if is_doubtful else "-",
+            }
+            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **settings))
+    x, y = (Axis("xyz"[coordinate], LENGTH) for coordinate in pair)
     shapes = Plot(x, y, lines, f"From the {view}, by length", is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shapes, _make_sweep_plot(sweep)]
@@ -274,18 +285,18 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
 def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
     """Make the panel of the smallest bend radius over the length."""
     length, doubtful, lines = sweep.length, sweep.is_doubtful, []
-    for label, radii, look in (
+    for label, radii, kind in (
         ("during installation", sweep.radius_over_steps, "earlier_step"),
         ("installed", sweep.radius, "last_step"),
     ):
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.0}
-        lines.append(line(look, length, _bent(radii), label=label, **dots))
+        lines.append(line(kind, length, _mask_straight(radii), label=label, **dots))
         if doubtful.any():
             dots = {**dots, "linestyle": "", "markerfacecolor": "white", "label": "doubtful"}
-            lines.append(line(look, length[doubtful], _bent(radii)[doubtful], **dots))
+            lines.append(line(kind, length[doubtful], _mask_straight(radii)[doubtful], **dots))
     lines.append(plots.level("allowed_radius", sweep.allowed))
     if sweep.radius_band is not None:
-        lines.append(plots.area("harness_band", length, *map(_bent, sweep.radius_band)))
+        lines.append(plots.area("harness_band", length, *map(_mask_straight, sweep.radius_band)))
     x, y = Axis("Length of the line", LENGTH), Axis("Smallest bend radius", LENGTH, low=0.0)
     return Plot(x, y, lines, "Smallest bend radius")
 
@@ -333,10 +344,10 @@ def _make_section_plot(model: BundleModel) -> Plot:
     lines = []
     for kind in range(len(model.bundle.wires)):
         rows = layout.kind == kind
-        look = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
+        fill = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
         radius = layout.diameter[rows] / 2.0
         lines.append(
-            plots.circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **look)
+            plots.circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **fill)
         )
     if bore:
         lines.append(plots.circles("bore_of_conduit", *model.middle, bore / 2.0))
@@ -357,17 +368,17 @@ def _make_section_plot(model: BundleModel) -> Plot:
 
 def _make_moment_plot(model: BundleModel) -> Plot:
     """Make the panel of the moments of slipping and of sticking wires, on logarithmic axes."""
-    use = model.curvature > 0.0
+    is_positive = model.curvature > 0.0
     x, slip, stick = (
-        values[use] for values in (model.curvature, model.moment_slip, model.moment_stick)
+        values[is_positive] for values in (model.curvature, model.moment_slip, model.moment_stick)
     )
     lines = [plots.area("between_bounds", x, slip, stick)]
-    for moment, look, is_doubtful in (
-        (stick, "wires_stick", model.is_doubtful_stick[use]),
-        (slip, "wires_slip", model.is_doubtful[use]),
+    for moment, kind, is_doubtful in (
+        (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
+        (slip, "wires_slip", model.is_doubtful[is_positive]),
     ):
         for part, opacity in plots.split_doubtful(~is_doubtful):
-            lines.append(line(look, x[part], moment[part], alpha=opacity))
+            lines.append(line(kind, x[part], moment[part], alpha=opacity))
     for stiffness in (model.low, model.high):
         lines.append(line("bundle_without_yielding", x, stiffness * x))
     y = Axis("Bending moment", MOMENT, is_log=True)

@@ -1,4 +1,4 @@
-"""HTML pages: templates, styles, security policy and logo; and the page of a single test."""
+"""Make HTML pages: templates, styles, security policy and logo; and the page of a single test."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def fill_template(template: str, **values: Any) -> str:
     Parameters
     ----------
     template : name of the file, or the text of a template
-    values : of all names in the template
+    values : values of all variables of the template
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -48,15 +48,17 @@ def read_part(name: str) -> str:
     return (files("labpipe.report") / name).read_text(encoding="utf-8")
 
 
-def make_style(footer: str, more: str = "") -> dict[str, Markup]:
+def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
     """Make the style sheet of a page, and its SHA-256 for the security policy.
 
     Parameters
     ----------
     footer : text at the foot of each printed sheet
-    more : rules of this page alone
+    extra_rules : rules of this page only
     """
-    text = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer)) + more
+    text = (
+        read_part("page_looks.css").replace("var(--footer)", write_css_string(footer)) + extra_rules
+    )
     return {"style": Markup(text), "style_hash": compute_hash(text)}
 
 
@@ -86,7 +88,7 @@ def write_css_string(text: str) -> str:
 
 
 def allow_own_server(page: str) -> str:
-    """Allow a page to connect to the server that it comes from.
+    """Allow a page to connect to the server that sent it.
 
     Parameters
     ----------
@@ -95,10 +97,10 @@ def allow_own_server(page: str) -> str:
     Returns
     -------
     The page with a policy that allows connections to its own server. A page without a policy is
-    unchanged; it saves decisions as a file.
+    unchanged; the script of such a page saves decisions as a file.
     """
-    head, policy, rest = page.partition("connect-src 'none'")
-    return page if "<body" in head or not policy else f"{head}connect-src 'self'{rest}"
+    head, policy, remainder = page.partition("connect-src 'none'")
+    return page if "<body" in head or not policy else f"{head}connect-src 'self'{remainder}"
 
 
 def read_logo(path: Path) -> str:

@@ -1,7 +1,7 @@
 """Find the issues of a campaign, group them by cause and rank the causes by their effect.
 
-One camera that loses markers in thirty tests is one cause with many issues. Its effect is that on
-the number that changes most: the shift of its mean without the affected tests.
+One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
+is the shift of a mean without the affected tests, for the number whose mean shifts most.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Issue:
     kind : of issue
     group : affected group; empty if the issue affects a test without one
     tests : affected tests, or the file of a test; empty if the issue affects the whole group
-    what : labels of the affected numbers, or the place of the issue
+    place : labels of the affected numbers, or the stage of processing
     reason : sentences with values
     code : codes of the reasons, separated by commas; may be empty
     numbers : names of the affected results; empty if all are affected, or it is unknown which
@@ -58,7 +58,7 @@ class Issue:
     kind: Kind
     group: str
     tests: tuple[str, ...]
-    what: str
+    place: str
     reason: str
     code: str = ""
     numbers: tuple[str, ...] = ()
@@ -69,11 +69,11 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
 
     Parameters
     ----------
-    campaign : all of it
+    campaign : content of the report
 
     Returns
     -------
-    Issues in the order of `Kind`, then of groups and samples. Numbers of a test that share their
+    Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
     left_out, order = (
@@ -81,9 +81,9 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         [*Kind],
     )
     issues = [
-        Issue(kind, "", (file,), "", why)
+        Issue(kind, "", (file,), "", reason)
         for kind, reasons in left_out.items()
-        for file, why in reasons.items()
+        for file, reason in reasons.items()
     ]
     for group in campaign.groups:
         for sample in group.samples:
@@ -128,7 +128,7 @@ DECISIONS = {
 
 
 def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results of a sample, its slips, and its notes on nothing of these."""
+    """Yield the issues of the results and slips of a sample, and its notes with other codes."""
     tests = (sample.test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
@@ -139,14 +139,14 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        what, why = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
-        yield Issue(kind, group.name, tests, what, why, _join_codes(reasons), names)
+        what, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        yield Issue(kind, group.name, tests, what, reason, _join_codes(reasons), names)
     x, y = wording.find_units(wording.find_display(group), "displacement", "force")
     for slip in sample.slips:
         place = wording.write_number(slip.position, slip.position_interval, x.factor)
-        lost = wording.write_number(slip.drop, slip.drop_interval, y.factor)
-        loss = f"{lost.value} {y.unit} ({lost.interval})"
-        text = f"{loss} lost at {place.value} {x.unit} ({place.interval})"
+        drop = wording.write_number(slip.drop, slip.drop_interval, y.factor)
+        drop_text = f"{drop.value} {y.unit} ({drop.interval})"
+        text = f"{drop_text} lost at {place.value} {x.unit} ({place.interval})"
         yield Issue(Kind.SLIP, group.name, tests, text, DECISIONS[slip.decision])
     codes = {reason.code for result in sample.results for reason in result.reasons}
     notes = [note for note in sample.quality if note.code not in codes]
@@ -163,9 +163,9 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
     }
     for number in group.numbers:
         label, names = wording.write_label(number.name), (number.name,)
-        for test, why in number.left_out.items():
+        for test, reasons in number.left_out.items():
             if (test, number.name) not in failed:
-                reason, codes = join_sentences(why), _join_codes(why)
+                reason, codes = join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
         scale = wording.find_number_unit(group, number)
         for outlier in number.outliers:
@@ -215,7 +215,7 @@ class Effect(NamedTuple):
 
     Parameters
     ----------
-    size : in half widths of the interval of the number; infinite if no value remains
+    size : relative to half the width of the number's interval; infinite if no value remains
     text : describes the effect, without a full stop
     """
 
@@ -268,14 +268,14 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """Return the first reason, and how many more there are."""
+        """Return the first reason, and the number of other reasons."""
         if self.kind is Kind.UNLIKE:
-            places = [place for issue in self.issues for place in issue.what.split("; ")]
+            places = [place for issue in self.issues for place in issue.place.split("; ")]
             text = ", ".join(dict.fromkeys(places))
             return f"Processed differently from other tests of their group: {text}."
         reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
-        more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
-        return f"{reasons[0]}{more}"
+        suffix = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
+        return f"{reasons[0]}{suffix}"
 
 
 def find_causes(campaign: Campaign) -> list[Cause]:
@@ -283,7 +283,7 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
     Parameters
     ----------
-    campaign : all of it
+    campaign : content of the report
 
     Returns
     -------
@@ -303,7 +303,7 @@ def find_notes(campaign: Campaign) -> list[Cause]:
 
     Parameters
     ----------
-    campaign : all of it
+    campaign : content of the report
     """
     notes = (issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE)
     return sorted(_find_common(notes), key=lambda cause: len(cause.issues), reverse=True)
@@ -347,32 +347,32 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
 
 
 def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Measure the effect of tests on the mean of a number: of their absence, or of their values."""
-    no_interval_size = 10.0  # half widths, of a mean that is a single value
+    """Return the effect of tests on the mean of a number, in which they are missing or included."""
+    no_interval_size = 10.0  # size of the effect on a mean of a single value
     label, mean = f"{wording.write_label(number.name)} of {group.name}", number.mean
-    lost = len(tests & number.left_out.keys())
-    if lost and mean is None:
+    n_missing = len(tests & number.left_out.keys())
+    if n_missing and mean is None:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
-    if lost and mean is not None:
+    if n_missing and mean is not None:
         n = mean.chosen.n
         if n == 1:
             text = format_sentence("report.effect_one_value", number=label)
             return Effect(no_interval_size, text)
-        width, width_of_all = (
-            compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + lost)
+        half_width, half_width_of_all = (
+            compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + n_missing)
         )
-        wider = width / width_of_all
+        width_ratio = half_width / half_width_of_all
         text = format_sentence(
-            "report.effect_fewer_values", n=n, n_all=n + lost, number=label, wider=wider
+            "report.effect_fewer_values", n=n, n_all=n + n_missing, number=label, wider=width_ratio
         )
-        return Effect(wider - 1.0, text)
+        return Effect(width_ratio - 1.0, text)
     affected = tests & number.values.keys()
     return _measure_shift(group, number, affected, label) if affected and mean else None
 
 
 def _measure_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
-    """Measure the shift of the mean of a number without the values of some tests."""
-    all_values_size = 5.0  # half widths, of a cause that affects all values
+    """Return the shift of the mean of a number without the values of some tests."""
+    all_values_size = 5.0  # size of the effect of a cause that affects all values
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
     is_pooled = number.mean is not None and number.mean.is_pooled
     remaining: dict[str, list[float]] = {}
@@ -381,12 +381,12 @@ def _measure_shift(group: Group, number: GroupNumber, tests: set[str], label: st
             remaining.setdefault("" if is_pooled else spools.get(test, ""), []).append(result.value)
     if not remaining or number.mean is None:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
-    value, half = number.mean.chosen.mean, number.mean.chosen.half_width
+    value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
     shift = float(np.mean([np.mean(values) for values in remaining.values()])) - value
-    size = abs(shift) / half if half > 0.0 else 0.0
+    size = abs(shift) / half_width if half_width > 0.0 else 0.0
     share = f"{100.0 * abs(shift / value):.2g} % " if value else ""
     text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {share}"
     text += "higher" if shift > 0.0 else "lower"
-    if isnan(half) or isnan(size):
+    if isnan(half_width) or isnan(size):
         return Effect(0.0, text)
     return Effect(size, f"{text}, {size:.2g} times half its interval")

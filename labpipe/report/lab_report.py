@@ -1,4 +1,4 @@
-"""Report of a campaign: write its page, its workbook and, on request, figures to a folder."""
+"""Write the report of a campaign to a folder: its page, its workbook and, on request, figures."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def write_report(
     Parameters
     ----------
     campaign : groups with their statistics; groups may be empty
-    folder : made if it does not exist; files of other names stay
-    letterhead : of the page
-    formats : of figures as files: ``svg``, which is always written, ``png``, ``pdf``; empty for no
-        files
+    folder : created if it does not exist; files of other names are kept
+    letterhead : sender and customer
+    formats : file formats of the figures: ``svg``, which is always written, ``png``, ``pdf``; empty
+        for no figures
     test_pages : page of each test by its address below the folder of the report
     is_journal : draw the figures in the style of a journal
 
@@ -95,8 +95,8 @@ def write_report(
                 dpi=200,
                 is_journal=is_journal,
             )
-    page_file, *others = (folder / name for name in pages)
-    return [page_file, folder / TABLES_FILE, *others, *figures]
+    page_file, *test_page_files = (folder / name for name in pages)
+    return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
 
 
 def _list_figures(campaign: Campaign) -> Iterator[Any]:
@@ -115,7 +115,7 @@ def render_page(
 
     Parameters
     ----------
-    campaign : to report
+    campaign : content of the report
     letterhead : sender and customer
     has_test_pages : link to a page per test
 
@@ -165,18 +165,18 @@ def render_page(
 def _make_first_screen(
     campaign: Campaign, groups: Mapping[str, Group], tests: PageTests
 ) -> dict[str, Any]:
-    """Return the contents of the first screen: answers, then numbers, then open decisions."""
+    """Return the contents of the first screen: answers, numbers and open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
-    screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
+    n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes, answers = find_causes(campaign), _list_answers(campaign)
-    open_ones = find_open_decisions(causes, tests)
-    n_answers, n_decisions = min(len(answers), max_answers), min(len(open_ones), max_decisions)
-    room = max(screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
+    open_decisions = find_open_decisions(causes, tests)
+    n_answers, n_decisions = min(len(answers), max_answers), min(len(open_decisions), max_decisions)
+    max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
-        "counts": describe_campaign(campaign, open_ones),
+        "counts": describe_campaign(campaign, open_decisions),
         "answers": answers,
-        "blocks": _limit_rows(_list_key_blocks(groups), room),
-        "open_ones": open_ones,
+        "blocks": _limit_rows(_list_key_blocks(groups), max_group_rows),
+        "open_decisions": open_decisions,
         "folds": {"answers": n_answers, "decisions": n_decisions},
         "causes": causes,
     }
@@ -190,8 +190,10 @@ def _list_answers(campaign: Campaign) -> list[dict[str, Any]]:
     ``pairs``.
     """
     answers = []
-    for field, of_field in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs = list(of_field)
+    for field, pairs_of_field in groupby(
+        list_single_field_pairs(campaign), key=lambda pair: pair.field
+    ):
+        pairs = list(pairs_of_field)
         rows = list(map(comparisons.make_answer, pairs))
         question, verdict, difference, counts = rows[pairs.index(max(pairs, key=_rank_pair))]
         if len(pairs) > 1:
@@ -236,18 +238,18 @@ class KeyBlock(NamedTuple):
 
 def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
     """List a block for groups with the same numbers, and a last one for groups that share none."""
-    by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
+    members_by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
     for protocol in dict.fromkeys(group.protocol for group in groups.values()):
         members = [(group, stem) for stem, group in groups.items() if group.protocol == protocol]
-        by_heads.setdefault(_find_key_heads(members), []).extend(members)
-    blocks, single = list[KeyBlock](), list[dict[str, Any]]()
-    for heads, members in by_heads.items():
-        if len(members) > 1 or len(by_heads) == 1:
+        members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
+    blocks, single_rows = list[KeyBlock](), list[dict[str, Any]]()
+    for heads, members in members_by_heads.items():
+        if len(members) > 1 or len(members_by_heads) == 1:
             rows = _list_key_rows(members, dict(heads), has_heads=True)
             blocks.append(KeyBlock([text for _, text in heads], rows))
         else:
-            single += _list_key_rows(members, dict(heads), has_heads=False)
-    return [*blocks, *([KeyBlock((), single)] if single else [])]
+            single_rows += _list_key_rows(members, dict(heads), has_heads=False)
+    return [*blocks, *([KeyBlock((), single_rows)] if single_rows else [])]
 
 
 def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
@@ -271,10 +273,12 @@ def _list_key_rows(
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
     strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
     rows = []
-    for (group, stem), first in zip(groups, numbers, strict=True):
+    for (group, stem), first_number in zip(groups, numbers, strict=True):
         strip = None
-        if has_heads and first is not None:
-            strip = make_mean_strip(strip_ends, _find_source(*first).interval, first[1].mean)
+        if has_heads and first_number is not None:
+            strip = make_mean_strip(
+                strip_ends, _find_source(*first_number).interval, first_number[1].mean
+            )
         cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
         rows.append({
             "name": group.name,
@@ -370,9 +374,9 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     return decisions
 
 
-def describe_campaign(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
+def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]) -> str:
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
-    undecided = len({test.number for decision in open_ones for test in decision.tests})
+    undecided = len({test.number for decision in open_decisions for test in decision.tests})
     parts = [
         wording.write_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
@@ -386,8 +390,10 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
     """Yield the comparisons of groups that differ in one field, field by field."""
     families = comparisons.find_families(campaign)
     stems = {group.name: stem for stem, group in groups.items()}
-    for field, of_field in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
-        pairs = list(of_field)
+    for field, pairs_of_field in groupby(
+        list_single_field_pairs(campaign), key=lambda pair: pair.field
+    ):
+        pairs = list(pairs_of_field)
         tables, name = list(map(comparisons.make_pair_table, pairs)), comparisons.name_field(field)
         rows = map(comparisons.make_answer, pairs)
         yield {

@@ -1,4 +1,4 @@
-"""Facts of a report: its tests by number, their states, days, operators and instruments."""
+"""List facts of a report: its tests by number, their states, days, operators and instruments."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ class PageTest:
 
     Parameters
     ----------
-    number : in the order of the table of tests
-    sample : with the numbers of the test
-    stem : of its group; empty for a rejected test that matches no group
+    number : position in the table of tests
+    sample : numbers and specimen of the test
+    stem : stem of the file names of its group; empty for a rejected test that matches no group
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
-    why : reason, person and day of a rejection; else empty
+    rejection : reason, person and day of a rejection; empty for other tests
     """
 
     number: int
     sample: Sample
     stem: str
     state: str
-    why: str = ""
+    rejection: str = ""
 
 
 class PageTests:
-    """Tests of a report by number, group by group, rejected ones last.
+    """Tests of a report in the order of their numbers: group by group, rejected tests last.
 
     Parameters
     ----------
-    campaign : all of it
-    stems : of its groups
+    campaign : content of the report
+    stems : stem of the file names of each group
     """
 
     def __init__(self, campaign: Campaign, stems: Sequence[str]) -> None:
@@ -51,31 +51,31 @@ class PageTests:
             PageTest(number, sample, stem, find_state(sample))
             for number, (sample, stem) in enumerate(samples)
         ]
-        homes = {group.name: stem for group, stem in groups}
+        stems_by_group = {group.name: stem for group, stem in groups}
         rejected = []
         for number, sample in enumerate(campaign.rejected_samples, start=len(included)):
-            stem = homes.get(find_group_of_rejected(sample, campaign), "")
-            why = campaign.rejected.get(sample.source, sample.decision)
-            rejected.append(PageTest(number, sample, stem, "rejected", why))
-        self.every = (*included, *rejected)
+            stem = stems_by_group.get(find_group_of_rejected(sample, campaign), "")
+            rejection = campaign.rejected.get(sample.source, sample.decision)
+            rejected.append(PageTest(number, sample, stem, "rejected", rejection))
+        self.all_tests = (*included, *rejected)
 
     @cached_property
     def number(self) -> Mapping[str, int]:
         """Return the numbers of the tests by source file and name."""
-        return {make_key(test.sample): test.number for test in self.every}
+        return {make_key(test.sample): test.number for test in self.all_tests}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
         """Return the tests by name."""
-        return {test.sample.test: test for test in self.every}
+        return {test.sample.test: test for test in self.all_tests}
 
     def rejected(self, stem: str) -> list[PageTest]:
         """Return the rejected tests of a group."""
-        return [test for test in self.every if test.state == "rejected" and test.stem == stem]
+        return [test for test in self.all_tests if test.state == "rejected" and test.stem == stem]
 
 
 def make_stems(names: Iterable[str]) -> list[str]:
-    """Turn names of groups into stems of file names: ASCII, lower case, unique.
+    """Convert names of groups to stems of file names: ASCII, lower case, unique.
 
     Examples
     --------
@@ -108,24 +108,25 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
 
     Returns
     -------
-    Name of the group; empty without one. The group has the protocol of the test and its values of
-    the fields by which the campaign is grouped; of several, the one with most fields in common.
+    Name of the group; empty if there is none. Test and group have the same protocol, and the same
+    values of the fields by which the campaign is grouped. Of several groups, the one with most
+    fields in common is returned.
     """
     fields = list_fields(sample.specimen)
-    alike = {
-        group.name: sum(fields.get(name) == word for name, word in group.fields.items())
+    n_common_fields = {
+        group.name: sum(fields.get(name) == value for name, value in group.fields.items())
         for group in campaign.groups
         if group.protocol == sample.protocol
         and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
     }
-    return max(alike, key=lambda name: alike[name], default="")
+    return max(n_common_fields, key=lambda name: n_common_fields[name], default="")
 
 
 def find_state(sample: Sample) -> str:
     """Find the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
     states = {result.status for result in sample.results}
-    worst = (Status.FAILED, Status.DOUBTFUL)
-    return next((str(status) for status in worst if status in states), str(Status.OK))
+    states_by_severity = (Status.FAILED, Status.DOUBTFUL)
+    return next((str(status) for status in states_by_severity if status in states), str(Status.OK))
 
 
 def compute_report_id(campaign: Campaign) -> str:
@@ -140,8 +141,8 @@ def compute_report_id(campaign: Campaign) -> str:
     for group in campaign.groups:
         for sample in group.samples:
             digest.update(f"{group.name}\n{sample.test}\n{sample.run}\n".encode(errors="replace"))
-    for why in campaign.rejected.items():
-        digest.update("\n".join(why).encode(errors="replace"))
+    for rejection in campaign.rejected.items():
+        digest.update("\n".join(rejection).encode(errors="replace"))
     digest.update(f"{campaign.title}\n{campaign.labpipe_version}".encode(errors="replace"))
     return digest.hexdigest()[:10]
 
@@ -179,8 +180,8 @@ class InstrumentLine:
     Parameters
     ----------
     name : its channel, and the certificate of its calibration
-    due : when its calibration is due, or since when and in how many tests it is overdue
-    is_overdue : a test was made after the due date
+    due : due date of the calibration; if it is overdue, also the number of affected tests
+    is_overdue : whether a test was made after the due date
     """
 
     name: str
@@ -195,20 +196,26 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     ----------
     samples : all of the report
     """
-    used: dict[Instrument, list[Sample]] = {}
+    tests_by_instrument: dict[Instrument, list[Sample]] = {}
     for sample in samples:
         for instrument in sample.instruments:
-            used.setdefault(instrument, []).append(sample)
-    return [_describe_instrument(instrument, tests) for instrument, tests in used.items()]
+            tests_by_instrument.setdefault(instrument, []).append(sample)
+    return [
+        _describe_instrument(instrument, tests) for instrument, tests in tests_by_instrument.items()
+    ]
 
 
 def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
     due = instrument.due
-    late = [test for test in tests if due is not None and test.date is not None and test.date > due]
+    overdue_tests = [
+        test for test in tests if due is not None and test.date is not None and test.date > due
+    ]
     text = "no due date stated" if due is None else f"calibration due {due}"
-    if late:
-        text = f"calibration OVERDUE since {due} in {write_count(len(late), 'test')}"
-    return InstrumentLine(f"{instrument.channel} {instrument.certificate}", text, bool(late))
+    if overdue_tests:
+        text = f"calibration OVERDUE since {due} in {write_count(len(overdue_tests), 'test')}"
+    return InstrumentLine(
+        f"{instrument.channel} {instrument.certificate}", text, bool(overdue_tests)
+    )
 
 
 def name_roles(samples: Iterable[Sample]) -> str:

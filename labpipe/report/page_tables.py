@@ -1,4 +1,4 @@
-"""Tables of the page of a report: of lots, groups, bundles, issues, tests and methods."""
+"""Make the tables of the page of a report: lots, groups, bundles, issues, tests and methods."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
 from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
-"""Samples with a column in the table of numbers; a larger group has tables of samples, too."""
+"""Largest number of samples with a column each in the table of numbers.
+
+A larger group also has tables of samples.
+"""
 
 
 def describe_group(group: Group) -> str:
@@ -46,7 +49,9 @@ def list_remarks(group: Group) -> list[str]:
 
 
 def make_number_table(group: Group) -> Table:
-    """Make the table of a group: a row per number with its mean, and the samples if they are few.
+    """Make the table of a group: a row per number with its mean, and a column for each sample.
+
+    A group of more than `MAX_SAMPLE_COLUMNS` samples has no columns for them.
 
     Parameters
     ----------
@@ -86,14 +91,17 @@ def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell,
 
 def _draw_strip(number: GroupNumber) -> MeanStrip:
     """Draw samples, mean and interval of a number on their own scale."""
-    max_dots, max_reach = 12, 1.5  # reach of intervals beside the values, of their range
+    max_dots = 12
+    max_extension = 1.5  # of the scale beyond the values, over their range
     values = [value.value for value in number.values.values() if value.value is not None]
     interval, mean = None, nan
     if number.mean is not None:
         interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
-    ends = () if interval is None else (interval.lower, interval.upper)
+    interval_ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
-    return make_mean_strip(clip_range([*values, mean], ends, max_reach), interval, mean, dots)
+    return make_mean_strip(
+        clip_range([*values, mean], interval_ends, max_extension), interval, mean, dots
+    )
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
@@ -118,7 +126,7 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
 
 
 def _list_table_notes(group: Group) -> Iterator[str]:
-    """Yield the notes on the counts, the intervals and the signs of the table of a group."""
+    """Yield the notes on the counts, the intervals and the marks of the table of a group."""
     means = [(number, number.mean) for number in group.numbers if number.mean is not None]
     if any(not mean.is_pooled for _, mean in means):
         yield format_sentence("report.n_in_spools")
@@ -133,9 +141,11 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     for number, mean in means:
         if mean.chosen.reason:
             reasons.setdefault(mean.chosen.reason, []).append(wording.write_label(number.name))
-    for why, names in reasons.items():
+    for reason, names in reasons.items():
         numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
-        yield format_sentence("report.no_mean_interval", why=join_sentences([why]), numbers=numbers)
+        yield format_sentence(
+            "report.no_mean_interval", why=join_sentences([reason]), numbers=numbers
+        )
     if any(not mean.is_pooled and mean.chosen.n == 2 for _, mean in means):
         yield format_sentence("report.two_spool_means")
     yield from _list_mark_notes(group)
@@ -167,11 +177,11 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
     Parameters
     ----------
     group : with or without samples
-    tests : all of the page
+    tests : tests of the page
 
     Returns
     -------
-    No tables if `make_number_table` shows the samples.
+    The tables; empty if `make_number_table` shows the samples.
     """
     numbers_per_table, tables = 8, list[Table]()
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
@@ -195,7 +205,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
 
 
 def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
-    """Make the bars of budgets: of the first means, or else of the medians over the tests.
+    """Make the bars of budgets: those of the first means, or else of the medians over the tests.
 
     Parameters
     ----------
@@ -211,15 +221,17 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
     )
     bars = [bar for bar in means if bar.shares] or [bar._replace(text="one test") for bar in tests]
     shares = quality_figures.sort_shares([bar.shares for bar in bars[:n_bars]])
-    looks = {
+    cause_looks = {
         name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
         for name in quality_figures.list_drawn_causes(shares)
     }
-    return [bar._replace(shares=own) for bar, own in zip(bars, shares, strict=False)], looks
+    return [
+        bar._replace(shares=bar_shares) for bar, bar_shares in zip(bars, shares, strict=False)
+    ], cause_looks
 
 
 def make_spool_table(group: Group) -> Table | None:
-    """Make the table of the spool means and of how they are averaged; None with one spool."""
+    """Make the table of the spool means and the method of averaging; None with one spool."""
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     rows, decision_above = [], ""
     for number in group.numbers:
@@ -407,7 +419,7 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             scale.label("All slips"): all_slip,
             scale.label("Wires slip"): wires_slip,
             scale.label("Nothing slips"): Cell(nothing_slips, directions),
-            "Share of the way": Cell(share, join_sentences(stiffness.reasons)),
+            "Share of the range": Cell(share, join_sentences(stiffness.reasons)),
         })  # fmt: skip
     notes = format_sentence("report.bounds_of_bundles"), format_sentence("report.share_of_the_way")
     return tabulate("Between slipping and sticking", rows, notes=notes)
@@ -418,7 +430,7 @@ def make_cause_table(cause: Cause) -> Table:
     rows: list[Record] = [
         {
             "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
-            "What": issue.what or DASH,
+            "What": issue.place or DASH,
             "Why": Cell(issue.reason, tip=issue.code),
         }
         for issue in cause.issues
@@ -474,15 +486,15 @@ def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[s
     ``address``, and ``why`` the test is doubtful, failed or rejected.
     """
     rows = []
-    for test in tests.every:
+    for test in tests.all_tests:
         page = name_page_file(test.sample.label or test.sample.test)
         group = groups.get(test.stem)
         rows.append({
             "test": test,
             "group": group.name if group else "",
             "first": _first_number_cell(test.sample, group.numbers if group else ()),
-            "decided": "reject" if test.why else "accept" if test.sample.decision else "",
-            "words": test.why or test.sample.decision,
+            "decided": "reject" if test.rejection else "accept" if test.sample.decision else "",
+            "words": test.rejection or test.sample.decision,
             "page": page,
             "address": quote(page, errors="replace"),
             "why": describe_problems(test),
@@ -523,8 +535,8 @@ def describe_problems(test: PageTest) -> str:
     ----------
     test : of the page
     """
-    if test.why:
-        return f"Rejected: {test.why}"
+    if test.rejection:
+        return f"Rejected: {test.rejection}"
     doubtful = [result for result in test.sample.results if result.status is not Status.OK]
     return join_sentences(reason for result in doubtful for reason in result.reasons)
 
@@ -537,7 +549,7 @@ def make_source_table(tests: PageTests) -> Table:
     tests : of the page
     """
     rows = []
-    for test in tests.every:
+    for test in tests.all_tests:
         files = [f"{source.file}: {source.sha256}" for source in test.sample.inputs]
         rows.append((test.sample.test, "; ".join(files) or DASH))
     return Table("Sources of the numbers", ("Test", "Recorded files with SHA-256"), rows)

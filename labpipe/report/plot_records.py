@@ -1,4 +1,4 @@
-"""Describe plots independently of how they are drawn, and thin their lines.
+"""Describe plots independently of the program that draws them, and thin their lines.
 
 A plot is data: axes and lines in SI units, with the names of their looks. The template
 ``plots.html`` draws a `Plot` as SVG on the page of a report; `figure_page` draws a `Page` of plots
@@ -36,7 +36,7 @@ class Axis:
     ----------
     name : typeset name of the quantity
     scale : unit in which it is shown
-    low, high : values at the ends of the axis, SI; NaN to include all that is drawn
+    low, high : values at the ends of the axis, SI; NaN to include all lines
     row_names : names of the rows at 0, -1, -2 and so on, instead of numbers. Files show them; the
         page does not
     is_log : whether the axis is logarithmic; not on the page of a report
@@ -208,9 +208,9 @@ def span(look: str, low: float, high: float, **settings: Any) -> Line:
 
 def circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
     """Make the areas of circles."""
-    turn = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
-    centre_x, centre_y, size = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
-    outlines = centre_x + size * np.cos(turn), centre_y + size * np.sin(turn)
+    angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
+    centre_x, centre_y, radii = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
+    outlines = centre_x + radii * np.cos(angle), centre_y + radii * np.sin(angle)
     return line(look, *outlines, is_closed=True, **settings)
 
 
@@ -303,7 +303,7 @@ class Plot:
 
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 120.0, 180.0
-"""Widths of pages, mm: 9 pt on the narrow one become 6.7 pt in a column of 90 mm."""
+"""Widths of pages, mm. In a column of 90 mm, letters of 9 pt on a narrow page become 6.7 pt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -379,8 +379,8 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
     joined = np.concatenate([np.zeros(0), *values])
     finite = joined[np.isfinite(joined)] if np.isfinite(joined).any() else np.array([0.0, 1.0])
     low, high = float(finite.min()), float(finite.max())
-    room = margin * ((high - low) or abs(high) or 1.0)
-    return Axis(name, scale, low - room, high + room)
+    margin_width = margin * ((high - low) or abs(high) or 1.0)
+    return Axis(name, scale, low - margin_width, high + margin_width)
 
 
 def clip_range(
@@ -523,21 +523,21 @@ def simplify_line(
     before_gaps = np.flatnonzero(np.diff(finite) > 1)
     starts = np.concatenate([finite[:1], finite[before_gaps + 1]])
     stops = np.concatenate([finite[before_gaps], finite[-1:]])
-    kept = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
+    kept_samples = {*starts.tolist(), *stops.tolist(), *(finite[before_gaps] + 1).tolist()}
     max_distance = tolerance * float(np.ptp(values[finite]))
     segments = [
         _find_furthest_sample(positions, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
     heapq.heapify(segments)
-    while segments and len(kept) < max_points:
+    while segments and len(kept_samples) < max_points:
         distance, start, furthest, stop = heapq.heappop(segments)
         if -distance <= max_distance:
             break
-        kept.add(furthest)
+        kept_samples.add(furthest)
         heapq.heappush(segments, _find_furthest_sample(positions, values, start, furthest))
         heapq.heappush(segments, _find_furthest_sample(positions, values, furthest, stop))
-    return np.array(sorted(kept), dtype=np.int64)
+    return np.array(sorted(kept_samples), dtype=np.int64)
 
 
 def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:

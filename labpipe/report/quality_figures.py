@@ -1,4 +1,4 @@
-"""Figures of what the numbers of a test are based on: shapes, markers, uncertainty budgets."""
+"""Make the figures of the quality of a test: shapes, markers, uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MARKS: dict[PointFlag, Any] = {
     PointFlag.FILLED: {"marker": "o", "markerfacecolor": "white"},
     PointFlag.CONSTRUCTED: {"marker": "D", "markerfacecolor": "white"},
 }
-"""Sign of a marker by how its position was obtained."""
+"""Symbol of a marker by the origin of its position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ class Steps:
 
     Parameters
     ----------
-    frames : numbers, in order
-    levels : deflection of the tip at each, m
-    name : of the deflection, for the key
+    frames : numbers of the frames, in order
+    levels : deflection of the tip in each frame, m
+    name : name of the deflection in the key
     """
 
     frames: Ints
@@ -50,7 +50,7 @@ class Steps:
 
 
 def make_wire_shapes_page(result: TestResult) -> Page:
-    """Make the page of shapes in the plane of bending; in two planes without a loading branch."""
+    """Make the page of shapes in the plane of bending; without loading branch, in two planes."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
@@ -101,7 +101,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     factor = find_unit(result.display, "displacement").factor
     locator = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
     levels = np.asarray(locator.tick_values(0.0, factor * float(np.nanmax(deflection)))) / factor
-    # the first frame at a level: later ones may belong to another motion
+    # the first frame at a level: later frames may belong to another motion
     reached = [np.flatnonzero(deflection >= level - 1e-12) for level in levels]
     frames = np.array([rows[0] for rows in reached if len(rows)], dtype=np.int64)
     return Steps(frames, levels[: len(frames)], name)
@@ -117,8 +117,8 @@ def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
 def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     """Return the deflection of the tip in every frame, m, and its name.
 
-    It is NaN outside the first loading branch. Without such a branch, it is the distance of the
-    last tracked point from its first position.
+    The deflection is NaN outside the first loading branch. Without a loading branch, it is the
+    distance of the last tracked point from its first position.
     """
     loading = _find_first_loading(result)
     if loading is None or result.curve is None:
@@ -140,12 +140,12 @@ def _is_clamped(shape: Shape) -> bool:
 
 
 def _make_axis(shape: Shape, steps: Steps, unit: Scale, name: str) -> Axis:
-    """Make an axis around everything drawn, with a margin."""
+    """Make an axis that includes all markers and fitted curves, with a margin."""
     margin = 0.04
     min_aspect = 0.1  # height of a panel over the length of the specimen
-    way = "xyz".index(name)
-    curves = [_fitted_curve(shape, int(frame))[way] for frame in steps.frames]
-    drawn = np.concatenate([shape.positions[steps.frames, :, way].ravel(), *curves])
+    axis_index = "xyz".index(name)
+    curves = [_fitted_curve(shape, int(frame))[axis_index] for frame in steps.frames]
+    drawn = np.concatenate([shape.positions[steps.frames, :, axis_index].ravel(), *curves])
     drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
     middle, half = float(drawn.max() + drawn.min()) / 2, float(np.ptp(drawn)) / 2
     half = max(half, min_aspect * shape.length / 2) + margin * shape.length
@@ -212,11 +212,11 @@ _FLAGS_BY_RANK = (
 )  # fmt: skip
 """Flags of points, the worst last."""
 _PIXEL_BINS = 900
-"""Bins in time, about one per pixel."""
+"""Number of bins in time, about one per pixel."""
 
 
 def make_marker_quality_page(result: TestResult) -> Page:
-    """Make the page of a row per marker against time, and below them the error of each body."""
+    """Make the page of the flags of each marker and of the error of each body against time."""
     row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
     takes = [take.markers.time for take in result.recordings.values() if take.markers]
     times = takes if result.shape is None else [result.shape.time, *takes]
@@ -230,11 +230,11 @@ def make_marker_quality_page(result: TestResult) -> Page:
 
 
 def make_flag_plot(result: TestResult, time: Axis) -> Plot:
-    """Make the panel of a row per marker, coloured by how its position was obtained.
+    """Make the panel of a row per marker, coloured by the origin of its position.
 
     Parameters
     ----------
-    result : constructed points have no row; without a shape, a sentence says so
+    result : constructed points have no row; without a shape, the panel states the reason
     time : horizontal axis
 
     Notes
@@ -256,10 +256,10 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
     return Plot(time, Axis(low=0.5 - len(names), high=0.5, row_names=names), bars)
 
 
-def _make_bars(inside: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
+def _make_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
     """Make a bar for each run of columns, row by row."""
     half_row = 0.36
-    rows, steps = np.nonzero(np.diff(inside.T.astype(np.int8), axis=1, prepend=0, append=0))
+    rows, steps = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
     left, right = edges[steps[::2]], edges[steps[1::2]]
     low, high = -rows[::2] - half_row, -rows[::2] + half_row
     x, y = (
@@ -272,16 +272,22 @@ def _make_bars(inside: NDArray[np.bool_], edges: Floats, **settings: Any) -> Lin
 def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     """Make the panel of the mean marker error of each body, or of the number of visible markers.
 
-    The first recording with marker tracks is drawn; without any, a sentence says so.
+    The first recording with marker tracks is drawn; without any, the panel states the reason.
     """
-    tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
+    tracks = next(
+        (recording.markers for recording in result.recordings.values() if recording.markers), None
+    )
     if tracks is None or not len(tracks.time):
         return Plot(time, Axis(), reason=explain_missing(result, "take"))
     errors = []
-    for at, body in enumerate(tracks.bodies):
+    for body_number, body in enumerate(tracks.bodies):
         if np.isfinite(body.error).any():
-            look: dict[str, Any] = {"label": body.name, "color": f"C{at}", "n_bins": _PIXEL_BINS}
-            errors.append(plots.thinned_line("body_error", tracks.time, body.error, **look))
+            settings: dict[str, Any] = {
+                "label": body.name,
+                "color": f"C{body_number}",
+                "n_bins": _PIXEL_BINS,
+            }
+            errors.append(plots.thinned_line("body_error", tracks.time, body.error, **settings))
     if errors:
         scale = find_unit(result.display, "displacement")
         return Plot(time, Axis("Body error", scale, low=0.0), errors)
@@ -409,7 +415,9 @@ def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[La
     if stop - start < min_labelled_share:
         return
     colour = find_cause_colour(cause)
-    red, green, blue = (int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))
+    red, green, blue = (
+        int(colour[start_digit : start_digit + 2], 16) / 255 for start_digit in (1, 3, 5)
+    )
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < max_dark_brightness
     settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
     if IS_COMMON.get(cause, False):
@@ -439,9 +447,9 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
     named = {c for shares in bar_shares for c, share in shares.items() if share >= min_named_share}
     sorted_shares = []
     for shares in bar_shares:
-        own = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
+        named_shares = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
         small = sum(share for cause, share in shares.items() if cause not in named)
-        sorted_shares.append({**own, **({SMALL_CAUSES: small} if small > 0.0 else {})})
+        sorted_shares.append({**named_shares, **({SMALL_CAUSES: small} if small > 0.0 else {})})
     return sorted_shares
 
 

@@ -1,4 +1,4 @@
-"""Workbook of a campaign's report: one sheet per question."""
+"""Write the workbook of a campaign's report: a sheet for each question of a reader."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Parameters
     ----------
-    campaign : all of it
-    path : of the file
+    campaign : content of the report
+    path : path of the file
 
     Raises
     ------
     StoreError
-        If it cannot be written.
+        If the file cannot be written.
 
     Notes
     -----
-    At most thirteen sheets after the first, for any number of groups.
+    The workbook has at most thirteen sheets after the first, for any number of groups.
     """
     footer = f"{campaign.title}  \u00b7  report {page_facts.compute_report_id(campaign)}"
     facts, tables = _list_facts(campaign), filter(None, _list_tables(campaign))
@@ -66,8 +66,8 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
     samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
     counts = {"test": len(samples), "group": len(campaign.groups)}
     tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
-    left_out = wording.write_count(rejected, "test")
-    yield f"{tests} in {groups}{f', {left_out} rejected' if rejected else ''}."
+    rejected_tests = wording.write_count(rejected, "test")
+    yield f"{tests} in {groups}{f', {rejected_tests} rejected' if rejected else ''}."
     if samples:
         days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
         yield f"Tested {days}; {operators}."
@@ -79,7 +79,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
 
 
 def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
-    """Yield the sheets in order; None for one without rows that is then left out."""
+    """Yield the sheets in order; None for a sheet that is omitted because it has no rows."""
     pairs = comparisons.list_single_field_pairs(campaign)
     by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: wording.find_display(group) for group in campaign.groups}
@@ -90,8 +90,8 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     ]
     has_scaled = any(group.band_scaled is not None for group in campaign.groups)
     lots = (_record_lot(group, group.lot) for group in campaign.groups if group.lot)
-    yield _tabulate_some("lots", lots)
-    yield _tabulate_some("answers", map(_record_answer, pairs))
+    yield _tabulate_unless_empty("lots", lots)
+    yield _tabulate_unless_empty("answers", map(_record_answer, pairs))
     yield tabulate("key numbers", map(_record_key_numbers, by_protocol))
     yield tabulate("means", _list_means(campaign))
     yield _tabulate_tests(campaign)
@@ -99,12 +99,12 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     yield _tabulate_curves(campaign, is_scaled=False)
     yield _tabulate_curves(campaign, is_scaled=True) if has_scaled else None
     yield tabulate("comparisons", records)
-    yield _tabulate_some("budgets", _list_budgets(campaign))
-    yield _tabulate_some("slipping and sticking", _list_bounds(campaign))
+    yield _tabulate_unless_empty("budgets", _list_budgets(campaign))
+    yield _tabulate_unless_empty("slipping and sticking", _list_bounds(campaign))
     yield tabulate("needs a look", _list_issues(campaign))
 
 
-def _tabulate_some(title: str, records: Iterator[Record]) -> Table | None:
+def _tabulate_unless_empty(title: str, records: Iterator[Record]) -> Table | None:
     rows = list(records)
     return tabulate(title, rows) if rows else None
 
@@ -194,33 +194,33 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
 
 
 def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterval | None) -> Record:
-    """Make the record of a mean; the columns on all samples are empty for a single spool."""
-    scale, nested = wording.find_number_unit(group, number), number.mean
+    """Make the record of a mean; a mean over one spool leaves the columns on all samples empty."""
+    scale, nested_mean = wording.find_number_unit(group, number), number.mean
     record: Record = {
         "group": group.name, "number": wording.write_label(number.name), "over": over,
         "unit": wording.typeset_unit(scale.unit), **_mean_cells(mean, scale),
     }  # fmt: skip
-    if mean is None or nested is None:
+    if mean is None or nested_mean is None:
         reason = "; ".join(map(join_reasons, number.left_out.values()))
         return {**record, "reason": reason, "result": number.name}
     within, between = (
         make_number_cell(spread, mean.interval, scale.factor)
-        for spread in (nested.within, nested.between_spools)
+        for spread in (nested_mean.within, nested_mean.between_spools)
     )
-    of_all: Record = {
-        "mean over": "samples" if nested.is_pooled else "spool means",
-        "n samples": nested.over_samples.n,
+    all_samples_record: Record = {
+        "mean over": "samples" if nested_mean.is_pooled else "spool means",
+        "n samples": nested_mean.over_samples.n,
         "within spools": within,
         "between spools": between,
-        "spools equal, p": make_number_cell(nested.spool_p),
-        "decision": str(nested.decision),
+        "spools equal, p": make_number_cell(nested_mean.spool_p),
+        "decision": str(nested_mean.decision),
     }
     return {
         **record,
         "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
-        **(of_all if over == "all" else dict.fromkeys(of_all)),
+        **(all_samples_record if over == "all" else dict.fromkeys(all_samples_record)),
         "reason": str(mean.reason or ""),
         "result": number.name,
     }
@@ -321,30 +321,32 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
 
 
 def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:
-    """List a record per point of a mean curve, at least one; the first holds the reason."""
+    """List a record per point of a mean curve, at least one; the first states the reason."""
     columns = {x.label("displacement"): x.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
         columns[write_column_heading(part, y.unit)] = y.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
-    first, *others = points or [{"group": group}]
-    return [first | {"reason": str(band.reason or "")}, *others]
+    first_point, *later_points = points or [{"group": group}]
+    return [first_point | {"reason": str(band.reason or "")}, *later_points]
 
 
 def _record_difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
-    shift, ends = difference.difference, difference.interval
+    mean_difference, ends = difference.difference, difference.interval
     scale = wording.find_display_unit(difference.name, difference.unit, display)
-    in_unit, of_share = (ends, None) if difference.share is None else (None, ends)
-    corrected = make_interval_cells(shift.mean, in_unit, scale.factor)
+    interval_in_unit, interval_of_share = (ends, None) if difference.share is None else (None, ends)
+    corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
     return {
         "first": difference.first,
         "second": difference.second,
         "number": wording.write_label(difference.name),
         "unit": wording.typeset_unit(scale.unit),
-        **make_interval_cells(shift.mean, shift.interval, scale.factor, name="second minus first"),
+        **make_interval_cells(
+            mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
+        ),
         "share (%)": make_percent_cell(difference.share),
-        "corrected lower (%)": make_percent_cell(of_share, "lower"),
-        "corrected upper (%)": make_percent_cell(of_share, "upper"),
+        "corrected lower (%)": make_percent_cell(interval_of_share, "lower"),
+        "corrected upper (%)": make_percent_cell(interval_of_share, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
@@ -357,7 +359,7 @@ def _record_difference(difference: Difference, display: Mapping[str, str]) -> Re
         "family": difference.family,
         "in family": difference.tests or None,
         "why": "; ".join(filter(None, (difference.verdict_reason, *difference.caveats))),
-        "reason": str(shift.reason or ""),
+        "reason": str(mean_difference.reason or ""),
         "result": difference.name,
     }
 
@@ -374,13 +376,13 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
                 ("median of the tests", None, budget.of_tests),
             )
             for name, ends, shares in kinds if budget.of_tests else ():
-                half = None if ends is None else 0.5 * (ends.upper - ends.lower)
+                half_width = None if ends is None else 0.5 * (ends.upper - ends.lower)
                 head: Record = {
                     "group": group.name,
                     "number": wording.write_label(number.name),
                     "of": name,
                     "unit": wording.typeset_unit(scale.unit),
-                    "half of the 95 % interval": make_number_cell(half, None, scale.factor),
+                    "half of the 95 % interval": make_number_cell(half_width, None, scale.factor),
                 }
                 if shares:
                     rows.append((head, shares))
@@ -426,7 +428,7 @@ def _list_issues(campaign: Campaign) -> Iterator[Record]:
                 "kind": str(issue.kind),
                 "group": issue.group,
                 "test": ", ".join(issue.tests),
-                "what": issue.what,
+                "what": issue.place,
                 "reason": issue.reason,
                 "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
                 "code": issue.code,

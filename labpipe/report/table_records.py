@@ -1,4 +1,4 @@
-"""Tables of pages and workbooks, the cells of their numbers, and the writer of workbooks.
+"""Describe the tables of pages and workbooks, format their numbers, and write workbooks.
 
 The template ``tables.html`` shows a `Table` on a page; `save_tables` writes several as the sheets
 of a workbook. ``workbooks.toml`` describes each workbook and the layout of its sheets.
@@ -107,20 +107,20 @@ class Table:
 
 
 def tabulate(
-    title: str, records: Iterable[Record], heads: Iterable[str] = (), **more: Any
+    title: str, records: Iterable[Record], heads: Iterable[str] = (), **settings: Any
 ) -> Table:
-    """Make a table of records, a column per heading.
+    """Make a table of records with a column per heading.
 
     Parameters
     ----------
     title : of the table
     records : cells by heading; a missing one is empty
     heads : headings in order; those of the records, in the order of their appearance, if empty
-    more : notes and charts of the table
+    settings : notes and charts of the table
     """
     rows = list(records)
     names = list(heads) or list(dict.fromkeys(head for row in rows for head in row))
-    return Table(title, names, [[row.get(name) for name in names] for row in rows], **more)
+    return Table(title, names, [[row.get(name) for name in names] for row in rows], **settings)
 
 
 def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
@@ -154,7 +154,7 @@ def tabulate_curves(
     start : first point of each line in the charts
     is_log : make both axes logarithmic
     """
-    records, made = list[Record](), list[Chart]()
+    records, chart_list = list[Record](), list[Chart]()
     for name, blocks in charts:
         lines: dict[str, tuple[int, int]] = {}
         for line, block in blocks.items():
@@ -164,8 +164,8 @@ def tabulate_curves(
                 lines[line] = ends
         for head in y if lines else ():
             chart_title = name if len(y) == 1 else head.partition(" (")[0].capitalize()
-            made.append(Chart(chart_title, x, head, lines, is_log))
-    return tabulate(title, records, heads, charts=made)
+            chart_list.append(Chart(chart_title, x, head, lines, is_log))
+    return tabulate(title, records, heads, charts=chart_list)
 
 
 def make_number_cell(
@@ -253,11 +253,11 @@ def _write_decimals(count: int) -> str:
 
 
 def find_column_place(column: Sequence[Value]) -> int | None:
-    """Find the power of ten of the last digit of the numbers of a column without a format.
+    """Find the power of ten of the last digit for the numbers of a column that have no format.
 
     Parameters
     ----------
-    column : its integers, texts and cells with a format do not count
+    column : cells; integers, texts and cells with a format are ignored
 
     Returns
     -------
@@ -268,11 +268,11 @@ def find_column_place(column: Sequence[Value]) -> int | None:
 
 
 def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell:
-    """Give a number the format of its column, or one of its own if it is too small for that.
+    """Give a number the format of its column; a number too small for it gets another format.
 
     Parameters
     ----------
-    value : a cell with a format keeps it
+    value : number, or a cell with a format, which is kept
     place : power of ten of the last digit of the column, from `find_column_place`
     """
     min_digits = 3  # of a small number that would have fewer in its column
@@ -325,8 +325,8 @@ def save_tables(
 
     Notes
     -----
-    A text such as ``=1+1`` is no formula. Numbers that are not finite are empty cells. Unprintable
-    characters are replaced by U+FFFD. The same tables give the same bytes.
+    A text such as ``=1+1`` does not become a formula. Numbers that are not finite give empty cells.
+    Unprintable characters are replaced by U+FFFD. Equal tables give equal bytes.
     """
     description, sheets, memory = _read_descriptions()[book], list(tables), io.BytesIO()
     layouts = {table.title: description["sheets"].get(table.title, {}) for table in sheets}
@@ -372,8 +372,8 @@ class _WorkbookWriter:
         return page
 
     def add_read_me(self, lines: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
-        """Add how to read the workbook, and the question of each sheet."""
-        line_height, letters = 15.0, 115  # of a line: points, and characters
+        """Add the sheet that explains the workbook and lists the question of each sheet."""
+        line_height, letters = 15.0, 115  # height of a line, points; characters in a line
         page, wrapped = self.add_page(READ_ME), self.form(text_wrap=True)
         page.set_column(0, 0, 26)
         page.set_column(1, 1, 100)
@@ -399,8 +399,8 @@ class _WorkbookWriter:
             page.set_column(number, number, width)
         columns = [{"header": head, "header_format": self.head} for head in heads]
         if table.rows:
-            look = {"columns": columns, "style": "Table Style Light 1"}
-            page.add_table(0, 0, len(table.rows), len(heads) - 1, look)
+            table_options = {"columns": columns, "style": "Table Style Light 1"}
+            page.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
         for number, head in enumerate(() if table.rows else heads):
             _write_text(page, 0, number, head, self.head)
         places = [find_column_place(column) for column in zip(*table.rows, strict=True)]
@@ -416,21 +416,25 @@ class _WorkbookWriter:
         self, page: Any, at: tuple[int, int], value: Value, place: int | None, *, is_wrapped: bool
     ) -> None:
         """Write a cell."""
-        risky = "=+-@#"  # a text that begins so becomes a formula when a person edits it
+        formula_starts = (
+            "=+-@#"  # a text that begins with one becomes a formula when a person edits it
+        )
         if isinstance(value, Cell):
             page.write_url(*at, f"internal:{value.link}", string=replace_unprintable(value.text))
         elif isinstance(value, str):
-            look: dict[str, Any] = {"quote_prefix": True} if value[:1] in risky else {}
-            look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+            properties: dict[str, Any] = (
+                {"quote_prefix": True} if value[:1] in formula_starts else {}
+            )
+            properties |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
             if value:
-                _write_text(page, *at, value, self.form(**look))
+                _write_text(page, *at, value, self.form(**properties))
         elif value is not None:
             number = value.value if isinstance(value, NumberCell) else value
             if math.isfinite(number):
                 page.write_number(*at, number, self.form(format_in_column(value, place).form))
 
     def draw(self, page: Any, table: Table) -> None:
-        """Place the charts in rows of two, below the table or beside a long one."""
+        """Place the charts in rows of two, below the table or beside a long table."""
         long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
         top, left = len(table.rows) + 2, 0
         if table.charts and len(table.rows) > long_table:
@@ -438,10 +442,10 @@ class _WorkbookWriter:
             page.print_area(0, 0, len(table.rows), len(table.heads) - 1)
         for number, chart in enumerate(table.charts):
             row, column = divmod(number, 2)
-            drawn = _draw_chart(self.book, table, chart)
-            drawn.set_size({"width": width - gap, "height": height - gap})
+            chart_object = _draw_chart(self.book, table, chart)
+            chart_object.set_size({"width": width - gap, "height": height - gap})
             offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
-            page.insert_chart(top, left, drawn, offset)
+            page.insert_chart(top, left, chart_object, offset)
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
@@ -481,28 +485,32 @@ def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:
 
 
 def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
-    drawn = book.add_chart({"type": "scatter", "subtype": "straight"})
+    chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
     for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
         dash = _DASHES[number // len(_COLOURS) % len(_DASHES)]
-        look = {"color": _COLOURS[number % len(_COLOURS)], "width": 1.5, "dash_type": dash}
-        drawn.add_series({
+        line_properties = {
+            "color": _COLOURS[number % len(_COLOURS)],
+            "width": 1.5,
+            "dash_type": dash,
+        }
+        chart_object.add_series({
             "name": _escape_formula(name),
             "categories": [table.title, first + 1, x, last + 1, x],
             "values": [table.title, first + 1, y, last + 1, y],
-            "line": look,
+            "line": line_properties,
         })  # fmt: skip
     options: dict[str, Any] = {
         "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
         "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
     }  # fmt: skip
     options |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
-    for set_axis, head in ((drawn.set_x_axis, chart.x), (drawn.set_y_axis, chart.y)):
+    for set_axis, head in ((chart_object.set_x_axis, chart.x), (chart_object.set_y_axis, chart.y)):
         set_axis({"name": _escape_formula(head[:1].upper() + head[1:]), **options})
     title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
-    drawn.set_title(title if chart.title else {"none": True})
-    drawn.set_legend({"position": "right", "font": {"size": 9}})
-    return drawn
+    chart_object.set_title(title if chart.title else {"none": True})
+    chart_object.set_legend({"position": "right", "font": {"size": 9}})
+    return chart_object
 
 
 def _escape_formula(text: str) -> str:

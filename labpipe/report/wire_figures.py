@@ -1,4 +1,4 @@
-"""Figures of a wire sheet: sections, stiffness, moment and end load of wires, as modelled."""
+"""Make the figures of a wire sheet: sections, stiffness, moment and end load of modelled wires."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LARGE_STIFFNESS = Scale(1.0, "N·m²")
 FORCE = Scale(1.0, "N")
 
 MAX_WIRES = 12
-"""Wires on one page: more could not be distinguished."""
+"""Largest number of wires on a page that a reader can distinguish."""
 
 
 def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
@@ -37,7 +37,7 @@ def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
 
 
 def _shorten_name(table: WireTable) -> str:
-    """Shorten the name of a wire for a line that holds other texts."""
+    """Shorten the name of a wire for a line with other texts."""
     return shorten(" ".join(table.name.split()), 24)
 
 
@@ -61,7 +61,7 @@ def join_warnings(table: WireTable) -> str:
 
 
 def is_curved(table: WireTable) -> Flags:
-    """Return whether each curvature of a table is positive and fits a logarithmic axis, (n,)."""
+    """Return whether each curvature of a table is positive, as on a logarithmic axis, (n,)."""
     return np.asarray(table.curvature > 0.0)
 
 
@@ -76,8 +76,8 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
 
     Parameters
     ----------
-    name : of the files
-    tables : of the wires
+    name : file name without the ending
+    tables : laws of the wires
 
     Returns
     -------
@@ -113,7 +113,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
     reach : m, from the axis of the wire to the edge of the panel
     unit : of the bending stiffness
     """
@@ -171,19 +171,19 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
     has_core = np.sum(layout.layer == 0) == 1
     for number in range(int(layout.layer.max()) + 1):
         label = "core" if has_core and number == 0 else f"ring {number + (not has_core)}"
-        look: dict[str, Any] = {"facecolor": f"C{number}", "label": label}
+        settings: dict[str, Any] = {"facecolor": f"C{number}", "label": label}
         rows = layout.layer == number
         if layout.kind != "compressed":
-            yield plots.circles("strand", x[rows], y[rows], layout.diameter[rows] / 2.0, **look)
+            yield plots.circles("strand", x[rows], y[rows], layout.diameter[rows] / 2.0, **settings)
             continue
         outlines = []
         for angle in np.arctan2(y, x)[rows]:
-            turns = angle + np.linspace(-np.pi, np.pi, 91) / rows.sum()
+            angles = angle + np.linspace(-np.pi, np.pi, 91) / rows.sum()
             radii = np.concatenate([np.full(91, edges[number + 1]), np.full(91, edges[number])])
-            turns = np.concatenate([turns, turns[::-1]])
-            outlines += [np.stack([radii * np.cos(turns), radii * np.sin(turns)])]
+            angles = np.concatenate([angles, angles[::-1]])
+            outlines += [np.stack([radii * np.cos(angles), radii * np.sin(angles)])]
             outlines += [np.full((2, 1), np.nan)]
-        yield line("strand", *np.hstack(outlines), is_closed=True, **look)
+        yield line("strand", *np.hstack(outlines), is_closed=True, **settings)
 
 
 def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
@@ -205,8 +205,8 @@ def _make_wire_page(
     return Page(name, title, panels, notes, height, plots.SINGLE_COLUMN)
 
 
-def _fade(limit: float, end: float) -> list[Line]:
-    """Fade what a panel shows beyond a limit up to its end, where the model is doubtful."""
+def _mark_doubtful_range(limit: float, end: float) -> list[Line]:
+    """Return a pale area from a limit to the end of a panel, where the model is doubtful."""
     return [plots.span("doubtful_range", limit, end)] if limit < end else []
 
 
@@ -215,7 +215,7 @@ def make_stiffness_page(table: WireTable) -> Page:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
 
     Returns
     -------
@@ -223,26 +223,27 @@ def make_stiffness_page(table: WireTable) -> Page:
     friction, the curvatures at which strands begin to slip, and the range of the secant stiffness
     over all orientations of the section.
     """
-    headroom, label_ratio = 1.4, 1.35  # of the higher limit; of limits whose labels would overlap
-    use, unit = is_curved(table), choose_stiffness_unit([table])
-    x, stick, slip = table.curvature[use], table.stick_stiffness, table.slip_stiffness
+    headroom = 1.4  # top of the panel over the higher limit
+    label_ratio = 1.35  # below this ratio of the limits, their labels would overlap
+    is_curved_row, unit = is_curved(table), choose_stiffness_unit([table])
+    x, stick, slip = table.curvature[is_curved_row], table.stick_stiffness, table.slip_stiffness
     lowest, highest, elastic = (
-        moment[use] / x
+        moment[is_curved_row] / x
         for moment in (table.lowest_moment, table.highest_moment, table.moment - table.plastic)
     )
     onsets = table.slip_onsets
     onsets = onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])]
-    low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[use]]))
+    low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[is_curved_row]]))
     high = headroom * max(stick, float(np.nanmax(highest)) / 1.3)
     lines = [
-        line("secant", x, table.secant_stiffness[use]),
-        line("tangent", x, table.tangent_stiffness[use]),
+        line("secant", x, table.secant_stiffness[is_curved_row]),
+        line("tangent", x, table.tangent_stiffness[is_curved_row]),
         line("secant_without_yielding", x, elastic),
         plots.area("secant_of_orientations", x, lowest, highest),
         plots.level("stiffness_limit", stick),
         plots.level("stiffness_limit", slip),
         *([line("onset_of_slip", onsets, 1.06 * low)] if len(onsets) else []),
-        *_fade(table.doubtful_curvature, table.curvature[-1]),
+        *_mark_doubtful_range(table.doubtful_curvature, table.curvature[-1]),
     ]
     stick_text, slip_text = (
         f"all {state}\n{write_number(unit.factor * stiffness, None, digits=4).value}"
@@ -262,37 +263,37 @@ def make_moment_page(table: WireTable) -> Page:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
 
     Returns
     -------
     A page with two panels: the stacked parts of the moment, and their shares against curvature on
     a logarithmic axis, which shows how sticking strands begin to slip.
     """
-    max_elastic_moments = 2.0  # top of the panel, in largest moments
-    use, moment = is_curved(table), table.moment
+    max_elastic_ratio = 2.0  # top of the panel over the largest moment
+    is_curved_row, moment = is_curved(table), table.moment
     parts = {
         "moment_of_insulation": table.insulation,
         "moment_of_bent_strands": table.bending + table.plastic,
         "moment_of_slipping_strands": table.slip,
         "moment_of_sticking_strands": table.stick,
     }
-    shares = {name: part[use] / moment[use] for name, part in parts.items()}
+    shares = {name: part[is_curved_row] / moment[is_curved_row] for name, part in parts.items()}
     x, elastic, end = table.curvature, moment - table.plastic, float(table.curvature[-1])
-    top = 1.04 * min(float(elastic.max()), max_elastic_moments * float(moment.max()))
+    top = 1.04 * min(float(elastic.max()), max_elastic_ratio * float(moment.max()))
     lines = [line("total_moment", x, moment), line("without_yielding", x, elastic)]
-    fade = _fade(table.doubtful_curvature, end)
+    doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
     panels = [
         Plot(
             Axis("Curvature", CURVATURE, 0.0, end),
             Axis("Bending moment", MOMENT, 0.0, top),
-            [*_stack(x, parts), *lines, *fade],
+            [*_stack(x, parts), *lines, *doubtful_range],
             "moment",
         ),
         Plot(
-            make_curvature_axis(x[use]),
+            make_curvature_axis(x[is_curved_row]),
             Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0),
-            [*_stack(x[use], shares), *fade],
+            [*_stack(x[is_curved_row], shares), *doubtful_range],
             "shares of the moment",
         ),
     ]
@@ -312,7 +313,7 @@ def make_cantilever_page(table: WireTable) -> Page:
 
     Parameters
     ----------
-    table : of the wire; without a curve of end loads the page says so
+    table : law of the wire; without a curve of end loads, the page states the reason
 
     Returns
     -------
@@ -334,7 +335,7 @@ def make_cantilever_page(table: WireTable) -> Page:
         line("cantilever", x, table.tip_force),
         line("cantilever_all_stick", [0.0, end], [0.0, slope * table.stick_stiffness]),
         line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
-        *_fade(table.doubtful_deflection, end),
+        *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
     panel = Plot(
         Axis("Tip deflection", LENGTH, 0.0, end),
@@ -349,18 +350,18 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
 
     Parameters
     ----------
-    name : of the files
-    tables : of up to `MAX_WIRES` wires
+    name : file name without the ending
+    tables : laws of at most `MAX_WIRES` wires
     """
     secants, moments = [], []
     for number, table in enumerate(tables):
-        look = {**choose_line_look(number), "label": _shorten_name(table)}
+        settings = {**choose_line_look(number), "label": _shorten_name(table)}
         for part, opacity in plots.split_doubtful(table.curvature <= table.doubtful_curvature):
-            drawn, look["alpha"] = part & is_curved(table), opacity
-            curvature, secant = table.curvature[drawn], table.secant_stiffness[drawn]
-            secants.append(line("wire", curvature, secant, **look))
-            moments.append(line("wire", table.curvature[part], table.moment[part], **look))
-    x = make_curvature_axis(np.concatenate([drawn.x for drawn in secants]))
+            is_drawn, settings["alpha"] = part & is_curved(table), opacity
+            curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
+            secants.append(line("wire", curvature, secant, **settings))
+            moments.append(line("wire", table.curvature[part], table.moment[part], **settings))
+    x = make_curvature_axis(np.concatenate([is_drawn.x for is_drawn in secants]))
     stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
     moment = Axis("Bending moment", MOMENT, low=0.0)
     panels = [
@@ -384,7 +385,7 @@ def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
 
     Parameters
     ----------
-    tables : of the wires, in the order of the sheet
+    tables : laws of the wires, in the order of the sheet
 
     Yields
     ------
@@ -405,7 +406,7 @@ def list_figure_names(name: str) -> list[str]:
 
     Parameters
     ----------
-    name : of the wire; letters that file names forbid become ``-``
+    name : name of the wire; characters that are invalid in file names become ``-``
     """
     stem = _INVALID_IN_FILE_NAME.sub("-", name)
     return [f"{stem}.{kind}" for kind in _WIRE_FIGURES]

@@ -1,4 +1,4 @@
-"""Workbook of a wire sheet: a row per wire, then laws, end loads, slips and strands."""
+"""Write the workbook of a wire sheet: a row per wire, then laws, end loads and notes."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ REPORTED_DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 
 
 def compute_orientation_spread(table: WireTable) -> float | None:
-    """Compute the largest difference between the moments of all orientations of a wire.
+    """Compute the largest difference of the moment between orientations of a wire.
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
 
     Returns
     -------
     In per cent of the moment at the same curvature; None if the table has only zero curvature.
     """
-    use = is_curved(table)
-    if not use.any():
+    rows = is_curved(table)
+    if not rows.any():
         return None
-    spread = (table.highest_moment - table.lowest_moment)[use] / table.moment[use]
+    spread = (table.highest_moment - table.lowest_moment)[rows] / table.moment[rows]
     return 100.0 * float(np.max(spread))
 
 
@@ -52,7 +52,7 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
     max_rows : largest number of rows, at least 2
 
     Returns
@@ -62,11 +62,11 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
     the end of the law.
     """
     count = len(table.curvature)
-    use = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
-    if count <= max_rows or not len(use):
+    usable_rows = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
+    if count <= max_rows or not len(usable_rows):
         return np.arange(count, dtype=np.int64)
-    x, y = np.log(table.curvature[use]), np.log(table.moment[use])
-    rows = use[simplify_line(x, y, max_points=max_rows - 1, tolerance=0.0)]
+    x, y = np.log(table.curvature[usable_rows]), np.log(table.moment[usable_rows])
+    rows = usable_rows[simplify_line(x, y, max_points=max_rows - 1, tolerance=0.0)]
     return np.union1d([0], rows).astype(np.int64)
 
 
@@ -75,16 +75,16 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
     rows : their numbers
 
     Returns
     -------
     In per cent of the moment at the same curvature.
     """
-    use = is_curved(table)
-    lines = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
-    error = np.abs(lines - table.moment)[use] / np.abs(table.moment[use])
+    is_bent = is_curved(table)
+    interpolated = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
+    error = np.abs(interpolated - table.moment)[is_bent] / np.abs(table.moment[is_bent])
     return 100.0 * float(np.max(error, initial=0.0))
 
 
@@ -182,8 +182,9 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of laws shows some rows of each law: 12 000 together, but at least 40
-    of each. The summary gives their number and the error of linear interpolation between them.
+    With many wires, the sheet of laws shows a part of the rows of each law: 12 000 rows in total,
+    but at least 40 of each law. The summary gives the number of rows shown and the error of linear
+    interpolation between them.
     """
     sheets = _list_tables(tables, refused or {}, stated or {})
     save_tables(sheets, path, book="wires", title="Laws of wires")
@@ -192,8 +193,8 @@ def save_wire_workbook(
 def _list_tables(
     tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
 ) -> Iterator[Table]:
-    max_law_rows = 12_000  # of all wires: with more, writing takes longer than the model
-    min_law_rows = 40  # of a wire: linear interpolation is within 1 %
+    max_law_rows = 12_000  # of all wires; writing more rows takes longer than the computation
+    min_law_rows = 40  # of a wire, for an error of linear interpolation below 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws = _tabulate_laws(tables, law_rows)
@@ -219,7 +220,7 @@ def _list_tables(
 
 
 def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Table:
-    """Make the sheet of the laws of all wires; charts are without the point at zero curvature."""
+    """Make the sheet of the laws of all wires; its charts omit the point at zero curvature."""
     blocks = {}
     for table, rows in zip(tables, law_rows, strict=True):
         columns = {
@@ -228,9 +229,11 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
-    drawn = CURVATURE.label("curvature"), STIFFNESS.label("secant stiffness"), names[1]
+    charted_columns = CURVATURE.label("curvature"), STIFFNESS.label("secant stiffness"), names[1]
     heads = ["wire", *names, "doubtful"]
-    return tabulate_curves("laws", [("", blocks)], *drawn, heads=heads, start=1, is_log=True)
+    return tabulate_curves(
+        "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True
+    )
 
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:

@@ -1,4 +1,4 @@
-"""Texts of reports: labels of results, units, counts, numbers with significant digits."""
+"""Write the texts of reports: labels of results, units, counts, numbers with their digits."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Scale(NamedTuple):
 def write_title(result: TestResult) -> str:
     """Write the test, its specimen and its protocol in one line."""
     specimen = result.specimen
-    what = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
-    return f"{result.test}  ·  {what}  ·  {result.protocol}"
+    specimen_text = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
+    return f"{result.test}  ·  {specimen_text}  ·  {result.protocol}"
 
 
 def write_footnote(result: TestResult) -> str:
@@ -99,10 +99,10 @@ def write_group_title(group: Group) -> str:
     return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {describe_counts(group)}"
 
 
-def explain_missing(result: TestResult, what: str) -> str:
-    """Say that a test has nothing to draw of a kind, and why by its first error."""
+def explain_missing(result: TestResult, content: str) -> str:
+    """Explain why a test has no data to draw: name the missing data and give its first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
-    return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
+    return " ".join([f"There is no {content} to draw.", *list(errors)[:1]])
 
 
 _RESULT_LABELS: Mapping[str, str] = {
@@ -177,7 +177,7 @@ def write_label(name: str) -> str:
 
 _NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
 _FREE_PREFIXES = ("stiffness_", "modulus_")
-"""Beginnings of names that a protocol may continue as it likes."""
+"""Beginnings of names whose endings a protocol chooses."""
 
 
 def replace_names(sentence: str) -> str:
@@ -193,23 +193,23 @@ def replace_names(sentence: str) -> str:
     'no modulus, as stiffness, second region failed'
     """
 
-    def word(match: re.Match[str]) -> str:
+    def write_label_of(match: re.Match[str]) -> str:
         stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
         if stem not in _RESULT_LABELS and not stem.startswith(_FREE_PREFIXES):
             return match[0]
         text = write_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
-    return _NAME.sub(word, sentence)
+    return _NAME.sub(write_label_of, sentence)
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number describes the specimen, not a slip, the clocks or a limit."""
+    """Return whether a number describes the specimen, and not a slip, the clocks or a limit."""
     return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:
-    """Return whether a number belongs to no single cycle, or to the first one."""
+    """Return whether a number belongs to the first cycle or to no particular cycle."""
     return name.partition(".")[2] in {"", "1"}
 
 
@@ -308,7 +308,7 @@ def write_heading(name: str, unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A number as text, with the ends of its interval and a different estimate, if any."""
+    """Text of a number, of the ends of its interval, and of an estimate that differs from it."""
 
     value: str
     lower: str = ""
@@ -318,8 +318,8 @@ class Written:
     @property
     def interval(self) -> str:
         """Return estimate and interval as text, such as ``46.3 to 58.3``; may be empty."""
-        about = f"estimate {self.estimate}, " if self.estimate else ""
-        return f"{about}{self.lower} to {self.upper}" if self.lower else ""
+        estimate_text = f"estimate {self.estimate}, " if self.estimate else ""
+        return f"{estimate_text}{self.lower} to {self.upper}" if self.lower else ""
 
     @property
     def text(self) -> str:
@@ -421,13 +421,15 @@ def _last_place(size: float, digits: int) -> int:
 def _round_together(numbers: Iterable[float], place: int) -> list[str]:
     """Round numbers to one place, with a common power of ten if they are far from one."""
     plain_range = (1e-3, 1e6)  # sizes of numbers that are written without a power of ten
-    several = list(numbers)
-    largest = max(map(abs, several))
+    number_list = list(numbers)
+    largest = max(map(abs, number_list))
     if plain_range[0] <= largest < plain_range[1] or largest == 0.0 or not math.isfinite(largest):
-        return [round_to_place(number, place) for number in several]
+        return [round_to_place(number, place) for number in number_list]
     power = math.floor(math.log10(largest))
-    tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
-    return [round_to_place(number / 10.0**power, place - power) + tail for number in several]
+    power_text = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
+    return [
+        round_to_place(number / 10.0**power, place - power) + power_text for number in number_list
+    ]
 
 
 def round_to_place(number: float, place: int) -> str:
@@ -449,7 +451,7 @@ def write_with_interval(
 
     Returns
     -------
-    ``value ± half`` if both sides of the interval differ by at most a tenth, else
+    ``value ± half`` if the two sides of the interval differ by at most a tenth, else
     ``value (lower to upper)``; the value alone without an interval.
 
     Examples
@@ -459,7 +461,7 @@ def write_with_interval(
     >>> write_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
-    max_uneven_share = 0.1  # difference of both sides of the interval, of the longer one
+    max_uneven_share = 0.1  # difference of the two sides of the interval over the longer one
     written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
@@ -488,7 +490,7 @@ def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
 
 
 def write_result(result: Result, factor: float = 1.0) -> str:
-    """Write the value of a result with its interval as `write_with_interval` does; a dash without.
+    """Write a result with its interval as `write_with_interval` does, or a dash without a value.
 
     Parameters
     ----------

@@ -6,40 +6,20 @@ JSON Schema, descriptions and reference page derive from `KINDS`.
 
 from __future__ import annotations
 
-from labpipe.results.bending import BendingStiffness, MidSpan, MomentCurvature, TipTravel, Twist
-from labpipe.results.cycles import Energy, PeakDisplacement, PeakForce, ResidualDisplacement
-from labpipe.results.failures import EnergyToBreak, FailureResult, ForceLimit, PeakForceDisplacement
-from labpipe.results.kinds import ClockResult, Kind
-from labpipe.results.kinks_and_plateaus import Kink, Plateau, TwoSegments
-from labpipe.results.slack_and_slips import SlackResult, SlipResults
-from labpipe.results.stiffness import (
-    ComplianceResult,
-    Hardening,
-    InitialStiffness,
-    LineStiffness,
-    LoadingStiffness,
-    Modulus,
-    NormalisedStiffness,
-    UnloadingStiffness,
-)
-from labpipe.results.tension import (
-    BreakElongation,
-    ElasticModulus,
-    MaximumForceElongation,
-    ProofStress,
-    TensileStrength,
-    YieldStress,
-)
+from labpipe.results import bending, cycles, failures, kinds, slack_and_slips, stiffness, tension
+from labpipe.results import kinks_and_plateaus as kinks
 
-KINDS: tuple[type[Kind], ...] = (
-    ClockResult,
-    *(UnloadingStiffness, LoadingStiffness, Hardening, InitialStiffness, LineStiffness),
-    *(NormalisedStiffness, Modulus, ComplianceResult, TwoSegments, Kink),
-    *(PeakForce, PeakDisplacement, Energy, ResidualDisplacement, FailureResult, EnergyToBreak),
-    *(PeakForceDisplacement, ForceLimit),
-    *(SlipResults, SlackResult, Plateau, BendingStiffness),
-    *(ElasticModulus, ProofStress, YieldStress, TensileStrength),
-    *(MaximumForceElongation, BreakElongation),
-    *(TipTravel, MomentCurvature, MidSpan, Twist),
+KINDS: tuple[type[kinds.Kind], ...] = (
+    kinds.ClockResult,
+    *(stiffness.UnloadingStiffness, stiffness.LoadingStiffness, stiffness.Hardening),
+    *(stiffness.InitialStiffness, stiffness.LineStiffness, stiffness.NormalisedStiffness),
+    *(stiffness.Modulus, stiffness.ComplianceResult, kinks.TwoSegments, kinks.Kink),
+    *(cycles.PeakForce, cycles.PeakDisplacement, cycles.Energy, cycles.ResidualDisplacement),
+    *(failures.FailureResult, failures.EnergyToBreak, failures.PeakForceDisplacement),
+    *(failures.ForceLimit, slack_and_slips.SlipResults, slack_and_slips.SlackResult),
+    *(kinks.Plateau, bending.BendingStiffness),
+    *(tension.ElasticModulus, tension.ProofStress, tension.YieldStress, tension.TensileStrength),
+    *(tension.MaximumForceElongation, tension.BreakElongation),
+    *(bending.TipTravel, bending.MomentCurvature, bending.MidSpan, bending.Twist),
 )
 """In the order of the reference page."""

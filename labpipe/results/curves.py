@@ -20,8 +20,8 @@ from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
+    Distribution,
     Input,
-    Law,
     Replicates,
     count_spline_intervals,
     draw_replicates,
@@ -632,8 +632,8 @@ def _list_inputs(
     for cause, signal in displacement.perturbed.items():
         change = _average_blocks(signal - displacement.values, starts)
         change = smooth(change) if cause in _CAUSES_BY_FRAME else change
-        law: Law = "uniform" if cause == causes.SHAPE else "normal"
-        yield Input(cause, partial(shift_displacement_by, by=change), law=law)
+        distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
+        yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
     for cause, clocks in test.clocks.perturbed.items():
         later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
         yield Input(cause, partial(_delay_force, by=_average_blocks(later, starts)))
@@ -645,7 +645,7 @@ def _list_inputs(
     def end_later(trace: Trace, x: float) -> Trace:
         return replace(trace, steps_beyond=x * step)
 
-    yield Input(causes.STEP, end_later, law="step", moves_curve=False)
+    yield Input(causes.STEP, end_later, distribution="step", moves_curve=False)
     for number, slip in enumerate(_list_repaired(test), start=1):
         is_behind = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         back = partial(_add_force, by=np.where(is_behind, slip.drop_interval.standard_error, 0.0))
@@ -679,7 +679,9 @@ def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
     curve, add = test.required_curve, partial(_add_force, compliance=test.compliance)
     if test.unfiltered is not None and (coarse := _find_converter_step(test.unfiltered.values)):
-        yield Input(causes.RESOLUTION, partial(add, by=coarse / np.sqrt(12.0)), law="uniform")
+        yield Input(
+            causes.RESOLUTION, partial(add, by=coarse / np.sqrt(12.0)), distribution="uniform"
+        )
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     since = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
     for number, wave in enumerate(compute_drift_modes(since, drift), start=1):

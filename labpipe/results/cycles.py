@@ -274,7 +274,7 @@ class PerCycle(Kind):
             decide = partial(self.choose, test, number=number)
             values = self.measure_directly(test, branches)
             outcome = return_failure(test.measure_one)(decide, values)
-            doubts = find_cut_cycle(test, complete, self.outputs[0].rests_on)
+            doubts = find_cut_cycle(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
             during, part = _find_time_interval(branches, self.reads), f".{number}"
             yield self.make_result(test, outcome, during=during, doubts=doubts, part=part)

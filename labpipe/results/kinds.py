@@ -487,7 +487,7 @@ class Kind(ABC):
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            test_doubts = test.collect_doubts((*declared.rests_on, *_SIGN_QUANTITIES), during)
+            test_doubts = test.collect_doubts((*declared.depends_on, *_SIGN_QUANTITIES), during)
             curve_doubts = [doubt for doubt in test_doubts if doubt.code in _CURVE_ERRORS]
             is_explained = outcome.code in _EXPLAINED_FAILURES
             ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
@@ -495,9 +495,9 @@ class Kind(ABC):
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
         signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
         by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
-        quantities = "", *declared.rests_on
+        quantities = "", *declared.depends_on
         noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
-        test_doubts = test.collect_doubts((*declared.rests_on, *signs), during)
+        test_doubts = test.collect_doubts((*declared.depends_on, *signs), during)
         reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"

@@ -707,7 +707,7 @@ class _Corner:
 
         Parameters
         ----------
-        seen, base : shape (2,), of the measured and of the smooth curve
+        change, base : shape (2,), of the measured and of the smooth curve
         noise : shape (2, replicates), effect of noise on it
 
         Notes
@@ -894,7 +894,7 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
         replicates = test.require(test.replicates)
-        inputs = (*replicates.inputs, Input(TANGENT, shorten, law="ends"))
+        inputs = (*replicates.inputs, Input(TANGENT, shorten, distribution="ends"))
         decide = partial(self._decide_onset, initial=initial.decide)
         try:
             decide(replicates.measured)

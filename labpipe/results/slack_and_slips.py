@@ -210,7 +210,7 @@ class _Window:
             for part in (pull.f[:low], pull.f[high:])
             for stretch in cut_smooth_stretches(part, width=_STRETCH_SAMPLES)
         ]
-        drop = fit_linear(design, f, weighted=True, beside=outside).estimate(0)
+        drop = fit_linear(design, f, weighted=True, other_stretches=outside).estimate(0)
         steps = np.diff(pull.f[max(first - 1, low) : last + 1])
         # Where the force rises everywhere, only its slope changes.
         is_lost = drop.interval is not None and drop.interval.upper < 0.0

@@ -512,7 +512,9 @@ class LoadingStiffness(PerCycle):
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
         limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
-        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=trace.steps)
+        fit = choose_loading_window(
+            *parts, length=self.over, limit=limit, steps=trace.parts_per_step
+        )
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 

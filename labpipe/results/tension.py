@@ -324,7 +324,7 @@ class TensionResult(Kind):
     def _measure_number(
         self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
     ) -> Result:
-        value, errors, doubts = number.compute(pull), dict(number.errors), number.doubts
+        value, errors, doubts = number.compute(pull), dict[str, float](), number.doubts
         for cause, changed in _change_inputs(test, pull):
             change = number.compute(changed) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
@@ -337,9 +337,9 @@ class TensionResult(Kind):
         if number.has_line:
             doubts = (*_list_line_doubts(test, pull, number.compute), *doubts)
         start, stop = pull.time[np.minimum(number.during, len(pull.time) - 1)].tolist()
-        return self.make_result(
-            test, outcome, errors, output=output, during=(start, stop), doubts=doubts
-        )
+        errors |= number.errors
+        during = start, stop
+        return self.make_result(test, outcome, errors, output=output, during=during, doubts=doubts)
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:

@@ -1,1 +1,1 @@
-"""Pure work on signals sampled in time: filters, turning points, bad samples, rests, clocks."""
+"""Analyse signals sampled in time: filters, turning points, bad samples, rests, clocks."""

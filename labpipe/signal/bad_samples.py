@@ -1,4 +1,4 @@
-"""Invalid samples: clipped or frozen channels, spikes and dropouts."""
+"""Find invalid samples: clipped or frozen channels, spikes and dropouts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class StuckRun:
 
     Parameters
     ----------
-    start, stop : first sample of the run, and the first one after it
+    start, stop : samples, `stop` excluded
     is_clipped : whether the channel has no value beyond the repeated one; else it is frozen
     """
 
@@ -61,12 +61,12 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     steeply: by more than five steps of the resolution within half its length, at 0.3 of the slope
     before or more. Meanwhile `other` must continue: for a clipped channel, at about its previous
     speed through both ends; for a frozen channel that then jumps, by a part of its range. A machine
-    at rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are
-    not reported.
+    at rest, a rounded peak, a plateau, creep under constant force, slack, and a coarse resolution
+    are not reported.
     """
     min_run = 3  # two equal samples occur at any corner
-    same = values[1:] == values[:-1]
-    if not (same[1:] & same[:-1]).any():
+    is_equal = values[1:] == values[:-1]
+    if not (is_equal[1:] & is_equal[:-1]).any():
         return []
     lengths, starts = _find_equal_runs(values)
     channel = _Channel(time, values, other, lengths)
@@ -75,13 +75,13 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
     candidates = np.flatnonzero(lengths >= min_run)
     extreme = candidates[channel.is_extreme(starts[candidates])]
-    find_stuck_runs = []
+    stuck_runs = []
     for run in np.union1d(long, extreme).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
         is_clipped = bool(channel.is_extreme(np.array([start]))[0])
         if channel.is_stuck(start, stop, is_clipped=is_clipped):
-            find_stuck_runs.append(StuckRun(start, stop, is_clipped))
-    return find_stuck_runs
+            stuck_runs.append(StuckRun(start, stop, is_clipped))
+    return stuck_runs
 
 
 def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
@@ -143,7 +143,7 @@ class _Channel:
     @cached_property
     def resolution(self) -> float:
         """Return the quantisation step."""
-        return _resolution(self.values, self.steps[0], self.rounding)
+        return _find_resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
@@ -154,7 +154,7 @@ class _Channel:
     @cached_property
     def longest_by_chance(self) -> float:
         """Return the longest run that noise produces, in samples; infinite for a quiet channel."""
-        return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
+        return _compute_longest_noise_run(self.values, self.lengths, self.usual, self.resolution)
 
     def is_extreme(self, samples: Ints) -> Flags:
         """Return whether samples have the minimum or the maximum value."""
@@ -204,15 +204,19 @@ class _Channel:
         """Return the travel of the other quantity during the run, as a share of its range."""
         if self.other is None:
             return 0.0
-        part = self.other[start:stop]
-        if np.isnan(part).all():
+        run_values = self.other[start:stop]
+        if np.isnan(run_values).all():
             return 0.0
         full_range = float(np.nanmax(self.other) - np.nanmin(self.other))
-        return float(np.nanmax(part) - np.nanmin(part)) / full_range if full_range > 0.0 else 0.0
+        return (
+            float(np.nanmax(run_values) - np.nanmin(run_values)) / full_range
+            if full_range > 0.0
+            else 0.0
+        )
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
-        # Multiple of the usual run length: no plateau of a measured force is that flat.
+        # Multiple of the usual run length; no plateau of a measured force has longer equal runs.
         plateau_factor = 50.0
         min_other_travel = 0.3  # share of its range
         sides = [(start, -1)] if start >= 2 else []
@@ -225,31 +229,33 @@ class _Channel:
         travels = self._other_travel(start, stop) > min_other_travel
         if is_long and travels and self._other_keeps_direction(start, stop):
             return True
-        steep = (self._leaves_steeply(sample, away, stop - start) for sample, away in sides)
+        steep = (
+            self._leaves_steeply(sample, direction, stop - start) for sample, direction in sides
+        )
         return other_continues and (is_long or all(steep))
 
     def _previous_run(self, start: int) -> int:
         """Return the length of the previous run: runs grow longer towards a plateau."""
         level = self.values[start - 1] if start else np.nan
-        other = np.flatnonzero(self.values[:start] != level)
-        return start - 1 - int(other[-1]) if len(other) else start
+        different = np.flatnonzero(self.values[:start] != level)
+        return start - 1 - int(different[-1]) if len(different) else start
 
     def _other_keeps_direction(self, start: int, stop: int) -> bool:
         """Return whether the other quantity does not reverse at the start; in a hold it does."""
         other = self.other
         if other is None:
             return False
-        before = float(other[start] - other[max(0, start - (stop - start))])
-        return before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
+        travel_before = float(other[start] - other[max(0, start - (stop - start))])
+        return travel_before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
 
-    def _leaves_steeply(self, sample: int, away: int, length: int) -> bool:
+    def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
-        # Resolution steps within half the run length; a round top has 3. Slope next to the run over
-        # the slope farther away; it decreases towards a round top. Share of the range below which
-        # missing values do not matter.
+        # Resolution steps within half the run length; a rounded peak has 3. Slope next to the run
+        # over the slope farther away; it decreases towards a rounded peak. Share of the range below
+        # which missing values are irrelevant.
         min_rise_in_steps, min_slope_ratio, min_lost_share = 5.0, 0.3, 0.005
-        reach = min(max(2, length // 2), sample if away < 0 else len(self.values) - 1 - sample)
-        rise = np.abs(self.values[sample + away * np.arange(reach + 1)] - self.values[sample])
+        reach = min(max(2, length // 2), sample if direction < 0 else len(self.values) - 1 - sample)
+        rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
         if reach < 2 or not np.isfinite(rise).all():
             return False
         half = reach // 2
@@ -268,19 +274,22 @@ class _Channel:
         other = self.other
         if other is None:
             return False
-        least = noise_factor * estimate_noise_level(other)
+        min_travel = noise_factor * estimate_noise_level(other)
         size = max(1, min(length // 4, max(8, len(other) // 50)))
         low, high = max(0, sample - size), min(len(other) - 1, sample + size)
-        before, after = float(other[sample] - other[low]), float(other[high] - other[sample])
-        if not (abs(before) > least and abs(after) > least):  # or NaN
+        travel_before, travel_after = (
+            float(other[sample] - other[low]),
+            float(other[high] - other[sample]),
+        )
+        if not (abs(travel_before) > min_travel and abs(travel_after) > min_travel):  # or NaN
             return False
         time_before = max(float(self.time[sample] - self.time[low]), 1e-12)
         time_after = max(float(self.time[high] - self.time[sample]), 1e-12)
-        ratio = (after / time_after) / (before / time_before)
+        ratio = (travel_after / time_after) / (travel_before / time_before)
         return speed_ratio_limits[0] <= ratio <= speed_ratio_limits[1]
 
 
-def _resolution(values: Floats, steps: Floats, rounding: float) -> float:
+def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
     """Return the quantisation step; the rounding error if a short record has none.
 
     For a long record it is the smallest step between neighbours.
@@ -295,7 +304,9 @@ def _resolution(values: Floats, steps: Floats, rounding: float) -> float:
     return float(steps.min()) if on_grid else rounding
 
 
-def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: float) -> float:
+def _compute_longest_noise_run(
+    values: Floats, lengths: Ints, usual: float, resolution: float
+) -> float:
     """Return the run length that noise exceeds in one of 10^6 records; infinite without noise."""
     false_alarm_rate = 1e-6  # per record
     # Median third over median second difference: 1.8 for white noise, far below 1 if smooth.
@@ -344,11 +355,14 @@ def find_spikes(force: Floats) -> Ints:
     levels = np.median(windows, axis=1)
     # `records.arrays.median` is slow for few distinct values.
     mad = float(np.median(np.abs(windows[:, half] - levels)))
-    far = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
-    uneven = np.flatnonzero(_is_uneven(f, far))
-    around = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
-    off = f[uneven] - np.partition(f[around], half, axis=1)[:, half]
-    numbers, size = uneven[np.abs(off) > far], np.abs(off[np.abs(off) > far])
+    min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
+    uneven = np.flatnonzero(_is_uneven(f, min_deviation))
+    window_rows = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
+    deviation = f[uneven] - np.partition(f[window_rows], half, axis=1)[:, half]
+    numbers, size = (
+        uneven[np.abs(deviation) > min_deviation],
+        np.abs(deviation[np.abs(deviation) > min_deviation]),
+    )
     spikes = [numbers[:0]]
     for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
         # Excludes neighbours whose median is shifted by the spike.
@@ -359,7 +373,7 @@ def find_spikes(force: Floats) -> Ints:
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
 
-def _is_uneven(f: Floats, far: float) -> Flags:
+def _is_uneven(f: Floats, min_deviation: float) -> Flags:
     """Return flags of the samples that may deviate by more than `far` from their neighbours."""
     block = 8  # more than half a window
     starts = np.arange(0, len(f), block)
@@ -367,7 +381,7 @@ def _is_uneven(f: Floats, far: float) -> Flags:
     low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
     highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
     lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    return np.repeat(highest - lowest > far, block)[: len(f)]
+    return np.repeat(highest - lowest > min_deviation, block)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
@@ -388,15 +402,18 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     return bridged
 
 
-def _is_spike(f: Floats, run: Ints, off: float) -> bool:
+def _is_spike(f: Floats, run: Ints, deviation: float) -> bool:
     """Return whether a run of deviating samples is short and has equal levels on both sides."""
     # Multiple of the largest step of the neighbours, so that a sharp turn is not a spike.
     spike_step_factor = 4.0
-    first, last = int(run[0]), int(run[-1])
-    before = f[max(first - _MAX_SPIKE_SAMPLES, 0) : first]
-    after = f[last + 1 : last + 1 + _MAX_SPIKE_SAMPLES]
-    if last - first >= _MAX_SPIKE_SAMPLES or min(len(before), len(after)) < _MAX_SPIKE_SAMPLES:
+    first_sample, last_sample = int(run[0]), int(run[-1])
+    values_before = f[max(first_sample - _MAX_SPIKE_SAMPLES, 0) : first_sample]
+    values_after = f[last_sample + 1 : last_sample + 1 + _MAX_SPIKE_SAMPLES]
+    if (
+        last_sample - first_sample >= _MAX_SPIKE_SAMPLES
+        or min(len(values_before), len(values_after)) < _MAX_SPIKE_SAMPLES
+    ):
         return False
-    step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
-    level_change = abs(median(after) - median(before))
-    return off > spike_step_factor * step and level_change < 0.5 * off
+    step = max(float(np.abs(np.diff(side)).max()) for side in (values_before, values_after))
+    level_change = abs(median(values_after) - median(values_before))
+    return deviation > spike_step_factor * step and level_change < 0.5 * deviation

@@ -1,4 +1,4 @@
-"""Offset and drift between two clocks, from common events or from a repeated motion."""
+"""Fit offset and drift between two clocks to common events or to a repeated motion."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
 
     Notes
     -----
-    On a plateau before a fall, the largest sample may be anywhere. The turn is taken where the
-    slope changes most: where 2 y(t) - y(t - h) - y(t + h) is largest, with h four times
-    `smoothing`, or a quarter of the shorter stroke.
+    On a plateau before a decrease, the largest sample may be anywhere. The turning point is
+    therefore the time at which the slope changes most: where 2 y(t) - y(t - h) - y(t + h) is
+    largest, with h four times `smoothing`, or a quarter of the shorter stroke.
     """
     thin = max(1, seconds_to_window(smoothing, time) // 10)
     window = max(1, 2 * (seconds_to_window(smoothing, time) // thin // 2) + 1)
@@ -57,13 +57,13 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
 def _find_sharpest_turn(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
     """Return the sample at which a rise turns into a fall."""
     reach = min(reach, (rise.stop - rise.start) // 4, (fall.stop - fall.start) // 4)
-    first, last = rise.start + reach, fall.stop - reach
-    if reach < 1 or last <= first:
+    start, stop = rise.start + reach, fall.stop - reach
+    if reach < 1 or stop <= start:
         return rise.stop
-    middle = values[first:last]
-    bend = 2.0 * middle - values[first - reach : last - reach]
-    bend -= values[first + reach : last + reach]
-    return first + int(np.nanargmax(bend)) if np.isfinite(bend).any() else rise.stop
+    middle = values[start:stop]
+    bend = 2.0 * middle - values[start - reach : stop - reach]
+    bend -= values[start + reach : stop + reach]
+    return start + int(np.nanargmax(bend)) if np.isfinite(bend).any() else rise.stop
 
 
 def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
@@ -87,19 +87,19 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
     """
     candidates = []
     for shift in range(-len(motion) + 1, len(force)):
-        first = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
-        if len(first) == 0:
+        motion_peaks = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
+        if len(motion_peaks) == 0:
             continue
-        lag = force[first + shift] - motion[first]
+        lag = force[motion_peaks + shift] - motion[motion_peaks]
         spread = float(np.ptp(lag))
-        candidates.append((-len(first), round(spread, 1), abs(float(np.median(lag))), shift))
+        candidates.append((-len(motion_peaks), round(spread, 1), abs(float(np.median(lag))), shift))
     if not candidates:
         return np.empty((0, 2), dtype=np.int64), False
     candidates.sort()
     best = candidates[0]
-    rivals = [other for other in candidates[1:] if other[:2] == best[:2]]
-    first = np.arange(max(0, -best[3]), min(len(motion), len(force) - best[3]))
-    return np.column_stack([first, first + best[3]]), bool(rivals)
+    rivals = [candidate for candidate in candidates[1:] if candidate[:2] == best[:2]]
+    motion_peaks = np.arange(max(0, -best[3]), min(len(motion), len(force) - best[3]))
+    return np.column_stack([motion_peaks, motion_peaks + best[3]]), bool(rivals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,9 @@ def fit_clocks(
     solution, covariance = solve_weighted(design, differences, spread)
     pulls = (differences - design @ solution) / spread
     sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
-    covariance = covariance * _inflation(pulls, freedom=len(differences) - design.shape[1])
+    covariance = covariance * _compute_variance_factor(
+        pulls, freedom=len(differences) - design.shape[1]
+    )
     if repeat is not None:
         by_drift = repeat.zero_drift_error * sensitivity
         covariance += by_drift[:, None] * by_drift
@@ -214,7 +216,7 @@ def make_clock_fit(
     )
 
 
-def _inflation(pulls: Floats, *, freedom: int) -> float:
+def _compute_variance_factor(pulls: Floats, *, freedom: int) -> float:
     """Return the factor on the variance for events that scatter more than their errors, else 1.
 
     The 99 % quantile of chi-square is approximated after Wilson and Hilferty (PNAS 17 (1931)
@@ -268,11 +270,11 @@ def fit_lag(
         return Failure.of("signal.too_few_bins", count=bins, where="in the cycle", needed=_MIN_BINS)
     edges = np.linspace(start, stop, bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    earlier = _bin_means(time, values, edges)
+    earlier = _compute_bin_means(time, values, edges)
     lag = Estimate(guess, np.nan, 0)
     for _ in range(5):
-        later = _bin_means(time, values, edges + lag.value)
-        correction = _lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
+        later = _compute_bin_means(time, values, edges + lag.value)
+        correction = _compute_lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
         if isinstance(correction, Failure):
             return correction
         lag = Estimate(lag.value + correction.value, correction.error, correction.n)
@@ -281,7 +283,7 @@ def fit_lag(
     return lag
 
 
-def _lag_correction(
+def _compute_lag_correction(
     time: Floats, earlier: Floats, later: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
     """Return the correction of the lag that aligns the later cycle with the earlier one."""
@@ -311,7 +313,7 @@ def _lag_correction(
     return Estimate(-float(solution[0]) / reliability, error, count)
 
 
-def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
+def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     """Return the means of the samples in each bin; NaN in empty bins."""
     ends = np.searchsorted(time, edges)
     low, high = ends[:-1], ends[1:]
@@ -319,8 +321,8 @@ def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     means: Floats = np.full(len(low), np.nan)
     if len(filled) == 0:
         return means
-    inside = slice(int(low[filled[0]]), int(high[filled[-1]]))
-    sums = np.add.reduceat(values[inside], low[filled] - inside.start)
+    rows = slice(int(low[filled[0]]), int(high[filled[-1]]))
+    sums = np.add.reduceat(values[rows], low[filled] - rows.start)
     means[filled] = sums / (high - low)[filled]
     # The samples of a bin are not centred in it: the mean is shifted to its middle along the slope.
     offset = np.zeros(len(low))

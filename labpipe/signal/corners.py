@@ -1,4 +1,4 @@
-"""Time and height of a corner of a signal, from straight lines fitted on both sides."""
+"""Find time and height of a corner of a signal from straight lines fitted on both sides."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Corner:
     n: int
 
 
-def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> Corner | None:
+def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> Corner | None:
     """Fit two straight lines that meet at a corner of unknown time.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    near : s, first guess of the corner
+    guess : s, first guess of the corner
     window : s on each side of the guess; the corner is searched in its inner half
 
     Returns
@@ -52,16 +52,16 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
     (`estimate_long_run_variance`). NaN are ignored.
     """
     min_bins_per_side, min_side_samples = 600, 4
-    chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
-    size = int(chosen.sum()) // (2 * min_bins_per_side)
-    t, y = average_pairs(time[chosen] - near, values[chosen], size)
+    is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
+    size = int(is_used.sum()) // (2 * min_bins_per_side)
+    t, y = average_pairs(time[is_used] - guess, values[is_used], size)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
     coarse = average_pairs(t, y, len(t) // 200)
-    costs = [_joint_fit(*coarse, corner_time)[1] for corner_time in grid]
+    costs = [_fit_joined_lines(*coarse, corner_time)[1] for corner_time in grid]
     corner_time = float(grid[int(np.argmin(costs))])
-    parameters = np.append(_joint_fit(t, y, corner_time)[0], corner_time)
+    parameters = np.append(_fit_joined_lines(t, y, corner_time)[0], corner_time)
     for _ in range(6):
         jacobian, misfit = _linearise(t, y, parameters)
         step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
@@ -70,18 +70,18 @@ def fit_corner(time: Floats, values: Floats, *, near: float, window: float) -> C
     if not abs(parameters[-1]) < 0.75 * window:
         return None
     jacobian, misfit = _linearise(t, y, parameters)
-    return _make_corner(jacobian, misfit, parameters, near, int(chosen.sum()))
+    return _make_corner(jacobian, misfit, parameters, guess, int(is_used.sum()))
 
 
 def fit_stop(
-    time: Floats, values: Floats, *, near: tuple[float, float], window: float
+    time: Floats, values: Floats, *, guesses: tuple[float, float], window: float
 ) -> tuple[Corner, Corner] | None:
     """Fit a line, a level and a line: the stop and the restart of a motion.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    near : s, first guesses of stop and restart
+    guesses : s, first guesses of stop and restart
     window : s before the stop and after the restart
 
     Returns
@@ -96,26 +96,34 @@ def fit_stop(
     not change. The excess of a level that is too long at first is about halved each time.
     Standard errors use the long-run variance of the residuals. NaN are ignored.
     """
-    min_line_samples, min_level_samples = 5, 3  # a level of two could be the sides of a corner
-    chosen = (time >= near[0] - window) & (time <= near[1] + window) & ~np.isnan(values)
-    middle = 0.5 * (near[0] + near[1])
-    t, y = time[chosen] - middle, values[chosen]
-    ends: tuple[float, float] = (near[0] - middle, near[1] - middle)
+    min_line_samples, min_level_samples = 5, 3  # two samples may lie on both sides of a corner
+    is_used = (time >= guesses[0] - window) & (time <= guesses[1] + window) & ~np.isnan(values)
+    middle = 0.5 * (guesses[0] + guesses[1])
+    t, y = time[is_used] - middle, values[is_used]
+    ends: tuple[float, float] = (guesses[0] - middle, guesses[1] - middle)
     assigned: Ints = np.zeros(0, dtype=np.int64)
     slopes, level = (0.0, 0.0), 0.0
     for _ in range(30):
-        parts = np.searchsorted(ends, t)
-        if np.array_equal(parts, assigned):
+        sections = np.searchsorted(ends, t)
+        if np.array_equal(sections, assigned):
             break
-        assigned = parts
-        before, inner, after = (parts == number for number in range(3))
-        if min(before.sum(), after.sum()) < min_line_samples or inner.sum() < min_level_samples:
+        assigned = sections
+        is_before, is_level, is_after = (sections == number for number in range(3))
+        if (
+            min(is_before.sum(), is_after.sum()) < min_line_samples
+            or is_level.sum() < min_level_samples
+        ):
             return None
-        first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
-        slopes, level = (float(first[0]), float(second[0])), float(y[inner].mean())
+        line_before, line_after = (
+            np.polyfit(t[section], y[section], 1) for section in (is_before, is_after)
+        )
+        slopes, level = (float(line_before[0]), float(line_after[0])), float(y[is_level].mean())
         if 0.0 in slopes:
             return None
-        ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
+        ends = (
+            (level - float(line_before[1])) / slopes[0],
+            (level - float(line_after[1])) / slopes[1],
+        )
         if not -window < ends[0] < ends[1] < window:
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
@@ -132,7 +140,7 @@ def fit_stop(
 
 
 def _make_corner(
-    jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
+    jacobian: Floats, misfit: Floats, parameters: Floats, time_origin: float, count: int
 ) -> Corner:
     """Return a corner with errors from the Jacobian by its parameters, time last."""
     variance = estimate_long_run_variance(misfit, parameters=jacobian.shape[1])
@@ -143,7 +151,7 @@ def _make_corner(
     inverse = np.linalg.pinv(information) / np.outer(scale, scale)
     errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
     return Corner(
-        time=near + float(parameters[-1]),
+        time=time_origin + float(parameters[-1]),
         time_error=float(errors[-1]) if is_determined else float("inf"),
         value=float(parameters[0]),
         value_error=float(errors[0]),
@@ -170,14 +178,14 @@ def average_pairs(time: Floats, values: Floats, size: int) -> tuple[Floats, Floa
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _design(time: Floats, corner: float) -> Floats:
+def _build_design(time: Floats, corner: float) -> Floats:
     return np.column_stack(
         [np.ones_like(time), np.minimum(time - corner, 0.0), np.maximum(time - corner, 0.0)]
     )
 
 
-def _joint_fit(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
-    design = _design(time, corner)
+def _fit_joined_lines(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
+    design = _build_design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
     misfit = values - design @ coefficients
     return coefficients, float(misfit @ misfit)
@@ -186,6 +194,6 @@ def _joint_fit(time: Floats, values: Floats, corner: float) -> tuple[Floats, flo
 def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats, Floats]:
     """Return Jacobian and misfit of the model; the last parameter is the time of the corner."""
     coefficients, corner_time = parameters[:-1], float(parameters[-1])
-    design = _design(time, corner_time)
+    design = _build_design(time, corner_time)
     slope = -np.where(time < corner_time, coefficients[1], coefficients[2])
     return np.column_stack([design, slope]), values - design @ coefficients

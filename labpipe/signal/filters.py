@@ -1,4 +1,4 @@
-"""Filters of evenly sampled signals."""
+"""Filter evenly sampled signals: moving averages, smoothing, Butterworth low-pass."""
 
 from __future__ import annotations
 
@@ -83,18 +83,18 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         raise ValueError(message)
     if window == 1:
         return values.copy()
-    sums = _window_sums(np.cumsum(values, axis=-1), window)
+    sums = _compute_window_sums(np.cumsum(values, axis=-1), window)
     if np.isfinite(sums[..., [-1, count // 2]]).all():
         return _divide_by_windows(sums, window)
     valid = ~np.isnan(values)
-    sums = _window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
-    counts = _window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
+    sums = _compute_window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
+    counts = _compute_window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
     mean: Floats = np.full(values.shape, np.nan)
     np.divide(sums, counts, out=mean, where=counts > 0.5)
     return mean
 
 
-def _window_sums(total: Floats, window: int) -> Floats:
+def _compute_window_sums(total: Floats, window: int) -> Floats:
     """Return sums over windows that shrink at the ends, from a cumulative sum."""
     half, count = window // 2, total.shape[-1]
     sums = np.empty_like(total)
@@ -102,8 +102,8 @@ def _window_sums(total: Floats, window: int) -> Floats:
     middle[..., 0] = total[..., window - 1]
     np.subtract(total[..., window:], total[..., : count - window], out=middle[..., 1:])
     sums[..., :half] = total[..., : 2 * half : 2]
-    before = total[..., count - 2 * half + 2 * np.arange(half)]
-    sums[..., count - half :] = total[..., -1:] - before
+    excluded = total[..., count - 2 * half + 2 * np.arange(half)]
+    sums[..., count - half :] = total[..., -1:] - excluded
     return sums
 
 
@@ -145,8 +145,14 @@ class Smoothing:
             return values.copy()
         mean, half = moving_average(values, window=window), window // 2
         number = np.arange(float(window))
-        for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
-            rows, means = values[..., part].reshape(-1, window), mean[..., end].reshape(-1, half)
+        for outermost, end in (
+            (slice(window), slice(half)),
+            (slice(-window, None), slice(-half, None)),
+        ):
+            rows, means = (
+                values[..., outermost].reshape(-1, window),
+                mean[..., end].reshape(-1, half),
+            )
             valid = ~np.isnan(rows)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:

@@ -1,4 +1,4 @@
-"""Rests before a motion, motion at the end of a record, and jumps of the level of a signal."""
+"""Detect rests before a motion, motion at the end of a record, and jumps of a signal's level."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     time_step, size = median(np.diff(time)), 3
     while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
         size += max(1, size // 4)
-    late = time[-size:] - time[-size:].mean()
-    slope = float(late @ values[-size:]) / float(late @ late)
+    centred_time = time[-size:] - time[-size:].mean()
+    slope = float(centred_time @ values[-size:]) / float(centred_time @ centred_time)
     return slope * float(np.sign(travel)) >= min_end_speed * speed
 
 
@@ -105,13 +105,15 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
         return ()
     steps = np.diff(v)
     speeds = np.abs(steps) / np.diff(time[valid])
-    least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * estimate_noise_level(v))
+    min_step = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * estimate_noise_level(v))
     jumps = []
-    for sample in np.flatnonzero(np.abs(steps) > least).tolist():
-        before = speeds[max(sample - neighbours, 0) : sample]
-        after = speeds[sample + 1 : sample + 1 + neighbours]
-        if min(len(before), len(after)) < neighbours:
+    for sample in np.flatnonzero(np.abs(steps) > min_step).tolist():
+        speeds_before = speeds[max(sample - neighbours, 0) : sample]
+        speeds_after = speeds[sample + 1 : sample + 1 + neighbours]
+        if min(len(speeds_before), len(speeds_after)) < neighbours:
             continue
-        if speeds[sample] > jump_speed_factor * float(np.concatenate([before, after]).max()):
+        if speeds[sample] > jump_speed_factor * float(
+            np.concatenate([speeds_before, speeds_after]).max()
+        ):
             jumps.append((int(valid[sample + 1]), float(steps[sample])))
     return tuple(jumps)

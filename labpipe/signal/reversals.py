@@ -1,4 +1,4 @@
-"""Time and height of the turn of a force that falls steeply at first, until the strands slide.
+"""Find time and height of the turn of a force that at first falls steeply, until strands slide.
 
 The steep fall lasts a tenth of a second. A parabola over a longer window does not follow it, and a
 shorter window contains hardly any samples.
@@ -73,14 +73,14 @@ class Reversal:
 
 
 def fit_reversal(
-    time: Floats, values: Floats, *, near: float, window: float, dwell: float = 0.0
+    time: Floats, values: Floats, *, guess: float, window: float, dwell: float = 0.0
 ) -> Reversal | None:
     """Find the corner between a smooth rise and a fall whose slope may change anywhere.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    near : s, first guess of the corner
+    guess : s, first guess of the corner
     window : s on each side of the guess; the corner is searched in its inner half
     dwell : s, known dwell of the machine between the rise and the fall; the window after the corner
         begins after it
@@ -111,24 +111,27 @@ def fit_reversal(
     """
     min_bins = 600  # on both sides together; longer records are averaged in up to twice as many
     first_half_width = 0.15  # in windows
-    chosen = (time >= near - window) & (time <= near + window + dwell) & ~np.isnan(values)
-    count, wait = int(chosen.sum()), dwell / window
-    t, y = average_pairs((time[chosen] - near) / window, values[chosen], count // min_bins)
-    n_before, n_after = (t < -_SEARCHED_SHARE).sum(), (t > wait + _SEARCHED_SHARE).sum()
+    is_used = (time >= guess - window) & (time <= guess + window + dwell) & ~np.isnan(values)
+    count, relative_dwell = int(is_used.sum()), dwell / window
+    t, y = average_pairs((time[is_used] - guess) / window, values[is_used], count // min_bins)
+    n_before, n_after = (t < -_SEARCHED_SHARE).sum(), (t > relative_dwell + _SEARCHED_SHARE).sum()
     if min(n_before, n_after) < _N_FIXED or np.ptp(y) == 0.0:
         return None
     variance = _white_noise(y)
-    grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), wait)
+    grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), relative_dwell)
     for _ in range(2):
-        last, variance = variance, _residual_noise(t, y, grid, variance, wait)
-        if abs(variance - last) > 0.05 * last:
+        previous_variance, variance = (
+            variance,
+            _residual_noise(t, y, grid, variance, relative_dwell),
+        )
+        if abs(variance - previous_variance) > 0.05 * previous_variance:
             ends = float(grid.places[0]), float(grid.places[-1])
-            grid = _refine_grid(t, y, variance, ends, wait)
+            grid = _refine_grid(t, y, variance, ends, relative_dwell)
     corner = _mean_corner(grid, variance)
     if corner is None:
         return None
-    shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, wait)))
-    corner_time, error = near + window * corner.time, window * corner.time_error
+    shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, relative_dwell)))
+    corner_time, error = guess + window * corner.time, window * corner.time_error
     return Reversal(replace(corner, time=corner_time, time_error=error, n=count), shape_error)
 
 
@@ -155,13 +158,16 @@ def _refine_grid(
     for _ in range(8):
         by_place = np.logaddexp.reduce(grid.likelihood, axis=1)
         likely = np.flatnonzero(by_place > by_place.max() - max_log_likelihood_drop)
-        first, last, width = int(likely[0]), int(likely[-1]), high - low
-        is_open_below = first == 0 and low > -_SEARCHED_SHARE
-        is_open_above = last == n_places - 1 and high < _SEARCHED_SHARE
-        if not (is_open_below or is_open_above) and last - first >= n_places // 3:
+        first_row, last_row, width = int(likely[0]), int(likely[-1]), high - low
+        is_open_below = first_row == 0 and low > -_SEARCHED_SHARE
+        is_open_above = last_row == n_places - 1 and high < _SEARCHED_SHARE
+        if not (is_open_below or is_open_above) and last_row - first_row >= n_places // 3:
             break
         places = [low - 0.5 * width, *grid.places.tolist(), high + 0.5 * width]
-        low, high = max(-_SEARCHED_SHARE, places[first]), min(_SEARCHED_SHARE, places[last + 2])
+        low, high = (
+            max(-_SEARCHED_SHARE, places[first_row]),
+            min(_SEARCHED_SHARE, places[last_row + 2]),
+        )
         grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     return grid
 
@@ -241,11 +247,13 @@ def _fall_weights(
         contrasts.append(early - min_early_slope * early_share * late)
     relaxation = np.zeros(curves.shape[:-1])
     if wait > 0.0:
-        first, half, full = (_wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0))
-        back = _fall_change(after_wait_span, columns, wait) / after_wait_span
-        waiting = (full - half) / (0.5 * wait)
-        contrasts += [back - waiting, first / (0.25 * wait) - rises]
-        is_slower = ndtr(score(back - 2.0 * waiting))
+        first_change, half_change, full_change = (
+            _wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0)
+        )
+        unloading_slope = _fall_change(after_wait_span, columns, wait) / after_wait_span
+        waiting = (full_change - half_change) / (0.5 * wait)
+        contrasts += [unloading_slope - waiting, first_change / (0.25 * wait) - rises]
+        is_slower = ndtr(score(unloading_slope - 2.0 * waiting))
         relaxation = np.log(fast_relaxation_share + (1.0 - fast_relaxation_share) * is_slower)
     lowest = np.min([score(contrast) for contrast in contrasts], axis=0)
     weakest = np.minimum(score(falls), lowest + slope_tolerance)

@@ -1,4 +1,4 @@
-"""Strokes of a motion between its turning points, and first guesses of the turns of a force."""
+"""Split a motion into strokes between turning points, and locate turns of a force roughly."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Stroke:
 
 
 def goes_down(values: Floats) -> bool:
-    """Return whether a signal leaves its level downwards and returns.
+    """Return whether a signal departs from its level downwards and returns.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
         return ()
     if not valid.all():
         motion = np.interp(time, time[valid], motion[valid])
-    extremes = _extremes(motion, min_stroke)
+    extremes = _find_extremes(motion, min_stroke)
     if not extremes:
         return ()
     tolerance = 5.0 * estimate_noise_level(motion)
@@ -130,14 +130,14 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
             [None, *extremes[:-1]], extremes, [*extremes[1:], None], strict=True
         )
     ]
-    dwells = [_dwell_times(*sides) for sides in neighbourhoods]
+    dwells = [_compute_dwell_times(*sides) for sides in neighbourhoods]
     return tuple(
         _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
         for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
     )
 
 
-def _extremes(motion: Floats, min_stroke: float) -> list[int]:
+def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
     """Return the samples of the alternating extremes, both ends of the movement included."""
     max_points = 50_000
     stride = max(1, len(motion) // max_points)
@@ -151,26 +151,26 @@ def _extremes(motion: Floats, min_stroke: float) -> list[int]:
     extremes = [int(np.argmin(sign * values[: begin + 1]))]
     turned: int | None = begin
     while turned is not None:
-        extreme, turned = _next_turn(sign * values, turned, min_stroke)
+        extreme, turned = _find_next_turn(sign * values, turned, min_stroke)
         extremes.append(extreme)
         sign = -sign
     return [index * stride for index in extremes]
 
 
-def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
+def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
     """Return the next maximum, and the sample at which the values have returned from it, if any.
 
     Stretches of doubling length keep the search linear in the length of the record.
     """
     length = 1024
     while True:
-        ahead = values[start : start + length]
-        back = np.maximum.accumulate(ahead) - ahead >= min_stroke
-        turn = int(np.argmax(back))
-        if back[turn]:
-            return start + int(np.argmax(ahead[: turn + 1])), start + turn
+        stretch = values[start : start + length]
+        has_returned = np.maximum.accumulate(stretch) - stretch >= min_stroke
+        turn = int(np.argmax(has_returned))
+        if has_returned[turn]:
+            return start + int(np.argmax(stretch[: turn + 1])), start + turn
         if start + length >= len(values):
-            return start + int(np.argmax(ahead)), None
+            return start + int(np.argmax(stretch)), None
         length *= 2
 
 
@@ -178,13 +178,15 @@ def _trim_dwells(
     time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
     """Cut the dwell from both ends of the stretch between two extremes."""
-    first, last = extremes
-    sign = 1 if motion[last] > motion[first] else -1
-    rounding = 1e-6 * float(time[last] - time[first]) / (last - first)
-    begin = int(np.searchsorted(time, time[first] + dwells[0] - rounding))
-    end = int(np.searchsorted(time, time[last] - dwells[1] - rounding))
+    start_extreme, stop_extreme = extremes
+    sign = 1 if motion[stop_extreme] > motion[start_extreme] else -1
+    rounding = (
+        1e-6 * float(time[stop_extreme] - time[start_extreme]) / (stop_extreme - start_extreme)
+    )
+    begin = int(np.searchsorted(time, time[start_extreme] + dwells[0] - rounding))
+    end = int(np.searchsorted(time, time[stop_extreme] - dwells[1] - rounding))
     if begin >= end:  # a stroke within noise: its dwells are unknown
-        begin, end = first, last
+        begin, end = start_extreme, stop_extreme
     return Stroke(begin, end, sign)
 
 
@@ -194,7 +196,7 @@ class _ExtremeSide:
 
     Parameters
     ----------
-    near, wide : s, within a tolerance of the extreme, and within four times that tolerance
+    near, wide : s, time within a tolerance of the extreme, and within four times that tolerance
     shortest : s, shortest dwell that differs from a corner
     """
 
@@ -212,30 +214,41 @@ def _measure_extreme(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _ExtremeSide | None:
     """Return the times near an extreme on the side of another one; None at an end."""
-    turn, other = ends
-    if other is None:
+    turn, neighbour = ends
+    if neighbour is None:
         return None
-    part = slice(turn, other + 1) if other > turn else slice(turn, other - 1 if other else None, -1)
-    since, travel = np.abs(time[part] - time[turn]), np.abs(motion[part] - motion[turn])
+    rows = (
+        slice(turn, neighbour + 1)
+        if neighbour > turn
+        else slice(turn, neighbour - 1 if neighbour else None, -1)
+    )
+    since, travel = np.abs(time[rows] - time[turn]), np.abs(motion[rows] - motion[turn])
     tolerance = max(tolerance, 1e-4 * float(travel[-1]))
-    near, wide = (
+    near_time, wide_time = (
         float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
     )
-    return _ExtremeSide(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - turn)))
+    return _ExtremeSide(
+        near_time, wide_time, float(since[-1]) * max(0.005, 5.0 / abs(neighbour - turn))
+    )
 
 
-def _dwell_times(before: _ExtremeSide | None, after: _ExtremeSide | None) -> tuple[float, float]:
+def _compute_dwell_times(
+    side_before: _ExtremeSide | None, side_after: _ExtremeSide | None
+) -> tuple[float, float]:
     """Return the dwell in s before and after an extreme, which may be anywhere in the dwell.
 
     An end of the motion has one side only: any rest there is a dwell.
     """
-    sides = [side for side in (before, after) if side is not None]
-    near, wide = sum(side.near for side in sides), sum(side.wide for side in sides)
+    sides = [side for side in (side_before, side_after) if side is not None]
+    near_time, wide_time = sum(side.near for side in sides), sum(side.wide for side in sides)
     shortest = min(side.shortest for side in sides)
-    is_dwell = 2.0 * near - wide > (shortest if len(sides) > 1 else 0.0)
-    if not is_dwell or (len(sides) > 1 and not wide < 1.5 * near):
+    is_dwell = 2.0 * near_time - wide_time > (shortest if len(sides) > 1 else 0.0)
+    if not is_dwell or (len(sides) > 1 and not wide_time < 1.5 * near_time):
         return 0.0, 0.0
-    return 0.0 if before is None else before.dwell, 0.0 if after is None else after.dwell
+    return (
+        0.0 if side_before is None else side_before.dwell,
+        0.0 if side_after is None else side_after.dwell,
+    )
 
 
 def split_branches(
@@ -259,8 +272,8 @@ def split_branches(
     for number, stroke in enumerate(strokes):
         ends = [float(time[stroke.start]), float(time[stroke.stop])]
         if turning_times is not None:
-            finer = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
-            ends = [float(end) for end in finer]
+            refined = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
+            ends = [float(end) for end in refined]
         is_loading = stroke.sign == strokes[0].sign
         branches.append(
             Branch(
@@ -290,9 +303,9 @@ def number_branches(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Int
     """
     branch = np.full(count, AT_REST, dtype=np.int64)
     cycle = np.zeros(count, dtype=np.int64)
-    for number, part in enumerate(branches):
-        branch[part.start : part.stop] = number
-        cycle[part.start : part.stop] = part.cycle
+    for number, item in enumerate(branches):
+        branch[item.start : item.stop] = number
+        cycle[item.start : item.stop] = item.cycle
     return branch, cycle
 
 
@@ -319,28 +332,28 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
     range_noise_factor = 10.0
     # Share of the range: lower falls are noise, or the first contact of the load frame.
     min_height_share = 0.3
-    levels = _block_levels(time, values, width)
+    levels = _average_blocks_of_width(time, values, width)
     if levels is None:
         return None
     middles, level = levels
     if np.ptp(level) < range_noise_factor * estimate_noise_level(level):
         return None
-    drops, after = _slope_drops(level)
+    drops, rise_after = _compute_slope_drops(level)
     inner = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level.min()
-    drop = np.where((after < 0.0) & (inner > min_height_share * np.ptp(level)), drops, 0.0)
+    drop = np.where((rise_after < 0.0) & (inner > min_height_share * np.ptp(level)), drops, 0.0)
     best = int(np.argmax(drop))
     return float(middles[best + _BLOCKS_PER_WIDTH]) if drop[best] > 0.0 else None
 
 
 def find_turn_near(
-    time: Floats, values: Floats, *, near: float, reach: float, width: float, dwell: float
+    time: Floats, values: Floats, *, middle: float, reach: float, width: float, dwell: float
 ) -> float | None:
     """Find approximately when a signal stops rising before a known dwell.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; NaN are left out
-    near : s, middle of the searched range
+    middle : s, middle of the searched range
     reach : s, half-width of the searched range
     width : s, on each side of a corner, over which the slopes before and after are computed
     dwell : s, between the corners; 0 for a signal without dwell
@@ -357,17 +370,19 @@ def find_turn_near(
     """
     min_width_share = 0.3
     width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
-    inside = slice(*np.searchsorted(time, [near - reach - width, near + reach + width]))
-    levels = _block_levels(time[inside], values[inside], width)
+    inside = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
+    levels = _average_blocks_of_width(time[inside], values[inside], width)
     if levels is None:
         return None
     middles, level = levels
-    times, (drops, _) = middles[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH], _slope_drops(level)
+    times, (drops, _) = middles[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH], _compute_slope_drops(level)
     sums = drops + np.interp(times + dwell, times, drops, right=-np.inf)
     return float(times[int(np.argmax(sums))]) if np.isfinite(sums).any() else None
 
 
-def _block_levels(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats] | None:
+def _average_blocks_of_width(
+    time: Floats, values: Floats, width: float
+) -> tuple[Floats, Floats] | None:
     """Return times and means of twentieths of a width; None for less than two widths."""
     valid = ~np.isnan(values)
     edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
@@ -381,8 +396,8 @@ def _block_levels(time: Floats, values: Floats, width: float) -> tuple[Floats, F
     return middles, np.interp(middles, middles[filled], total[filled] / count[filled])
 
 
-def _slope_drops(level: Floats) -> tuple[Floats, Floats]:
+def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
     """Return the drop of the mean slope at each inner level, and the rise after it."""
-    before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
-    after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
-    return before - after, after
+    rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
+    rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
+    return rise_before - rise_after, rise_after

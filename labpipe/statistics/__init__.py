@@ -1,1 +1,1 @@
-"""Pure statistics of groups: means, bands, nested samples, comparison of groups."""
+"""Compute the statistics of groups: means of nested samples, bands, outliers, comparisons."""

@@ -1,4 +1,4 @@
-"""Fields of specimens: shared and differing fields of groups, and division into groups."""
+"""Find shared and differing fields of specimens, and divide samples into groups by them."""
 
 from __future__ import annotations
 
@@ -65,20 +65,20 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     all_fields = [list_fields(sample.specimen) for sample in samples]
     for name in list_field_names(sample.specimen for sample in samples):
         values = {fields.get(name) for fields in all_fields}
-        sizes = _sizes(samples, name)
+        sizes = _list_sizes(samples, name)
         if len(values) == 1:
             shared[name] = all_fields[0][name]
-        elif len(sizes) == len(samples) and _are_alike(sizes):
+        elif len(sizes) == len(samples) and _are_similar(sizes):
             shared[name] = format_size(sum(sizes) / len(sizes))
     return shared
 
 
-def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
+def _list_sizes(samples: Iterable[Sample], name: str) -> list[float]:
     sizes = (sample.specimen.dimensions.get(name) for sample in samples)
     return [size for size in sizes if size is not None]
 
 
-def _are_alike(sizes: Sequence[float]) -> bool:
+def _are_similar(sizes: Sequence[float]) -> bool:
     return max(sizes) - min(sizes) <= 0.01 * max(map(abs, sizes))
 
 
@@ -89,8 +89,8 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
     ----------
     group : of samples; a varying composition replaces its wires and numbers
     """
-    every = list_field_names(sample.specimen for sample in group.samples)
-    varying = [name for name in every if name not in group.fields and name != SPOOL]
+    names = list_field_names(sample.specimen for sample in group.samples)
+    varying = [name for name in names if name not in group.fields and name != SPOOL]
     if "composition" in varying:
         varying = [name for name in varying if name not in {"wire", "number"}]
     return tuple(varying)
@@ -123,24 +123,24 @@ def find_differing_fields(
         if name not in varying and (name != SPOOL or SPOOL in by)
     }
     differences = {
-        name: both
-        for name, both in values.items()
-        if both[0] != both[1] and not _sizes_alike(first, second, name)
+        name: texts
+        for name, texts in values.items()
+        if texts[0] != texts[1] and not _have_similar_sizes(first, second, name)
     }
-    dependent = _dependent(differences, values, first, second)
-    return {name: both for name, both in differences.items() if name not in dependent}
+    dependent = _find_dependent_fields(differences, values, first, second)
+    return {name: texts for name, texts in differences.items() if name not in dependent}
 
 
-def _sizes_alike(first: Group, second: Group, name: str) -> bool:
+def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
     means = [
         sum(sizes) / len(sizes)
         for group in (first, second)
-        if (sizes := _sizes(group.samples, name))
+        if (sizes := _list_sizes(group.samples, name))
     ]
-    return len(means) == 2 and _are_alike(means)
+    return len(means) == 2 and _are_similar(means)
 
 
-def _dependent(
+def _find_dependent_fields(
     differences: Mapping[str, tuple[str, str]],
     values: Mapping[str, tuple[str, str]],
     first: Group,
@@ -164,34 +164,36 @@ def _dependent(
     return dependent
 
 
-def make_field_sort_key(name: str, word: str) -> tuple[object, ...]:
-    """Make a sort key of a value of a field: ``none`` first, more tape later, 7 before 12.
+def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
+    """Make a sort key of a value of a field: ``none`` first, tapings by coverage, 7 before 12.
 
     Parameters
     ----------
     name : of the field
-    word : its value in a group
+    text : its value in a group
 
     Examples
     --------
     >>> sorted(["half-lap", "none", "coarse"], key=lambda word: make_field_sort_key("taping", word))
     ['none', 'coarse', 'half-lap']
     """
-    if name == "taping" and word in TAPINGS:
-        return 0, TAPINGS.index(word)
-    if word in {NONE, NOT_STATED}:
+    if name == "taping" and text in TAPINGS:
+        return 0, TAPINGS.index(text)
+    if text in {NONE, NOT_STATED}:
         return (0,)
-    return 1, make_natural_sort_key(word)
+    return 1, make_natural_sort_key(text)
 
 
 def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
     """Make a sort key of a text in which 7 is before 12."""
-    parts = split(r"(\d+)", text)
-    return tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
+    segments = split(r"(\d+)", text)
+    return tuple(
+        (int(segment), "") if segment.isdecimal() else (0, segment) for segment in segments
+    )
 
 
 _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
-"""In order of precedence: a field that does not divide further is not named."""
+"""In order of precedence: a field that does not divide the samples further is not named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,54 +231,59 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     """
     keys: list[tuple[str, ...]] = [()] * len(samples)
     named: list[str] = []
-    for name, labels in _candidates(samples).items():
-        finer = [(*before, word) for before, word in zip(keys, labels, strict=True)]
-        if len(set(finer)) > len(set(keys)):
-            keys, named = finer, [*named, name]
+    for name, labels in _list_candidates(samples).items():
+        finer_keys = [(*coarse_key, value) for coarse_key, value in zip(keys, labels, strict=True)]
+        if len(set(finer_keys)) > len(set(keys)):
+            keys, named = finer_keys, [*named, name]
     return [
         Subset(
-            dict(zip(named, word, strict=True)),
-            tuple(sample for sample, key in zip(samples, keys, strict=True) if key == word),
+            dict(zip(named, subset_key, strict=True)),
+            tuple(sample for sample, key in zip(samples, keys, strict=True) if key == subset_key),
         )
-        for word in dict.fromkeys(keys)
+        for subset_key in dict.fromkeys(keys)
     ]
 
 
-def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
+def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     """Return the fields that may divide, with the value of each sample."""
     all_fields = [list_fields(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
     labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
-    of_bundles = _BUNDLE_FIELDS if any(specimen.bundle for specimen in specimens) else ()
+    bundle_names = _BUNDLE_FIELDS if any(specimen.bundle for specimen in specimens) else ()
     candidates = {
-        name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in of_bundles
+        name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in bundle_names
     }
     if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
         candidates.pop("arrangement", None)  # all wires are of one kind
     candidates |= {
-        name: _size_texts([specimen.dimensions.get(name) for specimen in specimens])
+        name: _format_clustered_sizes([specimen.dimensions.get(name) for specimen in specimens])
         for name in sizes
     }
     texts = {name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in labels}
-    divides = {name: max(Counter(word).values(), default=0) != 1 for name, word in texts.items()}
-    return candidates | {name: word for name, word in texts.items() if divides[name]}
+    divides = {
+        name: max(Counter(labels_of_samples).values(), default=0) != 1
+        for name, labels_of_samples in texts.items()
+    }
+    return candidates | {
+        name: labels_of_samples for name, labels_of_samples in texts.items() if divides[name]
+    }
 
 
-def _size_texts(sizes: Sequence[float | None]) -> list[str]:
+def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
     """Return the text of each size: the mean of its cluster, in mm."""
     # Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3,
     # the finest series in use); measured sizes of single specimens by less.
     min_size_step = 0.05
     distinct = sorted({size for size in sizes if size is not None})
-    together: list[list[float]] = []
+    clusters: list[list[float]] = []
     for size in distinct:
-        if together and size <= (1.0 + min_size_step) * together[-1][-1]:
-            together[-1].append(size)
+        if clusters and size <= (1.0 + min_size_step) * clusters[-1][-1]:
+            clusters[-1].append(size)
         else:
-            together.append([size])
+            clusters.append([size])
     texts: dict[float | None, str] = {None: NOT_STATED}
-    for cluster in together:
-        every = [size for size in sizes if size is not None and size in cluster]
-        texts |= dict.fromkeys(cluster, format_size(sum(every) / len(every)))
+    for cluster in clusters:
+        members = [size for size in sizes if size is not None and size in cluster]
+        texts |= dict.fromkeys(cluster, format_size(sum(members) / len(members)))
     return [texts[size] for size in sizes]

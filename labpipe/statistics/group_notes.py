@@ -1,4 +1,4 @@
-"""Quality notes on the samples, numbers and methods of a group."""
+"""Make quality notes on the samples, numbers and methods of a group."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
     -------
     In the order of the samples.
     """
-    times = Counter(sample.test for sample in samples)
+    counts = Counter(sample.test for sample in samples)
     return [
-        sample.test if times[sample.test] == 1 else f"{sample.test} ({sample.source or number})"
+        sample.test if counts[sample.test] == 1 else f"{sample.test} ({sample.source or number})"
         for number, sample in enumerate(samples, start=1)
     ]
 
@@ -48,18 +48,18 @@ def make_sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     notes = []
     if len(samples) == 1:
         notes.append(QualityNote.of("statistics.one_sample", "group", test=samples[0].test))
-    times = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
+    counts = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
     notes += [
         QualityNote.of(
             "statistics.sample_repeated", "group", sample=sample, spool=spool, count=count
         )
-        for (spool, sample), count in times.items()
+        for (spool, sample), count in counts.items()
         if count > 1
     ]
-    return [*notes, *_dimension_notes(samples), *_field_notes(samples)]
+    return [*notes, *_make_dimension_notes(samples), *_make_field_notes(samples)]
 
 
-def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+def _make_dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
     notes = []
     for name in names:
@@ -73,7 +73,7 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     return notes
 
 
-def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     """Make warnings on differing bundles of a group, and notes on differing labels."""
     bundles = [sample.specimen.bundle for sample in samples if sample.specimen.bundle]
     bundle_fields = dict.fromkeys(name for bundle in bundles for name in bundle.fields)
@@ -98,15 +98,17 @@ def _describe_differing(samples: Sequence[Sample], name: str) -> str:
     return f"{name}: {describe_values(tests_by_value)}" if len(tests_by_value) > 1 else ""
 
 
-def make_grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
+def make_grouping_notes(missing_fields: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
     """Make notes on the grouping of samples.
 
     Parameters
     ----------
-    without : grouping fields that the sheets of this group do not state
+    missing_fields : grouping fields that the sheets of this group do not state
     renamed : names of spools of several types
     """
-    notes = [QualityNote.of("statistics.field_not_said", "group", name=name) for name in without]
+    notes = [
+        QualityNote.of("statistics.field_not_said", "group", name=name) for name in missing_fields
+    ]
     if renamed:
         names = ", ".join(renamed)
         notes.append(QualityNote.of("statistics.spools_renamed", "group", names=names))
@@ -121,13 +123,17 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     numbers : of one group
     """
     notes = []
-    doubted = {
-        number.name: [key for key, of in number.values.items() if of.status is Status.DOUBTFUL]
+    doubtful_tests = {
+        number.name: [
+            key for key, result in number.values.items() if result.status is Status.DOUBTFUL
+        ]
         for number in numbers
     }
-    if names := "; ".join(f"{name} ({', '.join(keys)})" for name, keys in doubted.items() if keys):
+    if names := "; ".join(
+        f"{name} ({', '.join(keys)})" for name, keys in doubtful_tests.items() if keys
+    ):
         notes.append(QualityNote.of("statistics.doubtful_in_mean", "group", names=names))
-    if names := "; ".join(number.name for number in numbers if _too_few(number)):
+    if names := "; ".join(number.name for number in numbers if _describe_too_few(number)):
         notes.append(QualityNote.of("statistics.outliers_not_tested", "group", names=names))
     return notes
 
@@ -147,7 +153,7 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
     )
 
 
-def _too_few(number: GroupNumber) -> str:
+def _describe_too_few(number: GroupNumber) -> str:
     if number.mean is None:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
@@ -180,7 +186,7 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
     Returns
     -------
-    Tests by method, by result; for a number that depends on another one, the methods of that one.
+    Tests by method, by result. A number that depends on another one has the methods of the latter.
     """
     methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
@@ -191,12 +197,16 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
                     key
                 )
                 sources.setdefault(result.name, set()).add(result.made_of)
-    mixed_methods = {name: ways for name, ways in methods_by_name.items() if len(ways) > 1}
+    mixed_methods = {
+        name: tests_by_method
+        for name, tests_by_method in methods_by_name.items()
+        if len(tests_by_method) > 1
+    }
     dependent = {
         name: mixed_methods[source]
-        for name, several in sources.items()
+        for name, results in sources.items()
         if name not in mixed_methods
-        and (source := next((s for s in mixed_methods if s in several), ""))
+        and (source := next((s for s in mixed_methods if s in results), ""))
     }
     return mixed_methods | dependent
 
@@ -215,12 +225,14 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
     equally frequent ones, that of the first test.
     """
     left_out: dict[str, dict[str, Reason]] = {}
-    for name, ways in find_mixed_methods(samples).items():
-        usual = max(ways, key=lambda way: len(ways[way]))
+    for name, tests_by_method in find_mixed_methods(samples).items():
+        usual_method = max(tests_by_method, key=lambda method: len(tests_by_method[method]))
         reasons_of_tests = {
-            key: Reason.of("statistics.made_otherwise", way=way or "no stated method", usual=usual)
-            for way, keys in ways.items()
-            if way != usual
+            key: Reason.of(
+                "statistics.made_otherwise", way=method or "no stated method", usual=usual_method
+            )
+            for method, keys in tests_by_method.items()
+            if method != usual_method
             for key in keys
         }
         left_out[name] = reasons_of_tests
@@ -234,7 +246,7 @@ def make_method_notes(
 
     Parameters
     ----------
-    made_otherwise : as `find_other_methods` gives them
+    made_otherwise : of `find_other_methods`
     samples : of the group, with their decisions on slips
 
     Returns
@@ -243,8 +255,8 @@ def make_method_notes(
     """
     notes = []
     for name, left_out in made_otherwise.items():
-        keys, why = ", ".join(left_out), next(iter(left_out.values())).message
-        note = QualityNote.of("statistics.protocols_differ", name, keys=keys, why=why)
+        keys, reason = ", ".join(left_out), next(iter(left_out.values())).message
+        note = QualityNote.of("statistics.protocols_differ", name, keys=keys, why=reason)
         notes.append(replace(note, tests=tuple(left_out)))
     decisions: dict[str, list[str]] = {}
     for sample in samples:
@@ -287,9 +299,9 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
-def make_method_caveats(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
+def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
     """Make a caveat if a number of two groups was computed by different methods."""
-    first, second = list(group_by_method(one)), list(group_by_method(two))
+    first, second = list(group_by_method(first_number)), list(group_by_method(second_number))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()
     texts = {"first": " or ".join(first), "second": " or ".join(second)}

@@ -1,4 +1,4 @@
-"""From samples to groups: means of all results, the mean curve, and notes on exclusions."""
+"""Build groups of samples: means of all results, the mean curve, and notes on exclusions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def build_group(
     Parameters
     ----------
     name : of the group
-    protocol : that all samples were tested by
+    protocol : of the tests of all samples
     samples : in any order; may be empty
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
@@ -62,7 +62,7 @@ def build_group(
     order in which they first appear; the mean of the first loading branches; and notes on all
     exclusions.
     """
-    ordered = tuple(sorted(samples, key=_order))
+    ordered = tuple(sorted(samples, key=_make_sample_sort_key))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
     made_otherwise = find_other_methods(ordered)
     numbers = tuple(
@@ -71,7 +71,7 @@ def build_group(
                 name,
                 ordered,
                 limits,
-                without=made_otherwise.get(name, {}),
+                excluded=made_otherwise.get(name, {}),
                 is_signed=name.partition(".")[0] in signed,
             ),
             is_set_by_rig=name.partition(".")[0] in set_by_rig,
@@ -92,10 +92,10 @@ def build_group(
     )
 
 
-def _order(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
+def _make_sample_sort_key(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
     """Return a sort key with sample 2 before sample 10."""
-    parts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
-    return list(map(make_natural_sort_key, parts))
+    texts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
+    return list(map(make_natural_sort_key, texts))
 
 
 def average_result(
@@ -103,7 +103,7 @@ def average_result(
     samples: Sequence[Sample],
     limits: PoolingLimits = DEFAULT_LIMITS,
     *,
-    without: Mapping[str, Reason] | None = None,
+    excluded: Mapping[str, Reason] | None = None,
     is_signed: bool = False,
 ) -> GroupNumber:
     """Average one result over samples.
@@ -113,15 +113,15 @@ def average_result(
     name : of the result
     samples : with or without it
     limits : when spools may be pooled
-    without : samples whose number is excluded from the mean, and why
+    excluded : reason by sample, for samples whose number is excluded from the mean
     is_signed : whether it can be negative; else intervals are on a log scale
         (`convert_to_log_scale`), if no value is zero or below
 
     Returns
     -------
-    Doubtful results count like good ones and keep their status in `values`. Excluded, each with its
-    reason: failed results, samples that have no such result (``no_result``), values in another
-    unit than the first (``other_unit``), and `without`.
+    The mean includes doubtful results, which keep their status in `values`. It excludes, each with
+    its reason, failed results, samples without the result (``no_result``), values in another unit
+    than the first (``other_unit``), and `excluded`.
     """
     results = {
         key: next((result for result in sample.results if result.name == name), None)
@@ -130,9 +130,9 @@ def average_result(
     spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
     units = [finding.unit for finding in results.values() if finding is not None]
     unit = units[0] if units else ""
-    left_out = {key: _why_not(result, name, unit) for key, result in results.items()}
-    for key, why in (without or {}).items():
-        left_out[key] = left_out[key] or (why,)
+    left_out = {key: _find_exclusion_reasons(result, name, unit) for key, result in results.items()}
+    for key, reason in (excluded or {}).items():
+        left_out[key] = left_out[key] or (reason,)
     values = {
         key: result for key, result in results.items() if result is not None and not left_out[key]
     }
@@ -142,13 +142,13 @@ def average_result(
     return GroupNumber(
         name=name,
         unit=unit,
-        mean=_nested(by_spool, limits, is_signed=is_signed) if by_spool else None,
+        mean=_average_nested(by_spool, limits, is_signed=is_signed) if by_spool else None,
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
     )
 
 
-def _why_not(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
+def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
     if result is None:
         return (Reason.of("statistics.no_result", name=name),)
     if result.value is None:
@@ -160,7 +160,7 @@ def _why_not(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
     return ()
 
 
-def _nested(
+def _average_nested(
     spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
     values = {
@@ -168,8 +168,8 @@ def _nested(
         for name, results in spools.items()
     }
     mean = add_common_causes(compute_nested_mean(values, limits), spools)
-    every = [result for results in spools.values() for result in results]
-    return mean if is_signed or not are_positive(every) else convert_to_log_scale(mean)
+    all_results = [result for results in spools.values() for result in results]
+    return mean if is_signed or not are_positive(all_results) else convert_to_log_scale(mean)
 
 
 def compare_groups(

@@ -1,4 +1,4 @@
-"""Verdicts on samples, and on the lot they were taken from, against the smallest force allowed.
+"""Judge samples, and the lot they were taken from, against the smallest allowed force.
 
 All numbers are shares of the limit: peak force over the smallest force allowed.
 """
@@ -17,15 +17,15 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 
 FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
-"""Results that a verdict is read from."""
+"""Results that determine a verdict."""
 MIN_SAMPLES = 2
 """Fewer have no scatter."""
 MAX_SAMPLES = 100_000
-"""Numbers of samples above are not stated."""
+"""Larger numbers of samples are not stated."""
 
 
 def judge_sample(share: Result) -> SampleVerdict:
-    """Judge a sample by its number, as a standard does, and by its 95 % interval.
+    """Judge a sample by its number, as standards do, and by its 95 % interval.
 
     Parameters
     ----------
@@ -33,16 +33,16 @@ def judge_sample(share: Result) -> SampleVerdict:
 
     Returns
     -------
-    By the number, a sample passes at or above 1. With the interval it cannot be told if the
-    interval contains 1, or if the number is doubtful. Without a number it cannot be told either.
+    By the number, a sample passes at or above 1. By the interval the verdict is ``cannot tell`` if
+    the interval contains 1 or the number is doubtful. Without a number both are ``cannot tell``.
     """
     if share.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
     by_number = Answer.PASS if share.value >= 1.0 else Answer.FAIL
-    ends = share.interval
-    is_sure = ends is not None and (ends.lower >= 1.0 or ends.upper < 1.0)
-    sure = is_sure and share.status is Status.OK
-    return SampleVerdict(by_number, by_number if sure else Answer.CANNOT_TELL)
+    interval = share.interval
+    excludes_limit = interval is not None and (interval.lower >= 1.0 or interval.upper < 1.0)
+    is_certain = excludes_limit and share.status is Status.OK
+    return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
 
 
 def find_result(results: Iterable[Result], name: str) -> Result | None:
@@ -112,14 +112,14 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
 
     Returns
     -------
-    The answer with its numbers; None if the protocol of the samples asks for no limit.
+    The answer with its numbers; None if the protocol of the samples states no limit.
 
     Notes
     -----
     The lot fails if a sample fails by its number and is not doubtful, or if with the confidence
-    less than the coverage reaches the limit. It passes if all samples pass, and the one-sided lower
-    tolerance bound reaches the limit. Otherwise it cannot be told. Strengths are taken as normally
-    distributed, and what all tests of a rig share is not in the bound.
+    less than the coverage reaches the limit. It passes if all samples pass and the one-sided lower
+    tolerance bound reaches the limit. Otherwise the answer is ``cannot tell``. Strengths are
+    assumed to be normally distributed; the bound excludes errors common to all tests of a rig.
     """
     shares = {
         sample.test: share
@@ -154,30 +154,30 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
         cpk=(mean - 1.0) / (3.0 * deviation) if has_scatter else np.nan,
         n_needed=count_samples_to_pass(mean, deviation, rule) if has_scatter else None,
     )
-    return _answer(lot, shares, limits)
+    return _add_answer(lot, shares, limits)
 
 
-def _answer(lot: Lot, shares: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
+def _add_answer(lot: Lot, shares: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
     """Complete a lot with its answer and the reasons for it."""
     is_clear = {test: share.status is Status.OK for test, share in shares.items()}
     failing = [test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL]
-    below = [test for test in failing if is_clear[test]]
-    unknown = [test for test, share in shares.items() if share.value is None]
-    unknown += [test for test in failing if not is_clear[test]]
-    if below:
-        tests = ", ".join(below)
+    failing_clear = [test for test in failing if is_clear[test]]
+    unjudged = [test for test, share in shares.items() if share.value is None]
+    unjudged += [test for test in failing if not is_clear[test]]
+    if failing_clear:
+        tests = ", ".join(failing_clear)
         answer = Answer.FAIL
         reason = Reason.of("statistics.lot_sample_fails", tests=tests)
-    elif unknown or len(limits) > 1 or lot.n < MIN_SAMPLES:
-        answer, tests = Answer.CANNOT_TELL, ", ".join(unknown)
+    elif unjudged or len(limits) > 1 or lot.n < MIN_SAMPLES:
+        answer, tests = Answer.CANNOT_TELL, ", ".join(unjudged)
         reason = Reason.of("statistics.lot_of_one")
         if len(limits) > 1:
             reason = Reason.of("statistics.lot_limits_differ")
-        elif unknown:
+        elif unjudged:
             reason = Reason.of("statistics.lot_sample_unknown", tests=tests)
     else:
         answer, reason = _judge_scatter(lot)
-    doubtful = [test for test in shares if not is_clear[test] and test not in unknown]
+    doubtful = [test for test in shares if not is_clear[test] and test not in unjudged]
     caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful))
     return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful else (reason,))
 
@@ -190,8 +190,8 @@ def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
         return Answer.PASS, Reason.of(
             "statistics.lot_passes", bound=bound, coverage=coverage, confidence=confidence
         )
-    above = compute_tolerance_factor(lot.n, lot.rule.coverage, 1.0 - lot.rule.confidence)
-    if lot.mean - above * lot.deviation < 1.0:
+    upper_factor = compute_tolerance_factor(lot.n, lot.rule.coverage, 1.0 - lot.rule.confidence)
+    if lot.mean - upper_factor * lot.deviation < 1.0:
         return Answer.FAIL, Reason.of(
             "statistics.lot_fails", coverage=coverage, confidence=confidence
         )

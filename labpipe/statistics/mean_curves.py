@@ -1,4 +1,4 @@
-"""Mean curves of groups at common displacements, with pointwise and simultaneous 95 % bands."""
+"""Average curves of groups at common displacements, with pointwise and simultaneous 95 % bands."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def average_loading(
     Returns
     -------
     The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
-    mean forces over the common range allow pooling. There is one decision for the whole curve,
-    since the width of a band with a decision at each displacement would jump.
+    mean forces over the common range allow pooling. One decision applies to the whole curve,
+    because separate decisions would make the width of the band discontinuous.
     """
-    drawn = [
+    named_samples = [
         (key, sample)
         for key, sample in zip(name_samples(samples), samples, strict=True)
         if sample.loading and (divisors is None or key in divisors)
@@ -58,28 +58,28 @@ def average_loading(
             average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
             average_blocks(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
         )
-        for key, sample in drawn
+        for key, sample in named_samples
     ]
-    shared = interpolate_curves(curves, [key for key, _ in drawn])
-    notes = [*_curve_notes(samples, shared)]
-    if not len(shared.displacement):
-        return compute_band(shared), notes
-    spools = [sample.specimen.spool for _, sample in drawn]
-    level = shared.force.mean(axis=1)
+    common_curves = interpolate_curves(curves, [key for key, _ in named_samples])
+    notes = [*_make_curve_notes(samples, common_curves)]
+    if not len(common_curves.displacement):
+        return compute_band(common_curves), notes
+    spools = [sample.specimen.spool for _, sample in named_samples]
+    level = common_curves.force.mean(axis=1)
     levels = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
     decision = compute_nested_mean(levels, limits)
     if len(levels) > 1:
         note = QualityNote.of("statistics.curve_pooling", "group", decision=decision.decision)
         notes.append(note)
     if decision.is_pooled:
-        return reduce_band(compute_band(shared)), notes
-    means = [shared.force[np.array(spools) == spool].mean(axis=0) for spool in levels]
-    of_spools = CommonCurves(shared.displacement, np.array(means))
-    return reduce_band(compute_band(of_spools, members="spool means")), notes
+        return reduce_band(compute_band(common_curves)), notes
+    means = [common_curves.force[np.array(spools) == spool].mean(axis=0) for spool in levels]
+    spool_curves = CommonCurves(common_curves.displacement, np.array(means))
+    return reduce_band(compute_band(spool_curves, members="spool means")), notes
 
 
 def reduce_band(band: Band) -> Band:
-    """Remove the bands of a mean of few curves.
+    """Reduce or remove the bands of a mean of few curves.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def reduce_band(band: Band) -> Band:
 
     Returns
     -------
-    Unchanged over six curves or more. Over three to five (``few_curves``) the
+    Six curves or more: unchanged. Three to five (``few_curves``): the
     pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
     elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
     Over two (``two_curves``) there is none, as t is 12.7.
@@ -100,8 +100,8 @@ def reduce_band(band: Band) -> Band:
     lower, upper = empty.copy(), empty.copy()
     reason = Reason.of("statistics.too_few_curves", members=band.members)
     if band.n > 2:
-        marks = [round(share * (len(empty) - 1)) for share in (0.25, 0.5, 1.0)]
-        lower[marks], upper[marks] = band.lower[marks], band.upper[marks]
+        marked_rows = [round(share * (len(empty) - 1)) for share in (0.25, 0.5, 1.0)]
+        lower[marked_rows], upper[marked_rows] = band.lower[marked_rows], band.upper[marked_rows]
         reason = Reason.of(
             "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
         )
@@ -124,10 +124,12 @@ def average_scaled_loading(
     The band (force without a unit) and notes, as `average_loading` gives them; their codes end in
     ``_scaled``.
     """
-    peaks = dict(zip(name_samples(samples), (_peak(sample) for sample in samples), strict=True))
+    peaks = dict(
+        zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
+    )
     usable = {key: peak for key, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=usable)
-    without = [key for key in peaks if key not in usable]
+    keys_without_peak = [key for key in peaks if key not in usable]
     scaled_notes = [
         QualityNote(
             f"{note.code}_scaled",
@@ -138,38 +140,38 @@ def average_scaled_loading(
         for note in notes
         if note.code != "no_curve"
     ]
-    if without:
-        keys = ", ".join(without)
+    if keys_without_peak:
+        keys = ", ".join(keys_without_peak)
         scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", keys=keys))
     return band, scaled_notes
 
 
-def _peak(sample: Sample) -> float:
+def _find_peak(sample: Sample) -> float:
     """Return the peak force of the first cycle, N, or else its largest force, or NaN."""
-    stated = [result for result in sample.results if result.name == "peak_force.1"]
-    if stated:
-        return float("nan") if stated[0].value is None else stated[0].value
+    peak_results = [result for result in sample.results if result.name == "peak_force.1"]
+    if peak_results:
+        return float("nan") if peak_results[0].value is None else peak_results[0].value
     forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
     finite = forces[~np.isnan(forces)]
     return float(finite.max()) if len(finite) else float("nan")
 
 
-def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
-    without = [
+def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
+    keys_without_curve = [
         key
         for key, sample in zip(name_samples(samples), samples, strict=True)
         if not sample.loading
     ]
     notes = []
-    if without:
-        keys = ", ".join(without)
+    if keys_without_curve:
+        keys = ", ".join(keys_without_curve)
         notes.append(QualityNote.of("statistics.no_curve", "group", keys=keys))
-    if gaps := ", ".join(_gaps(shared.displacement)):
+    if gaps := ", ".join(_describe_gaps(shared.displacement)):
         notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
     return notes
 
 
-def _gaps(displacement: Floats) -> list[str]:
+def _describe_gaps(displacement: Floats) -> list[str]:
     """Describe the ranges in which an evenly spaced grid has missing points."""
     steps = np.diff(displacement)
     if not len(steps):
@@ -217,40 +219,42 @@ def interpolate_curves(
     if not curves:
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
-    ordered = [_in_order(*curve) for curve in curves]
-    spans = [_span(*curve) for curve in ordered]
-    blank = [name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])]
-    if blank:
-        reason = Reason.of("statistics.no_data", names=", ".join(blank))
+    ordered = [_sort_by_displacement(*curve) for curve in curves]
+    spans = [_find_span(*curve) for curve in ordered]
+    names_without_data = [
+        name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
+    ]
+    if names_without_data:
+        reason = Reason.of("statistics.no_data", names=", ".join(names_without_data))
         return CommonCurves(*empty, reason)
     start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
     if stop <= start:
-        return CommonCurves(*empty, _no_overlap(labels, spans))
+        return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
     grid = np.linspace(start, stop, points)
     force = np.array([np.interp(grid, *curve) for curve in ordered])
-    shared = ~np.isnan(force).any(axis=0)
-    return CommonCurves(grid[shared], force[:, shared])
+    is_common = ~np.isnan(force).any(axis=0)
+    return CommonCurves(grid[is_common], force[:, is_common])
 
 
-def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
     """Sort a curve by displacement; a point of unknown displacement is a gap in the force."""
     is_finite = ~np.isnan(displacement)
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
     number = np.arange(len(displacement), dtype=np.float64)
-    places = np.interp(number, number[is_finite], displacement[is_finite])
-    order = np.argsort(places, kind="stable")
-    return places[order], np.where(is_finite, force, np.nan)[order]
+    filled_displacement = np.interp(number, number[is_finite], displacement[is_finite])
+    order = np.argsort(filled_displacement, kind="stable")
+    return filled_displacement[order], np.where(is_finite, force, np.nan)[order]
 
 
-def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
+def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
     finite = np.flatnonzero(~np.isnan(force))
     if not len(finite):
         return float("nan"), float("nan")
     return float(displacement[finite[0]]), float(displacement[finite[-1]])
 
 
-def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
+def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
     late, early = int(np.argmax(starts)), int(np.argmin(stops))
     return Reason.of(
@@ -292,9 +296,9 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half = compute_t_quantile(n - 1) * error
     half_all = compute_simultaneous_quantile(curves.force) * error
-    few = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    few_curves_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
     ends = (mean - half, mean + half, mean - half_all, mean + half_all)
-    return Band(curves.displacement, mean, *ends, n, members, few)
+    return Band(curves.displacement, mean, *ends, n, members, few_curves_reason)
 
 
 def _make_curve_without_band(
@@ -329,16 +333,16 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     n, points = curves.shape
     if n < 3:
         return float("nan")
-    free, outside = n - 1, 1.0 - LEVEL
+    degrees, probability_outside = n - 1, 1.0 - LEVEL
     path_length = _compute_path_length(curves - curves.mean(axis=0))
 
     def excess_probability(c: float) -> float:
         upcrossings: float = (
-            path_length / (2.0 * np.pi) * (1.0 + c**2 / free) ** (-0.5 * (free - 1))
+            path_length / (2.0 * np.pi) * (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
         )
-        return 2.0 * (float(special.stdtr(free, -c)) + upcrossings) - outside
+        return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - probability_outside
 
-    bonferroni = compute_t_quantile(free, outside / points)
+    bonferroni = compute_t_quantile(degrees, probability_outside / points)
     if excess_probability(bonferroni) >= 0.0:
         return bonferroni
     return float(optimize.brentq(excess_probability, 0.0, bonferroni, full_output=False))

@@ -1,4 +1,4 @@
-"""Means of samples nested in spools, common causes of the tests of a rig, and group budgets."""
+"""Compute means of samples nested in spools, with common causes of a rig, and group budgets."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def compute_nested_mean(
     over_samples = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
     means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
     if len(finite) < 2:
-        return _one_spool(over_samples, means)
+        return _average_one_spool(over_samples, means)
     scatter = estimate_spool_scatter(values, limits.confidence)
     p = compute_spools_p(values)
     is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
@@ -87,7 +87,7 @@ def compute_nested_mean(
         over_samples=over_samples,
         over_spools=over_spools,
         is_pooled=is_pooled,
-        decision=_decision(values, scatter, p, limits, is_pooled=is_pooled),
+        decision=_describe_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
         within=scatter.within,
         between_spools=scatter.between_spools,
@@ -95,12 +95,12 @@ def compute_nested_mean(
     )
 
 
-def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
+def _average_one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
     decision = Decision(format_sentence("statistics.no_values"))
     if over_samples.n:
-        counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
-        done = format_sentence("statistics.over_one_spool", samples=counted)
-        decision = Decision(done, (format_sentence("statistics.one_spool"),))
+        samples_text = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
+        summary = format_sentence("statistics.over_one_spool", samples=samples_text)
+        decision = Decision(summary, (format_sentence("statistics.one_spool"),))
     nan = float("nan")
     return NestedMean(
         chosen=over_samples,
@@ -115,7 +115,7 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
     )
 
 
-def _decision(
+def _describe_decision(
     spools: Sequence[Floats],
     scatter: SpoolScatter,
     p: float,
@@ -123,16 +123,18 @@ def _decision(
     *,
     is_pooled: bool,
 ) -> Decision:
-    """Describe the decision: what was averaged, and the numbers behind it."""
+    """Describe the decision: what was averaged, and the numbers that it is based on."""
     counts = tuple(len(values) for values in spools)
-    done = format_sentence(
+    summary = format_sentence(
         "statistics.pooled" if is_pooled else "statistics.not_pooled",
         samples=sum(counts),
         spools=len(counts),
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        return Decision(done, (format_sentence("statistics.values_equal"),))
-    return Decision(done, (*_describe_shares(scatter, limits), _describe_test(p, counts, limits)))
+        return Decision(summary, (format_sentence("statistics.values_equal"),))
+    return Decision(
+        summary, (*_describe_shares(scatter, limits), _describe_test(p, counts, limits))
+    )
 
 
 def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
@@ -148,17 +150,19 @@ def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str,
         if scatter.between_spools == 0.0
         else format_sentence("statistics.share", share=100.0 * share, ratio=ratio, upper=upper)
     )
-    most, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    return text, format_sentence("statistics.share_needed", most=most, confidence=confidence)
+    max_share, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
+    return text, format_sentence(
+        "statistics.share_needed", max_share=max_share, confidence=confidence
+    )
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
     if np.isnan(p):
         return format_sentence("statistics.no_test")
-    least = compute_smallest_p(counts)
-    if least >= limits.min_p:
+    smallest_p = compute_smallest_p(counts)
+    if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
-        return format_sentence("statistics.blind_test", sizes=sizes, least=least)
+        return format_sentence("statistics.blind_test", sizes=sizes, smallest_p=smallest_p)
     is_alike = p >= limits.min_p
     return format_sentence(
         "statistics.equal" if is_alike else "statistics.unequal", p=p, needed=limits.min_p
@@ -181,13 +185,13 @@ def compute_t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
 
 
-def compute_mean(values: Iterable[float], what: str = "value") -> MeanInterval:
+def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInterval:
     """Compute the mean of independent values with its 95 % interval.
 
     Parameters
     ----------
     values : in any unit; NaN are ignored
-    what : name of one value, for the reason of a missing interval
+    value_name : name of one value, for the reason of a missing interval
 
     Returns
     -------
@@ -198,11 +202,13 @@ def compute_mean(values: Iterable[float], what: str = "value") -> MeanInterval:
     finite = array[~np.isnan(array)]
     n = len(finite)
     if n == 0:
-        reason = Reason.of("statistics.no_samples", what=what)
+        reason = Reason.of("statistics.no_samples", what=value_name)
         return MeanInterval(np.nan, None, np.nan, 0, reason)
     mean = float(finite.mean())
     if n == 1:
-        return MeanInterval(mean, None, np.nan, 1, Reason.of("statistics.one_value", what=what))
+        return MeanInterval(
+            mean, None, np.nan, 1, Reason.of("statistics.one_value", what=value_name)
+        )
     deviation = float(finite.std(ddof=1))
     half = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
@@ -247,18 +253,18 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
     of Statistics 6 (1978) 582); for equal numbers of samples it is exact.
     """
     counts = np.array([len(values) for values in spools])
-    free = int(np.sum(counts - 1))
-    if free == 0:
+    degrees = int(np.sum(counts - 1))
+    if degrees == 0:
         return SpoolScatter(np.nan, np.nan, np.nan, 1.0)
-    within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / free
+    within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / degrees
     harmonic = len(spools) / float(np.sum(1.0 / counts))
     means = float(np.var([values.mean() for values in spools], ddof=1))
     variance_between = max(means - within / harmonic, 0.0)
     total = variance_between + within
-    low = float(special.fdtri(len(spools) - 1, free, 1.0 - confidence))
-    share_upper = 1.0  # the share whose quantile of the mean square is the observed one
-    if within * low != 0.0:
-        excess = max(harmonic * means / (within * low) - 1.0, 0.0)
+    f_quantile = float(special.fdtri(len(spools) - 1, degrees, 1.0 - confidence))
+    share_upper = 1.0  # share for which the observed mean square is the quantile
+    if within * f_quantile != 0.0:
+        excess = max(harmonic * means / (within * f_quantile) - 1.0, 0.0)
         share_upper = excess / (excess + harmonic)
     return SpoolScatter(
         float(np.sqrt(within)),
@@ -285,7 +291,7 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
     assignments of samples to spools (20 for two spools of three), all are counted and p is exact;
     otherwise it is from their table, which ends at 0.001 and 0.25.
     """
-    from scipy import stats  # a third of a second that single tests need not wait
+    from scipy import stats  # imported here, because it takes a third of a second
 
     counts = [len(values) for values in spools]
     if len(counts) < 2 or min(counts) < 2 or np.ptp(np.concatenate(spools)) == 0.0:
@@ -297,12 +303,12 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
         outcome = stats.anderson_ksamp(
             spools,
             variant="midrank",
-            method=exact if _partitions(counts) <= _MAX_PARTITIONS else None,
+            method=exact if _count_partitions(counts) <= _MAX_PARTITIONS else None,
         )
     return float(outcome.pvalue)
 
 
-def _partitions(counts: Sequence[int]) -> int:
+def _count_partitions(counts: Sequence[int]) -> int:
     """Return the number of assignments of samples to spools of these sizes."""
     return factorial(sum(counts)) // prod(factorial(count) for count in counts)
 
@@ -322,7 +328,7 @@ def compute_smallest_p(counts: tuple[int, ...]) -> float:
     """
     if len(counts) < 2 or min(counts) < 2:
         return float("nan")
-    if _partitions(counts) > _MAX_PARTITIONS:
+    if _count_partitions(counts) > _MAX_PARTITIONS:
         return 0.001
     orders = set(permutations(sorted(counts)))
     ranks = np.arange(sum(counts), dtype=np.float64)
@@ -369,7 +375,9 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
     medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
     total = sum(medians.values())
     shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
-    return GroupBudget(shares, {} if number.mean is None else _of_mean(number.mean.chosen))
+    return GroupBudget(
+        shares, {} if number.mean is None else _compute_mean_budget(number.mean.chosen)
+    )
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -381,16 +389,16 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
     ]
 
 
-def _of_mean(mean: MeanInterval) -> dict[str, float]:
+def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
-    normal = Interval.normal_95(0.0, 1.0).upper / mean.half_width
+    normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
     common = {
-        contribution.cause: (normal * contribution.change) ** 2
+        contribution.cause: (normal_factor * contribution.change) ** 2
         for contribution in mean.common
         if contribution.change
     }
-    scatter = 1.0 - (normal * combine_changes(mean.common)) ** 2
+    scatter = 1.0 - (normal_factor * combine_changes(mean.common)) ** 2
     return {SCATTER: scatter, **{cause: common[cause] for cause in sort_causes(common)}}
 
 
@@ -420,8 +428,10 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
     means = {name: _average_errors(rows) for name, rows in errors.items()}
-    over_samples = _shift(mean.over_samples, _average_errors([*chain(*errors.values())]))
-    over_spools = mean.over_spools and _shift(mean.over_spools, _average_errors([*means.values()]))
+    over_samples = _shift_interval(mean.over_samples, _average_errors([*chain(*errors.values())]))
+    over_spools = mean.over_spools and _shift_interval(
+        mean.over_spools, _average_errors([*means.values()])
+    )
     chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
     decision = mean.decision
     if causes := ", ".join(contribution.cause for contribution in chosen.common):
@@ -432,7 +442,10 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
         chosen=chosen,
         over_samples=over_samples,
         over_spools=over_spools,
-        spool_means={name: _shift(own, means[name]) for name, own in mean.spool_means.items()},
+        spool_means={
+            name: _shift_interval(spool_mean, means[name])
+            for name, spool_mean in mean.spool_means.items()
+        },
         decision=decision,
     )
 
@@ -452,7 +465,7 @@ def _average_errors(rows: Sequence[_Errors]) -> _Errors:
     return {cause: float(np.mean([row.get(cause, 0.0) for row in rows])) for cause in causes}
 
 
-def _shift(mean: MeanInterval, errors: _Errors) -> MeanInterval:
+def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
     """Move the interval of a mean to its estimate, and widen it by the common causes."""
     bias = errors[_BIAS]
     common = tuple(
@@ -487,13 +500,13 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
     Notes
     -----
     With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
-    values *shorter*, since t falls from 12.7 faster than the uncertainty grows. Half widths in
-    quadrature never do; for their coverage see docs/explanations/statistics.md.
+    values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. With half
+    widths in quadrature it never does; for the coverage see docs/explanations/statistics.md.
     """
     middle = 0.5 * (interval.lower + interval.upper)
-    shared = Interval.normal_95(0.0, combine_changes(common)).upper
-    half = hypot(0.5 * (interval.upper - interval.lower), shared)
-    return Interval(middle - half, middle + half, interval.level) if shared else interval
+    common_half_width = Interval.normal_95(0.0, combine_changes(common)).upper
+    half = hypot(0.5 * (interval.upper - interval.lower), common_half_width)
+    return Interval(middle - half, middle + half, interval.level) if common_half_width else interval
 
 
 def subtract_changes(
@@ -552,16 +565,16 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
     """
     return replace(
         mean,
-        chosen=_log_interval(mean.chosen),
-        over_samples=_log_interval(mean.over_samples),
-        over_spools=mean.over_spools and _log_interval(mean.over_spools),
+        chosen=_convert_interval(mean.chosen),
+        over_samples=_convert_interval(mean.over_samples),
+        over_spools=mean.over_spools and _convert_interval(mean.over_spools),
         spool_means={
-            name: _log_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
+            name: _convert_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
         },
     )
 
 
-def _log_interval(mean: MeanInterval) -> MeanInterval:
+def _convert_interval(mean: MeanInterval) -> MeanInterval:
     max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean

@@ -192,7 +192,10 @@ def _list_tied_values(step: _TestStep, step_indices: set[int]) -> list[tuple[int
     Tied values that have a step of their own are left out.
     """
     indices = [step.index, *(tied for tied in step.tied_indices if tied not in step_indices)]
-    return [(index, [other for other in indices if other != index]) for index in indices]
+    return [
+        (index, [other_index for other_index in indices if other_index != index])
+        for index in indices
+    ]
 
 
 def _describe_ties(names: Sequence[str]) -> str:

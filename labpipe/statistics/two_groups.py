@@ -1,4 +1,4 @@
-"""Comparison of two groups: difference, significance, and equivalence."""
+"""Compare two groups: difference, significance and equivalence."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 
     Returns
     -------
-    With the number of values of both, and a deviation of NaN. There is no interval if one of the
-    means has none, for its reason. The middle of the interval is the difference of the estimates;
-    it includes the effect of common causes on the difference.
+    The difference, with the number of values of both and a deviation of NaN. If one of the means
+    has no interval, the difference has none, for the same reason. The middle of the interval is the
+    difference of the estimates; the interval includes the effect of common causes.
 
     Notes
     -----
@@ -45,8 +45,12 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
     if reason:
         return MeanInterval(difference, None, np.nan, n, reason, common=common)
     middle = second.middle - first.middle
-    plain = Contrast(middle, (_error(first), _error(second)), (first.n, second.n))
-    half = compute_half_width(plain)
+    contrast = Contrast(
+        middle,
+        (_compute_standard_error(first), _compute_standard_error(second)),
+        (first.n, second.n),
+    )
+    half = compute_half_width(contrast)
     interval = widen_interval(Interval(middle - half, middle + half), common)
     estimate = None if middle == difference else middle
     return MeanInterval(difference, interval, np.nan, n, estimate=estimate, common=common)
@@ -55,7 +59,7 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 def compute_contrast(
     first: MeanInterval, second: MeanInterval, margin: float | None = None
 ) -> Contrast | None:
-    """Return the difference of two means on the scale of its judgement.
+    """Compute the difference of two means on the scale on which it is judged.
 
     Parameters
     ----------
@@ -76,20 +80,23 @@ def compute_contrast(
         [replace(row, change=row.change / size) for row in mean.common]
         for mean, size in ((first, first_scale), (second, second_scale))
     ]
-    room = None
+    log_or_absolute_margin = None
     if margin is not None:
-        room = log1p(margin) if is_log else margin * abs(first.mean)
+        log_or_absolute_margin = log1p(margin) if is_log else margin * abs(first.mean)
     return Contrast(
         difference=log(second_scale / first_scale) if is_log else second.middle - first.middle,
-        errors=(_error(first) / first_scale, _error(second) / second_scale),
+        errors=(
+            _compute_standard_error(first) / first_scale,
+            _compute_standard_error(second) / second_scale,
+        ),
         counts=(first.n, second.n),
         shared=combine_changes(subtract_changes(*common)),
-        margin=room or None,
+        margin=log_or_absolute_margin or None,
         is_log=is_log,
     )
 
 
-def _error(mean: MeanInterval) -> float:
+def _compute_standard_error(mean: MeanInterval) -> float:
     return mean.deviation / sqrt(mean.n)
 
 
@@ -118,7 +125,7 @@ def compute_difference_p(contrast: Contrast) -> float:
     ----------
     contrast : of two means
     """
-    return min(1.0, 2.0 * _tail(abs(contrast.difference), contrast))
+    return min(1.0, 2.0 * _compute_tail(abs(contrast.difference), contrast))
 
 
 def compute_equivalence_p(contrast: Contrast) -> float:
@@ -141,25 +148,27 @@ def compute_equivalence_p(contrast: Contrast) -> float:
     """
     if contrast.margin is None:
         return float("nan")
-    room = contrast.margin - abs(contrast.difference)
-    p = _tail(abs(room), contrast)
-    return p if room > 0 else 1.0 - p
+    distance = contrast.margin - abs(contrast.difference)
+    p = _compute_tail(abs(distance), contrast)
+    return p if distance > 0 else 1.0 - p
 
 
-def _tail(room: float, contrast: Contrast) -> float:
+def _compute_tail(distance: float, contrast: Contrast) -> float:
     """Return the probability that scatter and a normal error together exceed a distance."""
     max_deviations = 8.0  # a probability of 1e-15 counts as zero
     degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
     if shared == 0.0:
-        return float(special.stdtr(degrees, -room / error)) if error else 0.0 if room else 0.5
+        return (
+            float(special.stdtr(degrees, -distance / error)) if error else 0.0 if distance else 0.5
+        )
 
-    def beyond(sigmas: float) -> float:
+    def excess_distance(sigmas: float) -> float:
         quantile = special.stdtrit(degrees, float(special.ndtr(-sigmas)))
-        return float(np.hypot(quantile * error, sigmas * shared)) - room
+        return float(np.hypot(quantile * error, sigmas * shared)) - distance
 
-    if beyond(max_deviations) <= 0.0:
+    if excess_distance(max_deviations) <= 0.0:
         return 0.0
-    return float(special.ndtr(-optimize.brentq(beyond, 0.0, max_deviations)))
+    return float(special.ndtr(-optimize.brentq(excess_distance, 0.0, max_deviations)))
 
 
 def compare_means(
@@ -185,10 +194,14 @@ def compare_means(
     first_mean, second_mean = first[1].chosen, second[1].chosen
     difference = subtract_means(first_mean, second_mean)
     contrast = compute_contrast(first_mean, second_mean, margin)
-    nothing = float("nan")
+    no_p = float("nan")
     caveats = []
-    if single := [name for name, mean in (first, second) if len(mean.spool_means) == 1]:
-        caveats.append(format_sentence("statistics.single_spool", groups=" and ".join(single)))
+    if single_spool_groups := [
+        name for name, mean in (first, second) if len(mean.spool_means) == 1
+    ]:
+        caveats.append(
+            format_sentence("statistics.single_spool", groups=" and ".join(single_spool_groups))
+        )
     if causes := ", ".join(contribution.cause for contribution in difference.common):
         caveats.append(format_sentence("statistics.shared_causes", causes=causes))
     return Difference(
@@ -199,8 +212,8 @@ def compare_means(
         difference=difference,
         margin=None if margin is None or first_mean.mean == 0.0 else margin * abs(first_mean.mean),
         contrast=contrast,
-        p=nothing if contrast is None else compute_difference_p(contrast),
-        p_equivalent=nothing if contrast is None else compute_equivalence_p(contrast),
+        p=no_p if contrast is None else compute_difference_p(contrast),
+        p_equivalent=no_p if contrast is None else compute_equivalence_p(contrast),
         caveats=tuple(caveats),
     )
 
@@ -211,7 +224,7 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     Parameters
     ----------
     family : their name
-    differences : as `compare_means` gives them
+    differences : of `compare_means`
 
     Returns
     -------
@@ -225,46 +238,54 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
       outside the interval;
     - ``cannot tell`` otherwise.
     """
-    unlike = correct_p_values([difference.p for difference in differences])
-    alike = correct_p_values([difference.p_equivalent for difference in differences])
+    difference_tests = correct_p_values([difference.p for difference in differences])
+    equivalence_tests = correct_p_values([difference.p_equivalent for difference in differences])
     return [
-        _judged(family, difference, *corrected)
-        for difference, *corrected in zip(differences, unlike, alike, strict=True)
+        _judge(family, difference, *corrected)
+        for difference, *corrected in zip(
+            differences, difference_tests, equivalence_tests, strict=True
+        )
     ]
 
 
-def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corrected) -> Difference:
+def _judge(
+    family: str, difference: Difference, difference_test: Corrected, equivalence: Corrected
+) -> Difference:
     """Return a comparison with its verdict."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
-        why = reason.message if reason else format_sentence("statistics.no_interval")
-        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=why)
-    outside = (1.0 - LEVEL) / unlike.divisor
+        verdict_reason = reason.message if reason else format_sentence("statistics.no_interval")
+        return replace(
+            difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
+        )
+    outside = (1.0 - LEVEL) / difference_test.divisor
     half = compute_half_width(contrast, outside)
     ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
-    is_different, is_alike = unlike.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
+    is_different, is_alike = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
-    why = format_sentence(
-        "statistics.p_value", p=_format_p(unlike.p), corrected=_describe_correction(unlike.tests)
+    verdict_reason = format_sentence(
+        "statistics.p_value",
+        p=_format_p(difference_test.p),
+        corrected=_describe_correction(difference_test.tests),
     )
     if is_alike:
         verdict = Verdict.EQUIVALENT
-        why = format_sentence(
+        verdict_reason = format_sentence(
             "statistics.within_margin",
             real=format_sentence("statistics.real_but") if is_different else "",
             margin=_describe_margin(contrast),
-            p=_format_p(alike.p),
-            corrected=_describe_correction(alike.tests),
+            p=_format_p(equivalence.p),
+            corrected=_describe_correction(equivalence.tests),
         )
     elif not is_different and contrast.margin is None:
-        why = format_sentence("statistics.zero_no_margin")
+        verdict_reason = format_sentence("statistics.zero_no_margin")
     elif not is_different:
         n = count_needed_samples(contrast, outside)
-        why = format_sentence(
+        verdict_reason = format_sentence(
             "statistics.zero_beyond_margin",
             margin=_describe_margin(contrast),
             needed=format_sentence("statistics.more_samples", n=n) if n else "",
@@ -272,10 +293,10 @@ def _judged(family: str, difference: Difference, unlike: Corrected, alike: Corre
     return replace(
         difference,
         family=family,
-        tests=unlike.tests,
+        tests=difference_test.tests,
         interval=ends,
         verdict=verdict,
-        verdict_reason=why,
+        verdict_reason=verdict_reason,
     )
 
 
@@ -312,8 +333,10 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
     for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
-        more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
-        if compute_half_width(more, outside) <= 0.5 * contrast.margin:
+        larger_groups = replace(
+            contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n)
+        )
+        if compute_half_width(larger_groups, outside) <= 0.5 * contrast.margin:
             return n
     return None
 
@@ -360,11 +383,11 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     """
     tested = sorted((i for i, p in enumerate(p_values) if not isnan(p)), key=p_values.__getitem__)
     corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(p_values)
-    largest, divisor, goes_on = 0.0, max(1, len(tested)), True
+    largest, divisor, is_significant = 0.0, max(1, len(tested)), True
     for rank, i in enumerate(tested):
         remaining = len(tested) - rank
         largest = max(largest, min(1.0, remaining * p_values[i]))
-        divisor = remaining if goes_on else divisor
-        goes_on = goes_on and largest < level
+        divisor = remaining if is_significant else divisor
+        is_significant = is_significant and largest < level
         corrected[i] = Corrected(largest, divisor, len(tested))
     return corrected

@@ -1,1 +1,1 @@
-"""Result files: HDF5 and summary.json, written whole or not at all, read with every check."""
+"""Write result files (HDF5, summary.json) completely or not at all, and read them checked."""

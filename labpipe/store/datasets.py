@@ -1,8 +1,8 @@
-"""Arrays and texts of a result file: written in compressed chunks, and read by the layout.
+"""Write arrays and texts of a result file in compressed chunks, and read them by the layout.
 
-The filters of HDF5 use one processor. Here all processors make the chunks in the format of these
-filters (shuffle, gzip, fletcher32), which any HDF5 library reads. ISA-L deflates six to nine times
-as fast as zlib at the same size.
+The filters of HDF5 use one processor core. Here all cores compress chunks in the format of these
+filters (shuffle, gzip, fletcher32), which any HDF5 library reads. ISA-L compresses six to nine
+times as fast as zlib, to the same size.
 
 h5py creates types, spaces and property lists again for each of the hundreds of small objects in a
 result file; here they are created once, with low-level calls of the HDF5 library. The content is
@@ -34,7 +34,7 @@ from labpipe.store.layout import DatasetSpec, find_scales
 from labpipe.store.replace import is_cut_off
 
 COMPRESSION_LEVEL: Final = 3
-"""At levels 1 and 2 ISA-L (isal 1.9) sometimes compresses equal bytes differently in a thread."""
+"""At levels 1 and 2 ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
 _SCALAR: Final = h5s.create(h5s.SCALAR)
@@ -57,7 +57,7 @@ def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, 
     """
     max_shape = tuple(size or h5s.UNLIMITED for size in values.shape)
     space = h5s.create_simple(values.shape, max_shape)
-    data_type, properties = _type(values.dtype.str), _properties(chunk)
+    data_type, properties = _make_type(values.dtype.str), _make_properties(chunk)
     return h5py.Dataset(h5d.create(group.id, name.encode(), data_type, space, properties))
 
 
@@ -73,7 +73,7 @@ def open_dataset(group: Any, name: str) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _type(dtype_text: str) -> Any:
+def _make_type(dtype_text: str) -> Any:
     hdf5_type = h5t.py_create(np.dtype(dtype_text), logical=True)
     if isinstance(hdf5_type, h5t.TypeStringID):
         hdf5_type.set_strpad(h5t.STR_NULLTERM)
@@ -81,7 +81,7 @@ def _type(dtype_text: str) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _properties(chunk: tuple[int, ...]) -> Any:
+def _make_properties(chunk: tuple[int, ...]) -> Any:
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_chunk(chunk)
@@ -191,7 +191,7 @@ def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
 def set_number(owner: Any, name: str, number: float) -> None:
     """Write an attribute that is a number, int64 or float64, as `set_text`."""
     value = np.array(number)
-    h5a.create(owner.id, name.encode(), _type(value.dtype.str), _SCALAR).write(value)
+    h5a.create(owner.id, name.encode(), _make_type(value.dtype.str), _SCALAR).write(value)
 
 
 CHUNK_BYTES = 1 << 18
@@ -201,40 +201,40 @@ Packed = dict[tuple[object, ...], list[bytes]]
 """Finished chunks, by the memory location of their array."""
 
 
-def _chunks_of(read_array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
+def _make_chunks(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
     """Return the chunks of an array, made in the pool unless they exist already."""
     # Smaller arrays are deflated faster without threads.
     min_pool_bytes = 1 << 15
-    place = locate_array(read_array)
-    if place not in packed:
-        starts = range(0, len(read_array) if read_array.size else 0, rows)
-        blocks = (read_array[start : start + rows] for start in starts)
-        run = map if read_array.nbytes < min_pool_bytes else pool.map
-        packed[place] = list(run(_pack_chunk, blocks, repeat(rows)))
-    return packed[place]
+    location = locate_array(array)
+    if location not in packed:
+        starts = range(0, len(array) if array.size else 0, rows)
+        blocks = (array[start : start + rows] for start in starts)
+        run = map if array.nbytes < min_pool_bytes else pool.map
+        packed[location] = list(run(_pack_chunk, blocks, repeat(rows)))
+    return packed[location]
 
 
-def locate_array(read_array: NDArray[Any]) -> tuple[object, ...]:
+def locate_array(array: NDArray[Any]) -> tuple[object, ...]:
     """Return the memory location and layout of an array, which identify it while it exists."""
-    return (read_array.ctypes.data, read_array.shape, read_array.strides, read_array.dtype.str)
+    return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
 
 
-def has_same_content(dataset: Any, read_array: NDArray[Any]) -> bool:
-    """Return whether a dataset reads back as exactly this array, NaN patterns included.
+def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
+    """Return whether a dataset has exactly the content of an array, NaN bit patterns included.
 
     Of a long dataset the first, the last, and every sixteenth chunk are read through HDF5's
     filters, to check the format of the chunks. `write_result` compares all bytes on the disk.
     """
-    if dataset.shape != read_array.shape or dataset.dtype != read_array.dtype:
+    if dataset.shape != array.shape or dataset.dtype != array.dtype:
         return False
     rows = dataset.chunks[0]
-    if 0 < len(read_array) <= rows:
-        values = np.empty_like(read_array, order="C")
+    if 0 < len(array) <= rows:
+        values = np.empty_like(array, order="C")
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-        return values.tobytes() == read_array.tobytes()
-    starts = list(range(0, len(read_array) if read_array.size else 0, rows))
+        return values.tobytes() == array.tobytes()
+    starts = list(range(0, len(array) if array.size else 0, rows))
     return all(
-        dataset[start : start + rows].tobytes() == read_array[start : start + rows].tobytes()
+        dataset[start : start + rows].tobytes() == array[start : start + rows].tobytes()
         for start in {*starts[::16], *starts[-1:]}
     )
 
@@ -244,8 +244,8 @@ def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
 
     The last chunk of an array is padded with zeros to all rows, as HDF5 requires.
     """
-    missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
-    block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
+    padding = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
+    block = np.concatenate([block, padding]) if len(padding) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
     deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, COMPRESSION_LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
@@ -275,11 +275,13 @@ def fletcher32(data: bytes) -> int:
     """
     modulus = 65535
     numbers = np.frombuffer(data + b"\0" * (len(data) % 2), dtype=">u2").astype(np.int64)
-    first = int(numbers.sum())
+    word_sum = int(numbers.sum())
     # The weighted sum stays below 2**47 for a chunk: no overflow.
-    second = int(numbers @ np.arange(len(numbers), 0, -1))
-    first, second = (total % modulus or (modulus if total else 0) for total in (first, second))
-    return second << 16 | first
+    running_sum = int(numbers @ np.arange(len(numbers), 0, -1))
+    word_sum, running_sum = (
+        total % modulus or (modulus if total else 0) for total in (word_sum, running_sum)
+    )
+    return running_sum << 16 | word_sum
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +330,7 @@ class Target:
         if isinstance(values, tuple):
             # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads;
             # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
-            encoded = [read_text.encode() for read_text in values]
+            encoded = [text.encode() for text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
         row_shape = tuple(max(size, 1) for size in values.shape[1:])
         rows = max(CHUNK_BYTES // (values.dtype.itemsize * prod(row_shape)), 1)  # at most all rows
@@ -336,9 +338,11 @@ class Target:
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
-        for number, deflated in enumerate(_chunks_of(values, chunk[0], self.pool, self.packed)):
+        for number, chunk_bytes in enumerate(
+            _make_chunks(values, chunk[0], self.pool, self.packed)
+        ):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
-            dataset.id.write_direct_chunk(corner, deflated)
+            dataset.id.write_direct_chunk(corner, chunk_bytes)
         self.written[dataset.name] = values
         self.datasets[name] = dataset, spec
         return dataset
@@ -361,20 +365,22 @@ class Target:
                 continue  # a scale has no scales
             for place, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                n_before = spec.axes[:place].count(axis)
+                n_same = spec.axes[:place].count(axis)
                 # xarray requires unique names
-                unique = f"{scale}_{n_before + 1}" if n_before else scale
+                unique = f"{scale}_{n_same + 1}" if n_same else scale
                 if unique not in opened_scales:
-                    opened_scales[unique] = self._scale(unique, scale, axis, dataset.shape[place])
+                    opened_scales[unique] = self._make_scale(
+                        unique, scale, axis, dataset.shape[place]
+                    )
                 self.attach_scale(dataset, place, opened_scales[unique])
 
-    def _scale(self, name: str, scale: str, axis: str, size: int) -> Any:
+    def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, creating it if needed."""
         if name in self.group:
             return self.group[name]
         if name != scale:
-            same, spec = self.datasets[scale]
-            return self.write_array(name, self.written[same.name], spec)
+            scale_dataset, spec = self.datasets[scale]
+            return self.write_array(name, self.written[scale_dataset.name], spec)
         if axis in AXIS_LABELS:
             return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
         return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
@@ -404,7 +410,7 @@ def open_result(path: Path) -> Iterator[Any]:
         if is_cut_off(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
         if not h5py.is_hdf5(path):
-            raise StoreError.about("store.no_hdf5", path, found=_instead_of_hdf5(path))
+            raise StoreError.about("store.no_hdf5", path, found=_describe_file(path))
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
             _check_links(path, root)
@@ -418,7 +424,7 @@ def open_result(path: Path) -> Iterator[Any]:
         raise StoreError.about("store.damaged", path, reason=reason) from error
 
 
-def _instead_of_hdf5(path: Path) -> str:
+def _describe_file(path: Path) -> str:
     if not path.exists():
         return "nothing"
     with path.open("rb") as file:  # raises if the file is not readable
@@ -444,8 +450,8 @@ def _check_schema(path: Path, root: Any) -> None:
 def _check_links(path: Path, root: Any) -> None:
     """Raise a StoreError for links into other files: a result file must be complete."""
 
-    def find_external(name: bytes, about: Any) -> bytes | None:
-        return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
+    def find_external(name: bytes, link_info: Any) -> bytes | None:
+        return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
 
     link = root.id.links.visit(find_external, info=True)
     if link is not None:
@@ -454,15 +460,15 @@ def _check_links(path: Path, root: Any) -> None:
 
 def read_text(group: Any, name: str) -> str:
     """Read an attribute that is one string."""
-    return _utf8_text(get_text(group, name))
+    return _check_utf8(get_text(group, name))
 
 
 def read_texts(group: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of strings."""
-    return () if is_empty(group, name) else tuple(map(_utf8_text, group.attrs[name]))
+    return () if is_empty(group, name) else tuple(map(_check_utf8, group.attrs[name]))
 
 
-def _utf8_text(value: object) -> str:
+def _check_utf8(value: object) -> str:
     """Return text; bytes that are not UTF-8 raise a ValueError."""
     string = str(value)
     string.encode()
@@ -471,42 +477,38 @@ def _utf8_text(value: object) -> str:
 
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
-    dataset = _checked_dataset(group, name, spec)
+    dataset = _open_checked_dataset(group, name, spec)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return (
-        tuple(read_text.decode() for read_text in values.tolist())
-        if spec.dtype == layout.TEXT
-        else values
-    )
+    return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == layout.TEXT else values
 
 
-def read_array_rows(group: Any, name: str, spec: DatasetSpec, chosen: Ints) -> NDArray[Any]:
+def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDArray[Any]:
     """Read rows of a dataset, as `read_array`.
 
     Parameters
     ----------
     group, name, spec : as for `read_array`
-    chosen : indices of rows of the first axis, strictly increasing
+    rows : indices along the first axis, strictly increasing
     """
-    values: NDArray[Any] = _checked_dataset(group, name, spec)[chosen]
+    values: NDArray[Any] = _open_checked_dataset(group, name, spec)[rows]
     return values
 
 
-def _checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
+def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
     dataset = group[name]
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
-            _check(dataset, label, expected, _label(dataset, label))
+            _require_equal(dataset, label, expected, _read_label(dataset, label))
     if spec.dtype != layout.TEXT:
-        _check(dataset, "number type", spec.dtype, str(dataset.dtype))
+        _require_equal(dataset, "number type", spec.dtype, str(dataset.dtype))
     _check_storage(dataset)
     return dataset
 
 
-def _label(dataset: Any, name: str) -> str:
+def _read_label(dataset: Any, name: str) -> str:
     return str(get_text(dataset, name)) if has_attribute(dataset, name) else "none"
 
 
@@ -520,15 +522,15 @@ def _check_storage(dataset: Any) -> None:
         has_all = dataset.id.get_storage_size() >= dataset.nbytes
     else:
         sizes = zip(shape, chunks, strict=True)
-        has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / one) for all_, one in sizes)
+        has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / chunk) for all_, chunk in sizes)
     if not has_all:
         file, place, size = dataset.file.filename, dataset.name, dataset.size
         raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
 
-def _check(dataset: Any, what: str, expected: str, found: str) -> None:
+def _require_equal(dataset: Any, quantity: str, expected: str, found: str) -> None:
     if expected != found:
         file, place = dataset.file.filename, dataset.name
         raise StoreError.about(
-            "store.other_layout", file, place, what=what, expected=expected, found=found
+            "store.other_layout", file, place, what=quantity, expected=expected, found=found
         )

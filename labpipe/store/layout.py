@@ -1,4 +1,4 @@
-"""Names, units and axes of everything in a result file, derived from the records.
+"""Define names, units and axes of all content of a result file, derived from the records.
 
 The annotations of a record define its part of the file: an array with axes and `Unit` is a dataset,
 an annotated tuple of texts one of strings, any other number, text, interval or reason an attribute;
@@ -108,7 +108,7 @@ class ColumnSpec(NamedTuple):
 
 
 def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
-    """Cache a function of a type; mypy knows no types as keys."""
+    """Cache a function of a type; mypy does not accept types as keys of `functools.cache`."""
     return cache(function)
 
 
@@ -116,7 +116,7 @@ def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
 def list_datasets(record: Any) -> Mapping[str, DatasetSpec]:
     """Return the datasets of a type of record, by name."""
     datasets: dict[str, DatasetSpec] = {}
-    for name, (values, axes, unit) in _annotations(record):
+    for name, (values, axes, unit) in _list_annotations(record):
         if get_origin(values) is np.ndarray:
             dtype = np.dtype(find_dtype(values)).name.replace("bool", "uint8")
             symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
@@ -127,25 +127,25 @@ def list_datasets(record: Any) -> Mapping[str, DatasetSpec]:
 
 
 def find_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
-    """Return the dimension scale of each axis: the first dataset along it alone."""
-    along_one = [(name, field) for name, field in datasets.items() if len(field.axes) == 1]
-    return {field.axes[0]: name for name, field in reversed(along_one)}
+    """Return the dimension scale of each axis: the first dataset with no other axis."""
+    one_axis_datasets = [(name, field) for name, field in datasets.items() if len(field.axes) == 1]
+    return {field.axes[0]: name for name, field in reversed(one_axis_datasets)}
 
 
 @_cached
 def list_attributes(record: Any) -> Mapping[str, AttributeSpec]:
     """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
-    stored = {field.name for field in fields(record) if field.compare}
-    stored -= {field.stated_in for field in list_datasets(record).values()}
+    stored_names = {field.name for field in fields(record) if field.compare}
+    stored_names -= {field.stated_in for field in list_datasets(record).values()}
     attributes: dict[str, AttributeSpec] = {}
-    for name, (hint, axes, unit) in _annotations(record):
+    for name, (hint, axes, unit) in _list_annotations(record):
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         kind = next(kind for kind in kinds if kind is not NoneType)
         is_simple = isinstance(kind, type) and issubclass(
             kind, (int, float, str, date, Interval, Reason)
         )
         is_list = get_origin(kind) is tuple and get_args(kind)[0] in (str, Reason) and not axes
-        if name in stored and (is_simple or is_list):
+        if name in stored_names and (is_simple or is_list):
             attributes[name] = AttributeSpec(kind, unit, NoneType in kinds)
     return attributes
 
@@ -178,12 +178,23 @@ def find_stem(interval: str) -> str:
     return interval.removesuffix("interval")
 
 
-def _annotations(record: Any) -> Iterator[tuple[str, tuple[Any, tuple[str, ...], Unit | None]]]:
+def _list_annotations(
+    record: Any,
+) -> Iterator[tuple[str, tuple[Any, tuple[str, ...], Unit | None]]]:
     """Yield name, type, axes and unit of the fields of a type of record."""
     for name, hint in get_type_hints(record, include_extras=True).items():
-        value, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        axes = tuple(mark for mark in marks if isinstance(mark, str))
-        yield name, (value, axes, next((mark for mark in marks if isinstance(mark, Unit)), None))
+        value, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        axes = tuple(annotation for annotation in annotations if isinstance(annotation, str))
+        yield (
+            name,
+            (
+                value,
+                axes,
+                next(
+                    (annotation for annotation in annotations if isinstance(annotation, Unit)), None
+                ),
+            ),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,13 +237,13 @@ ROW_AXES: Final[Mapping[type, str]] = {
 """Types of records that are rows of a table, and the axis of the table."""
 
 
-def make_link_name(name: str, taken: Iterable[str]) -> str:
+def make_link_name(name: str, used_names: Iterable[str]) -> str:
     """Return an unused name that HDF5, h5dump and MATLAB accept.
 
     Parameters
     ----------
     name : such as that of a channel; slashes, blanks and other characters become underscores
-    taken : names in use in the same group
+    used_names : names in use in the same group
 
     Returns
     -------
@@ -243,8 +254,8 @@ def make_link_name(name: str, taken: Iterable[str]) -> str:
     >>> make_link_name("Load Cell/Out1", {"Load_Cell_Out1"})
     'Load_Cell_Out1_2'
     """
-    plain = re.sub(r"[^\w.+-]", "_", name)
-    plain = plain if plain.strip("._") else "unnamed"
-    used = set(taken)
-    numbered = (f"{plain}_{number}" for number in range(2, len(used) + 3))
-    return next(free for free in (plain, *numbered) if free not in used)
+    valid_name = re.sub(r"[^\w.+-]", "_", name)
+    valid_name = valid_name if valid_name.strip("._") else "unnamed"
+    names = set(used_names)
+    numbered = (f"{valid_name}_{number}" for number in range(2, len(names) + 3))
+    return next(candidate for candidate in (valid_name, *numbered) if candidate not in names)

@@ -1,4 +1,4 @@
-"""Parts of a result file that are more than one record, each with its writer and its reader."""
+"""Write and read the parts of a result file that consist of several records."""
 
 from __future__ import annotations
 
@@ -83,19 +83,19 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
     for name, (keys, words) in _SPECIMEN_WORDS.items():
-        if named := getattr(specimen, name):
-            target.write_texts(keys, tuple(named))
-            target.write_texts(words, tuple(named.values()))
+        if mapping := getattr(specimen, name):
+            target.write_texts(keys, tuple(mapping))
+            target.write_texts(words, tuple(mapping.values()))
     if specimen.bundle is not None:
         _write_bundle(target.open_group("bundle"), specimen.bundle)
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
     write_attributes(target, bundle, skip=("conduit_bore",))
-    target.group.attrs["conduit_bore"] = _number(bundle.conduit_bore)
+    target.group.attrs["conduit_bore"] = _none_to_nan(bundle.conduit_bore)
     target.group.attrs["conduit_bore_unit"] = "m"
     numbers = np.array([wire.number for wire in bundle.wires], dtype=np.int64)
-    diameters = np.array([_number(wire.diameter) for wire in bundle.wires])
+    diameters = np.array([_none_to_nan(wire.diameter) for wire in bundle.wires])
     target.write_array("wire_types", tuple(wire.type for wire in bundle.wires), _WIRE_TYPE)
     target.write_array("wire_numbers", numbers, _WIRE_NUMBER)
     target.write_array("wire_diameters", diameters, _WIRE_DIAMETER)
@@ -111,22 +111,22 @@ def read_specimen(root: Any) -> Specimen:
     ----------
     root : open result file
     """
-    named: dict[str, Any] = {
-        name: read_text(root, where) for name, where in _SPECIMEN_TEXTS.items()
+    root_texts: dict[str, Any] = {
+        name: read_text(root, attribute) for name, attribute in _SPECIMEN_TEXTS.items()
     }
     group = root[layout.SPECIMEN]
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(read_texts(group, "dimensions"), values, strict=True))
-    bundle = _bundle(group["bundle"]) if "bundle" in group else None
-    words: dict[str, Any] = {
+    bundle = _read_bundle(group["bundle"]) if "bundle" in group else None
+    mappings: dict[str, Any] = {
         name: dict(zip(read_texts(group, keys), read_texts(group, texts), strict=True))
         for name, (keys, texts) in _SPECIMEN_WORDS.items()
         if keys in group.attrs
     }
-    return Specimen(**named, **words, dimensions=dimensions, bundle=bundle)
+    return Specimen(**root_texts, **mappings, dimensions=dimensions, bundle=bundle)
 
 
-def _bundle(group: Any) -> Bundle:
+def _read_bundle(group: Any) -> Bundle:
     wires = zip(
         read_array(group, "wire_types", _WIRE_TYPE),
         read_array(group, "wire_numbers", _WIRE_NUMBER),
@@ -136,10 +136,11 @@ def _bundle(group: Any) -> Bundle:
     positions = read_array(group, "positions", _WIRE_POSITION) if "positions" in group else ()
     bundle = Bundle(
         wires=tuple(
-            BundleWire(wire_type, int(number), _optional(wide)) for wire_type, number, wide in wires
+            BundleWire(wire_type, int(number), _nan_to_none(diameter))
+            for wire_type, number, diameter in wires
         ),
         positions=tuple((float(x), float(y)) for x, y in positions),
-        conduit_bore=_optional(group.attrs["conduit_bore"]),
+        conduit_bore=_nan_to_none(group.attrs["conduit_bore"]),
         **read_attributes(group, Bundle, skip=("conduit_bore",)),
     )
     if bundle.arrangement not in ARRANGEMENTS or bundle.taping not in TAPINGS:
@@ -148,11 +149,11 @@ def _bundle(group: Any) -> Bundle:
     return bundle
 
 
-def _number(value: float | None) -> float:
+def _none_to_nan(value: float | None) -> float:
     return nan if value is None else float(value)
 
 
-def _optional(value: float) -> float | None:
+def _nan_to_none(value: float) -> float | None:
     return None if isnan(value) else float(value)
 
 
@@ -212,11 +213,11 @@ def _write_markers(target: Target, tracks: MarkerTracks) -> None:
     names: list[str] = []
     for body in tracks.bodies:
         names.append(make_link_name(body.name, names))
-        inside = bodies.open_group(names[-1])
-        inside.link_dataset(
+        body_group = bodies.open_group(names[-1])
+        body_group.link_dataset(
             layout.TIME, markers.group[layout.TIME], list_datasets(MarkerTracks)["time"]
         )
-        write_record(inside, body)
+        write_record(body_group, body)
     bodies.write_texts("bodies", tuple(names))
 
 
@@ -237,9 +238,9 @@ def read_recording(group: Any) -> Recording:
     recording = read_record(
         group,
         Recording,
-        clocks=tuple(_clock(group, name) for name in read_texts(group, "clocks")),
-        channels=tuple(_channel(group, name) for name in read_texts(group, "channels")),
-        markers=_markers(group) if _MARKERS in group else None,
+        clocks=tuple(_read_clock(group, name) for name in read_texts(group, "clocks")),
+        channels=tuple(_read_channel(group, name) for name in read_texts(group, "channels")),
+        markers=_read_markers(group) if _MARKERS in group else None,
         metadata=dict(json.loads(read_text(group, "metadata")).items()),
         notes=read_table(group, _NOTES, QualityNote),
     )
@@ -262,19 +263,19 @@ def _require_equal_lengths(recording: Recording) -> None:
             raise ValueError(message)
 
 
-def _clock(group: Any, name: str) -> Clock:
+def _read_clock(group: Any, name: str) -> Clock:
     time = read_array(group, name, list_datasets(Clock)["time"])
     return Clock(read_text(group[name], "clock"), time, read_text(group[name], "unit"))
 
 
-def _channel(group: Any, name: str) -> Channel:
-    fields = {key: read_text(group[name], where) for key, where in _CHANNEL_TEXTS.items()}
+def _read_channel(group: Any, name: str) -> Channel:
+    fields = {key: read_text(group[name], attribute) for key, attribute in _CHANNEL_TEXTS.items()}
     unit = read_text(group[name], "unit")
     values = read_array(group, name, _CHANNEL)
     return Channel(**fields, values=values, unit=None if unit == layout.UNSTATED_UNIT else unit)
 
 
-def _markers(group: Any) -> MarkerTracks:
+def _read_markers(group: Any) -> MarkerTracks:
     bodies = group[_BODIES]
     all_bodies = tuple(
         read_record(bodies[name], RigidBody) for name in read_texts(bodies, "bodies")
@@ -293,16 +294,18 @@ def write_raw(target: Target, result: TestResult) -> None:
     roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
     target.write_texts("roles", tuple(result.recordings))
     for role in roles:
-        inside = target.open_group(role)
-        places = [place for place, export in enumerate(result.inputs) if export.role == role]
-        inputs = [result.inputs[place] for place in places]
-        inside.write_texts("file", tuple(export.file for export in inputs))
-        inside.write_texts("sha256", tuple(export.sha256 for export in inputs))
+        role_group = target.open_group(role)
+        positions = [
+            position for position, export in enumerate(result.inputs) if export.role == role
+        ]
+        inputs = [result.inputs[position] for position in positions]
+        role_group.write_texts("file", tuple(export.file for export in inputs))
+        role_group.write_texts("sha256", tuple(export.sha256 for export in inputs))
         sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
-        inside.group.attrs["bytes"] = sizes
-        inside.group.attrs["input_order"] = np.array(places, dtype=np.int64)
+        role_group.group.attrs["bytes"] = sizes
+        role_group.group.attrs["input_order"] = np.array(positions, dtype=np.int64)
         if role in result.recordings:
-            write_recording(inside, result.recordings[role])
+            write_recording(role_group, result.recordings[role])
 
 
 def read_inputs(raw: Any) -> tuple[InputFile, ...]:
@@ -349,7 +352,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
 
 def read_aligned(root: Any) -> Aligned | None:
-    """Read the aligned signals; None without any.
+    """Read the aligned signals; return None if there are none.
 
     Parameters
     ----------
@@ -430,7 +433,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 
 
 def read_bending(root: Any) -> Bending | None:
-    """Read measured moments and curvatures; None without any.
+    """Read measured moments and curvatures; return None if there are none.
 
     Parameters
     ----------
@@ -455,15 +458,15 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
     group.write_texts("order", tuple(result.name for result in results))
     rows, budget = [], []
     for result in results:
-        inside = group.open_group(result.name)
-        set_number(inside.group, "value", _number(result.value))
-        set_text(inside.group, "seal", result.seal)
-        write_attributes(inside, result, skip=("name", "value"))
-        ends = result.interval or Interval(nan, nan, nan)
+        result_group = group.open_group(result.name)
+        set_number(result_group.group, "value", _none_to_nan(result.value))
+        set_text(result_group.group, "seal", result.seal)
+        write_attributes(result_group, result, skip=("name", "value"))
+        interval = result.interval or Interval(nan, nan, nan)
         rows.append(
             ResultRow(
-                *(result.name, result.value, result.best_estimate, ends.lower, ends.upper),
-                *(result.unit, ends.level, result.status),
+                *(result.name, result.value, result.best_estimate, interval.lower, interval.upper),
+                *(result.unit, interval.level, result.status),
                 *(", ".join(result.codes), result.reason_text),
             )
         )
@@ -485,7 +488,7 @@ def read_results(root: Any) -> tuple[Result, ...]:
     Raises
     ------
     ValueError
-        If a result has other numbers than its seal.
+        If the numbers of a result do not match its seal.
     """
     group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
     for row in read_rows(root, layout.BUDGETS, BudgetRow):

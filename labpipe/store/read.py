@@ -1,4 +1,4 @@
-"""Reading of result files: HDF5 to TestResult, fully checked."""
+"""Read result files: HDF5 to TestResult, with all checks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RawTest:
     Parameters
     ----------
     test : name of the test
-    specimen : what was tested
+    specimen : the tested specimen
     protocol : name of the protocol
     protocol_yaml : the resolved protocol
     test_yaml : the test sheet as written
@@ -70,7 +70,7 @@ def read_result(path: Path) -> TestResult:
     Raises
     ------
     StoreError
-        If the file is none of labpipe's, of a newer schema, truncated or damaged.
+        If the file is not a result file of labpipe, of a newer schema, truncated or damaged.
     """
     with open_result(path) as root:
         return _read(root, ("raw", "aligned", "shape", "bending"))
@@ -141,8 +141,8 @@ def _read_drawn_shapes(
         return None
     group, fields = root[layout.SHAPE], list_datasets(Shape)
     frames, deflection = choose(result, read_array(group, "time", fields["time"]))
-    places = read_array_rows(group, "positions", fields["positions"], frames)
-    return DrawnShapes(deflection, places[:, :, :2])
+    positions = read_array_rows(group, "positions", fields["positions"], frames)
+    return DrawnShapes(deflection, positions[:, :, :2])
 
 
 def _read_drawn_law(root: Any) -> DrawnLaw | None:
@@ -190,7 +190,7 @@ def read_raw(path: Path) -> RawTest:
         As `read_result`.
     """
     with open_result(path) as root:
-        return RawTest(**_head(root))
+        return RawTest(**_read_head(root))
 
 
 def read_name(path: Path) -> str:
@@ -225,7 +225,7 @@ def read_run(path: Path) -> str:
         return read_text(root, "run")
 
 
-def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
+def _read_head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share."""
     group = root[layout.RAW]
     roles = read_texts(group, "roles") if raw else ()
@@ -237,21 +237,21 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     }
 
 
-def _read(root: Any, parts: Collection[str] = ()) -> TestResult:
-    """Read the outcome, with the aligned signals if slips were repaired, and further parts."""
+def _read(root: Any, stages: Collection[str] = ()) -> TestResult:
+    """Read the outcome and the requested stages; aligned signals also if slips were repaired."""
     display = json.loads(read_text(root, "display"))
     curve = read_curve(root)
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
-    has_shape = "shape" in parts and layout.SHAPE in root
+    has_shape = "shape" in stages and layout.SHAPE in root
     return TestResult(
-        **_head(root, raw="raw" in parts),
+        **_read_head(root, raw="raw" in stages),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
         **curve,
         results=read_results(root),
         quality=read_table(root, layout.QUALITY, QualityNote),
         display={str(key): str(unit) for key, unit in display.items()},
         instruments=read_rows(root, layout.INSTRUMENTS, Instrument),
-        aligned=read_aligned(root) if "aligned" in parts or is_repaired else None,
+        aligned=read_aligned(root) if "aligned" in stages or is_repaired else None,
         shape=read_record(root[layout.SHAPE], Shape) if has_shape else None,
-        bending=read_bending(root) if "bending" in parts else None,
+        bending=read_bending(root) if "bending" in stages else None,
     )

@@ -1,4 +1,4 @@
-"""Atomic replacement of files in the folder of a test, by one process at a time."""
+"""Replace files in the folder of a test atomically, by one process at a time."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
     ----------
     folder : contains files that belong together, such as a result and its figures; files with other
         names are kept. No other process may write in it meanwhile (`locked`)
-    owned : files below it, with slashes, that are removed if there is no new one, as they belong to
-        other numbers
+    owned : files below it, with slashes, that are removed if there is no new one, because they
+        belong to earlier numbers
 
     Yields
     ------
@@ -135,7 +135,7 @@ def finish_cut_off(folder: Path) -> bool:
     """
     if not is_cut_off(folder):
         return False
-    moves = _moves(folder)
+    moves = _list_moves(folder)
     for move in moves:
         move.apply()
     _finish(folder, moves)
@@ -144,20 +144,20 @@ def finish_cut_off(folder: Path) -> bool:
 
 def _commit(folder: Path, owned: Iterable[str]) -> None:
     stage = folder / _STAGE
-    files = _files(stage / _FILES)
+    files = _list_files(stage / _FILES)
     removed = [name for name in owned if name not in files and (folder / name).is_file()]
     (stage / _REMOVED).write_text("\n".join(removed), encoding="utf-8")
     _require_places(folder, files)
     paths = list(stage.rglob("*"))
     with ThreadPoolExecutor(max_workers=8) as pool:  # disks flush several files faster in parallel
         list(pool.map(_flush_to_disk, (path for path in paths if path.is_file())))
-    for place in (*(path for path in paths if path.is_dir()), stage):
-        _flush_folder(place)
+    for subfolder in (*(path for path in paths if path.is_dir()), stage):
+        _flush_folder(subfolder)
     moves: list[_Move] = []
     try:
         stage.rename(folder / _COMMIT)
         _flush_folder(folder)
-        moves = _moves(folder)
+        moves = _list_moves(folder)
         for move in moves:
             move.apply()
         _finish(folder, moves)
@@ -170,7 +170,7 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
 
 
 class _Move(NamedTuple):
-    """Move of the file at `destination` aside, and of the new file, if any, to its place."""
+    """Move of the file at `destination` to `aside`, and of `new`, if any, in its place."""
 
     new: Path
     destination: Path
@@ -194,11 +194,11 @@ class _Move(NamedTuple):
                 self.destination.parent.rmdir()
 
 
-def _moves(folder: Path) -> list[_Move]:
+def _list_moves(folder: Path) -> list[_Move]:
     """Return the remaining moves: removed files, then new ones, the result last."""
     commit = folder / _COMMIT
     removed = (commit / _REMOVED).read_text(encoding="utf-8").splitlines()
-    names = [*removed, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
+    names = [*removed, *sorted(_list_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
     _require_places(folder, names)
     return [
         _Move(commit / _FILES / name, folder / name, commit / _REPLACED / name) for name in names
@@ -207,15 +207,15 @@ def _moves(folder: Path) -> list[_Move]:
 
 def _finish(folder: Path, moves: Iterable[_Move]) -> None:
     """Flush the moves to the disk, then delete the earlier files."""
-    for place in {move.destination.parent for move in moves} | {folder}:
-        if place.is_dir():
-            _flush_folder(place)
+    for parent in {move.destination.parent for move in moves} | {folder}:
+        if parent.is_dir():
+            _flush_folder(parent)
     shutil.rmtree(folder / _DONE, ignore_errors=True)
     (folder / _COMMIT).rename(folder / _DONE)
     shutil.rmtree(folder / _DONE, ignore_errors=True)
 
 
-def _files(folder: Path) -> list[str]:
+def _list_files(folder: Path) -> list[str]:
     """Return the files below a folder, with slashes."""
     paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return [path.relative_to(folder).as_posix() for path in paths]
@@ -223,13 +223,13 @@ def _files(folder: Path) -> list[str]:
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
     """Raise an OSError for impossible moves, or moves out of the folder, before any move."""
-    goals = [folder / name for name in names]
-    for place in {goal.parent for goal in goals}:
-        if place.exists() and not place.is_dir():
+    destinations = [folder / name for name in names]
+    for parent in {destination.parent for destination in destinations}:
+        if parent.exists() and not parent.is_dir():
             raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if not place.resolve().is_relative_to(folder.resolve()):
+        if not parent.resolve().is_relative_to(folder.resolve()):
             raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
-    if any(goal.is_dir() for goal in goals):
+    if any(destination.is_dir() for destination in destinations):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
 
 
@@ -269,7 +269,7 @@ _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
 
 @contextmanager
 def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
-    """Keep other labpipe processes out of `folder` while the block runs.
+    """Lock a folder against other labpipe processes while the block runs.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
 
 
 def _acquire(path: Path, end: float) -> int:
-    """Open the lock file and lock it; repeat if its last owner removed it in between."""
+    """Open the lock file and lock it; repeat if its previous owner removed it meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):

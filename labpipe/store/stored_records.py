@@ -1,4 +1,4 @@
-"""Records in a result file: written and read as `layout` derives them from their annotations."""
+"""Write and read records of a result file, as `layout` derives them from their annotations."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_record(group: Any, kind: type[_R], **others: object) -> _R:
     ----------
     group : of the record
     kind : its type
-    others : fields that are elsewhere
+    others : values of fields that are stored elsewhere
     """
     return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=others), **others)
 
@@ -87,13 +87,13 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     kind : its type
     names : of the arrays; none for all
     """
-    read: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for name, field in list_datasets(kind).items():
         if not names or name in names:
-            read[name] = read_array(group, name, field)
+            arrays[name] = read_array(group, name, field)
             if field.stated_in:
-                read[field.stated_in] = read_text(group[name], "unit")
-    return read
+                arrays[field.stated_in] = read_text(group[name], "unit")
+    return arrays
 
 
 def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
@@ -122,7 +122,7 @@ def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any
     elif isinstance(value, tuple):
         set_texts(group, name, value)
     elif kind not in (int, float, Interval):
-        set_text(group, name, _text_of(value))
+        set_text(group, name, _format_cell(value))
     elif value is not None:
         set_number(group, name, kind(value))
         if unit is not None:
@@ -139,7 +139,11 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     skip : names of fields that are elsewhere
     """
     attributes = list_attributes(kind).items()
-    return {name: _read_attribute(group, name, of) for name, of in attributes if name not in skip}
+    return {
+        name: _read_attribute(group, name, attribute)
+        for name, attribute in attributes
+        if name not in skip
+    }
 
 
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
@@ -151,7 +155,7 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     if kind == tuple[str, ...]:
         return read_texts(group, name)
     if kind not in (int, float, Interval):
-        return _cell({name: read_text(group, name)}, name, attribute)
+        return _parse_cell({name: read_text(group, name)}, name, attribute)
     names = [find_stem(name) + end for end in _ENDS] if kind is Interval else [name]
     if is_optional and not has_attribute(group, names[0]):
         return None
@@ -176,14 +180,14 @@ def write_table(
         cells = [getattr(row, source) for row in rows]
         if end:
             cells = [getattr(interval, end) for interval in cells]
-        values: Any = tuple(map(_text_of, cells))
+        values: Any = tuple(map(_format_cell, cells))
         if field.dtype != TEXT:
             values = np.array([nan if cell is None else cell for cell in cells], field.dtype)
         table.write_array(column, values, field, unit)
     table.attach_scales()
 
 
-def _text_of(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
 
 
@@ -206,16 +210,19 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     columns = [column if isinstance(column, tuple) else column.tolist() for column in columns]
     rows = (dict(zip(list_columns(kind), row, strict=True)) for row in zip(*columns, strict=True))
     fields = list_attributes(kind).items()
-    return tuple(kind(**{field: _cell(row, field, of) for field, of in fields}) for row in rows)
+    return tuple(
+        kind(**{field: _parse_cell(row, field, attribute) for field, attribute in fields})
+        for row in rows
+    )
 
 
-def _cell(row: Mapping[str, Any], name: str, of: AttributeSpec) -> Any:
+def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
     """Return one field of a record from a row."""
-    if of.kind is Interval:
+    if attribute.kind is Interval:
         return Interval(*(row[find_stem(name) + end] for end in ("lower", "upper")))
     cell = row[name]
-    if of.is_optional and (cell == "" or (of.kind is float and isnan(cell))):
+    if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
         return None
-    if of.kind is date:
+    if attribute.kind is date:
         return date.fromisoformat(cell)
-    return tuple(cell.split(", ")) if of.kind == tuple[str, ...] else of.kind(cell)
+    return tuple(cell.split(", ")) if attribute.kind == tuple[str, ...] else attribute.kind(cell)

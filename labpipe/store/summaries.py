@@ -1,4 +1,4 @@
-"""Summary and failure of a test: writing and reading of summary.json, writing of failure.json."""
+"""Write and read the summary of a test (summary.json), and write its failure (failure.json)."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def build_summary(result: TestResult) -> dict[str, object]:
     return {
         "schema": SUMMARY_SCHEMA,
         "test": result.test,
-        "specimen": _specimen(result.specimen),
+        "specimen": _build_specimen(result.specimen),
         "protocol": result.protocol,
         "labpipe": result.labpipe_version,
-        "inputs": _inputs(result.inputs),
+        "inputs": _build_inputs(result.inputs),
         "date": to_json(result.date),
         "operator": result.operator,
         "instruments": to_json(result.instruments),
@@ -53,7 +53,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
             "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
         },
         "results": [build_result_entry(entry) for entry in result.results],
-        **_verdict(result),
+        **_build_verdict(result),
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}
             for note in result.quality
@@ -62,7 +62,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
 
 
 def write_summary(result: TestResult, path: Path) -> None:
-    """Write ``summary.json``; an earlier one is kept until the new one is complete.
+    """Write ``summary.json``; an earlier file is kept until the new one is complete.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def write_summary(result: TestResult, path: Path) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """Convert records and arrays to what JSON has: no NaN, no tuples, days as texts."""
+    """Convert records and arrays to types of JSON: no NaN, no tuples, dates as texts."""
     if is_dataclass(value):
         return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -108,11 +108,11 @@ def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
     return {entry: to_json(getattr(record, name)) for entry, name in attributes.items()}
 
 
-def _specimen(specimen: Specimen) -> dict[str, object]:
+def _build_specimen(specimen: Specimen) -> dict[str, object]:
     content = to_json(specimen)
     bundle = specimen.bundle
-    about = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
-    optional = {"bundle": about | (content["bundle"] or {}), "labels": content["labels"]}
+    bundle_totals = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
+    optional = {"bundle": bundle_totals | (content["bundle"] or {}), "labels": content["labels"]}
     optional["observed"] = content["observed"]
     return {
         **{name: content[name] for name in ("type", "spool", "sample")},
@@ -121,8 +121,8 @@ def _specimen(specimen: Specimen) -> dict[str, object]:
     }
 
 
-def _verdict(result: TestResult) -> dict[str, object]:
-    """Return the verdict on a test whose protocol asks for a limit."""
+def _build_verdict(result: TestResult) -> dict[str, object]:
+    """Return the verdict on a test; empty if its protocol states no limit."""
     share = find_result(result.results, PEAK_OVER_LIMIT)
     return {} if share is None else {"verdict": to_json(judge_sample(share))}
 
@@ -134,15 +134,15 @@ def build_result_entry(result: Result) -> dict[str, object]:
     ----------
     result : of a test, or of a harness
     """
-    ends = result.interval
+    interval = result.interval
     shares = zip(result.budget, result.shares, strict=True)
     entry: dict[str, object] = to_json({
         "name": result.name,
         "value": result.value,
         "unit": result.unit,
-        "lower": ends and ends.lower,
-        "upper": ends and ends.upper,
-        "level": ends and ends.level,
+        "lower": interval and interval.lower,
+        "upper": interval and interval.upper,
+        "level": interval and interval.level,
         "estimate": result.best_estimate,
         "status": result.status,
         "seal": result.seal,
@@ -158,7 +158,7 @@ def build_result_entry(result: Result) -> dict[str, object]:
     return entry
 
 
-def _inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
+def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
     return [
         {"role": export.role, "file": export.file, "sha256": export.sha256} for export in inputs
     ]
@@ -217,7 +217,7 @@ def read_summary(path: Path) -> dict[str, Any]:
     StoreError
         If it cannot be read, is not a summary of labpipe, or is of another schema.
     """
-    # A summary of a test of a hundred cycles has a hundredth of it.
+    # A summary of a test of a hundred cycles has a hundredth of this size.
     max_bytes = 1 << 26
     try:
         if not path.is_file() or path.stat().st_size > max_bytes:
@@ -273,7 +273,7 @@ def write_failure(failure: FailedTest, folder: Path) -> None:
         If it cannot be written, or another labpipe process works in the folder.
     """
     head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
-    content = head | asdict(failure) | {"inputs": _inputs(failure.inputs)}
+    content = head | asdict(failure) | {"inputs": _build_inputs(failure.inputs)}
     text = json.dumps(content, indent=2, ensure_ascii=False)
     with locked(folder), replacing(folder / FAILURE_FILE) as temporary:
         temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -1,4 +1,4 @@
-"""Writing of result files: TestResult to HDF5, verified before the old file is replaced."""
+"""Write result files: TestResult to HDF5, verified before the old file is replaced."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def write_result(result: TestResult, path: Path) -> None:
     Raises
     ------
     StoreError
-        If it cannot be written, or does not read back as written. An earlier file at `path` is
-        then unchanged.
+        If the file cannot be written, or its content differs when it is read again. An earlier file
+        at `path` is then unchanged.
 
     Notes
     -----
@@ -49,13 +49,13 @@ def write_result(result: TestResult, path: Path) -> None:
     (about as large as on disk), because the HDF5 library cannot close a file properly when the disk
     becomes full.
     """
-    image, written = _image(result)
+    image, written = _build_image(result)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
         _verify(temporary, path, image, written)
 
 
-def _image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
+def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
     """Return the file as bytes, with the arrays by dataset for verification."""
     with (
         ThreadPoolExecutor(max(os.cpu_count() or 1, 2)) as pool,
@@ -72,17 +72,17 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
 
     An array in several groups has the same chunks in each: it is read once.
     """
-    is_whole = temporary.read_bytes() == image
-    if is_whole:
+    is_identical = temporary.read_bytes() == image
+    if is_identical:
         try:
             with h5py.File(temporary, "r") as root:
                 unique = {locate_array(array): name for name, array in written.items()}.values()
-                is_whole = all(
+                is_identical = all(
                     has_same_content(open_dataset(root, name), written[name]) for name in unique
                 )
         except OSError:  # a wrong checksum
-            is_whole = False
-    if not is_whole:
+            is_identical = False
+    if not is_identical:
         raise StoreError.about("store.not_verified", path)
 
 

@@ -12,7 +12,7 @@ from scipy.fft import dct
 from labpipe.records.arrays import Floats
 
 MAX_COSINES = 128
-"""Maximum number of cosines (half waves over the window) for the estimate of the noise."""
+"""Maximum number of cosines, half waves over the window, from which the noise is estimated."""
 _WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
 """White noise in addition to correlated noise, as shares of the spectrum at frequency zero."""
 
@@ -41,14 +41,14 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
         return float("nan")
     centred = values - values.mean()
     lags = min(int(1.3 * np.sqrt(count)), count // 4)
-    plain = float(centred @ centred) / count
-    total = plain
+    variance = float(centred @ centred) / count
+    long_run = variance
     for lag in range(1, lags + 1):
         covariance = float(centred[lag:] @ centred[:-lag]) / count
-        total += 2.0 * (1.0 - lag / (lags + 1.0)) * covariance
+        long_run += 2.0 * (1.0 - lag / (lags + 1.0)) * covariance
     # A fit removes low frequencies from its residuals, so the weighted sum is too small.
-    lost = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
-    return max(total / lost, 0.5 * plain) * count / (count - parameters)
+    remaining_share = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
+    return max(long_run / remaining_share, 0.5 * variance) * count / (count - parameters)
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
@@ -79,11 +79,11 @@ def estimate_fast_noise(values: Floats) -> Floats:
 
 
 def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
-    """Scale a limit from the fast noise of one record to the noise of each of many similar records.
+    """Scale a limit to the fast noise of each of many similar records.
 
     Parameters
     ----------
-    limit : in any unit
+    limit : for the mean noise of the records, in any unit
     rows : shape (rows, n), records; columns with a NaN are ignored
 
     Returns
@@ -91,18 +91,18 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
     Shape (rows,): `limit` times the noise of each row over their mean noise.
     """
     noise = estimate_fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
-    middle = float(noise.mean())
-    return limit * noise / middle if middle > 0.0 else np.full(len(rows), limit)
+    mean_noise = float(noise.mean())
+    return limit * noise / mean_noise if mean_noise > 0.0 else np.full(len(rows), limit)
 
 
 @dataclass(frozen=True, slots=True)
 class SpectrumGrid:
-    """Grid of correlation times.
+    """Grid of correlation times, and the prior of the spectra with these times.
 
     Parameters
     ----------
     count : samples of the longest stretch; the longest correlation time is a fifth of it
-    terms : number of its cosines that are used
+    terms : number of cosines used of that stretch
     """
 
     count: int
@@ -124,7 +124,7 @@ class SpectrumGrid:
         # window (see the studies).
         prior_power = -0.4
         prior = (self.times / self.times[0]) ** prior_power
-        half = 0.5 * prior  # with and without white noise below: equally probable
+        half = 0.5 * prior  # without and with added white noise: equally probable
         return np.concatenate(
             [prior[::-1], [1.0], half, *[half / len(_WHITE_FLOORS)] * len(_WHITE_FLOORS)]
         )
@@ -142,7 +142,7 @@ class SpectrumLikelihood:
     squares : shape (g,), whitened sum of squares
     freedom : degrees of freedom: cosines minus coefficients
     shifts : shape (g, stretches, p), change of the coefficients by generalised least squares
-    unit : shape (g, p, p), their covariance for noise whose spectrum is 1 at frequency zero
+    unit_covariance : shape (g, p, p), of these coefficients for a spectrum of 1 at frequency zero
     """
 
     spectra: Floats
@@ -151,7 +151,7 @@ class SpectrumLikelihood:
     squares: Floats
     freedom: int
     shifts: Floats
-    unit: Floats
+    unit_covariance: Floats
 
     @classmethod
     def from_values(
@@ -164,13 +164,17 @@ class SpectrumLikelihood:
         basis : shape (p, n), orthonormal rows
         values : shape (n,) or (stretches, n), without NaN; the part that the basis explains has no
             effect
-        grid : of the spectra
+        grid : correlation times of the spectra
         n_cosines : number of cosines used, the slowest
         """
-        spent, count = basis.shape
+        n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
         cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
-        return cls.from_cosines(_spectra(grid, count, terms), cosines[spent:], cosines[:spent].T)
+        return cls.from_cosines(
+            _compute_spectra(grid, count, terms),
+            cosines[n_coefficients:],
+            cosines[:n_coefficients].T,
+        )
 
     @classmethod
     def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
@@ -182,27 +186,33 @@ class SpectrumLikelihood:
         waves : shape (stretches, terms), cosines of the values
         columns : shape (terms, p), those of the basis
         """
-        inverse, (count, spent) = 1.0 / spectra, (len(waves), columns.shape[1])
-        information = (inverse @ _products(columns)).reshape(-1, spent, spent)
+        inverse, (count, n_coefficients) = 1.0 / spectra, (len(waves), columns.shape[1])
+        information = (inverse @ _multiply_columns(columns)).reshape(
+            -1, n_coefficients, n_coefficients
+        )
         weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
-        score = (inverse @ weighted).reshape(len(inverse), count, spent)
-        unit = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        shifts: Floats = score @ unit
-        explained = np.vecdot(shifts.reshape(len(unit), -1), score.reshape(len(unit), -1))
+        score = (inverse @ weighted).reshape(len(inverse), count, n_coefficients)
+        unit_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        shifts: Floats = score @ unit_covariance
+        explained = np.vecdot(
+            shifts.reshape(len(unit_covariance), -1), score.reshape(len(unit_covariance), -1)
+        )
         squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
         logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
-        freedom = count * (len(columns) - spent)
-        return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit)
+        freedom = count * (len(columns) - n_coefficients)
+        return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit_covariance)
 
-    def plain_covariance(self) -> Floats:
+    def compute_least_squares_covariance(self) -> Floats:
         """Return the covariance of ordinary least squares under each spectrum.
 
         Beyond the last cosine, the noise has at most the power of that cosine.
         """
-        spent = self.columns.shape[1]
-        beyond = np.eye(spent) - self.columns.T @ self.columns
-        unit = (self.spectra @ _products(self.columns)).reshape(-1, spent, spent)
-        covariance: Floats = unit + self.spectra[:, -1, None, None] * beyond
+        n_coefficients = self.columns.shape[1]
+        beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
+        unit_covariance = (self.spectra @ _multiply_columns(self.columns)).reshape(
+            -1, n_coefficients, n_coefficients
+        )
+        covariance: Floats = unit_covariance + self.spectra[:, -1, None, None] * beyond
         return covariance
 
 
@@ -212,12 +222,12 @@ class SpectrumPosterior:
 
     Parameters
     ----------
-    chances : shape (g,), sum to 1
+    probabilities : shape (g,), sum 1
     variances : shape (g,), of each spectrum at frequency zero
-    freedom : of the variances
+    freedom : degrees of freedom of the variances
     """
 
-    chances: Floats
+    probabilities: Floats
     variances: Floats
     freedom: int
 
@@ -228,8 +238,8 @@ class SpectrumPosterior:
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
         logs = np.sum([stretch.likelihood for stretch in stretches], axis=0)
         logs -= 0.5 * freedom * np.log(np.maximum(squares, np.finfo(float).tiny))
-        chances = prior * np.exp(logs - logs[prior > 0.0].max())
-        return cls(chances / chances.sum(), squares / freedom, freedom)
+        probabilities = prior * np.exp(logs - logs[prior > 0.0].max())
+        return cls(probabilities / probabilities.sum(), squares / freedom, freedom)
 
 
 def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
@@ -264,35 +274,35 @@ def build_cubic_basis(count: int) -> Floats:
 
 def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
     """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p)."""
-    spent, count = basis.shape
-    covariances = _covariances(grid, count)
-    unit = np.empty((len(covariances), spent, spent))
-    for one in range(spent):
-        for other in range(spent):
-            correlations = np.correlate(basis[one], basis[other], mode="full")
+    n_coefficients, count = basis.shape
+    covariances = _compute_autocovariances(grid, count)
+    unit_covariance = np.empty((len(covariances), n_coefficients, n_coefficients))
+    for row in range(n_coefficients):
+        for column in range(n_coefficients):
+            correlations = np.correlate(basis[row], basis[column], mode="full")
             lagged = correlations[count - 1 :].copy()
             lagged[1:] += correlations[: count - 1][::-1]
-            unit[:, one, other] = covariances @ lagged
-    return unit
+            unit_covariance[:, row, column] = covariances @ lagged
+    return unit_covariance
 
 
-def _covariances(grid: SpectrumGrid, count: int) -> Floats:
-    """Return autocovariances of noise with the spectra of `_spectra`, shape (g, count)."""
+def _compute_autocovariances(grid: SpectrumGrid, count: int) -> Floats:
+    """Return autocovariances of noise with the spectra of `_compute_spectra`, shape (g, count)."""
     lags, factors = np.arange(count), np.exp(-1.0 / grid.times)[:, None]
-    slow = (1.0 - factors) / (1.0 + factors) * factors**lags
+    autoregressive = (1.0 - factors) / (1.0 + factors) * factors**lags
     white = (lags == 0).astype(np.float64)[None, :]
-    moving = ((1.0 + factors**2) * white - factors * (lags == 1)) / (1.0 - factors) ** 2
-    mixed = [floor * white + (1.0 - floor) * slow for floor in _WHITE_FLOORS]
-    return np.vstack([moving[::-1], white, slow, *mixed])
+    mirrored = ((1.0 + factors**2) * white - factors * (lags == 1)) / (1.0 - factors) ** 2
+    mixed = [floor * white + (1.0 - floor) * autoregressive for floor in _WHITE_FLOORS]
+    return np.vstack([mirrored[::-1], white, autoregressive, *mixed])
 
 
-def _products(waves: Floats) -> Floats:
+def _multiply_columns(waves: Floats) -> Floats:
     """Return all products of two columns, shape (terms, p^2)."""
     return (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
 
 
 @lru_cache(maxsize=16)
-def _spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
+def _compute_spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
     """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
     White noise is added in shares from zero to a third: a load cell has both kinds, and the fit of

@@ -27,9 +27,10 @@ class Trace:
     branches : in samples of the curve
     failed_at : sample of the failure, or None
     sizes : m (an area m^2), of specimen and rig, by key of the protocol
-    steps_beyond : time from the last sample before a failure or turn to it, in sampling steps
-    steps : number of parts of each original sampling step
-    is_smooth : whether it has no noise: limits by the noise are then those of the measured curve
+    steps_beyond : sampling steps from the last sample before a failure or turn to that event
+    parts_per_step : parts into which each original sampling step is divided
+    is_smooth : whether the curve has no noise; limits that depend on noise are then taken from the
+        measured curve
     """
 
     time: Floats
@@ -39,35 +40,35 @@ class Trace:
     failed_at: int | None = None
     sizes: Mapping[str, float] = field(default_factory=dict)
     steps_beyond: float = 0.0
-    steps: int = 1
+    parts_per_step: int = 1
     is_smooth: bool = False
 
-    def refine(self, times: int, *, has_corners: bool = False) -> Trace:
+    def refine(self, parts: int, *, has_corners: bool = False) -> Trace:
         """Return the curve with each sampling step divided by linear interpolation.
 
         Parameters
         ----------
-        times : parts per step, at least 1
+        parts : parts per step, at least 1
         has_corners : whether, instead, the neighbouring steps are extended to their intersection
             in the divided step
         """
-        if times == 1:
+        if parts == 1:
             return self
         count = len(self.time)
-        places = np.arange((count - 1) * times + 1) / times
-        along = np.arange(count)
+        places = np.arange((count - 1) * parts + 1) / parts
+        samples = np.arange(count)
         time, displacement, force = (
-            np.interp(places, along, values)
+            np.interp(places, samples, values)
             for values in (self.time, self.displacement, self.force)
         )
         if has_corners:
-            displacement = displacement + _beyond_chords(self.displacement, times)
-            force = force + _beyond_chords(self.force, times)
+            displacement = displacement + _compute_corner_excess(self.displacement, parts)
+            force = force + _compute_corner_excess(self.force, parts)
         branches = tuple(
-            replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
+            replace(branch, start=parts * branch.start, stop=max(parts * (branch.stop - 1) + 1, 0))
             for branch in self.branches
         )
-        failed = None if self.failed_at is None else times * self.failed_at
+        failed = None if self.failed_at is None else parts * self.failed_at
         return replace(
             self,
             time=time,
@@ -75,23 +76,24 @@ class Trace:
             force=force,
             branches=branches,
             failed_at=failed,
-            steps=times * self.steps,
+            parts_per_step=parts * self.parts_per_step,
         )
 
 
-def _beyond_chords(values: Floats, times: int) -> Floats:
-    """Return what the lines of the neighbouring steps add to each divided step, up to a corner.
+def _compute_corner_excess(values: Floats, parts: int) -> Floats:
+    """Return the excess of a corner over linear interpolation at each part of a step.
 
-    Zero in a step that is not between its neighbours, and in the first and the last one.
+    The corner is the intersection of the neighbouring steps. The excess is zero in a step without
+    such an intersection, and in the first and the last step.
     """
-    beyond = np.zeros((len(values) - 1, times))
+    beyond = np.zeros((len(values) - 1, parts))
     steps = np.diff(values)
     if len(steps) >= 3:
-        share = np.arange(times) / times
+        share = np.arange(parts) / parts
         before, after = steps[:-2] - steps[1:-1], steps[1:-1] - steps[2:]
         lines = np.stack([np.outer(before, share), np.outer(after, 1.0 - share)])
-        nearer = np.where(before > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
-        beyond[1:-1] = np.where((before * after > 0.0)[:, None], nearer, 0.0)
+        excess = np.where(before > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        beyond[1:-1] = np.where((before * after > 0.0)[:, None], excess, 0.0)
     return np.append(beyond.ravel(), 0.0)
 
 
@@ -104,14 +106,13 @@ class Reading:
     numbers : returns each number of a trace with the same samples, shape (...) of the curves; NaN
         for a curve without the number
     n : number of samples used
-    noisy_numbers : the same for curves with noise, if noise changes which samples are read, else
-        None
-    ends_at_samples : whether windows end at samples, and nothing else depends on the sampling:
-        finer samples then show the effect of the sampling
+    noisy_numbers : the same for curves with noise; None if noise does not change which samples are
+        read
+    ends_at_samples : whether the windows end at samples, and nothing else depends on the sampling.
+        The numbers on finer samples then show the effect of the sampling
     depends_on_corners : whether that effect is taken from the measured curve, because the smooth
         one rounds off corners that the number depends on
-    sampling_correction : correction of each number to infinitely fine samples, if the extractor
-        knows it
+    sampling_correction : correction of each number to infinitely fine samples; None if unknown
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -153,7 +154,7 @@ def read_part(
 
 
 def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
-    """Combine numbers into one.
+    """Combine several numbers into one number.
 
     Parameters
     ----------
@@ -167,12 +168,12 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
         def numbers(trace: Trace) -> tuple[Floats]:
             return (function(trace, *(reading.numbers(trace)[0] for reading in readings)),)
 
-        def drawn(trace: Trace) -> tuple[Floats]:
+        def noisy_numbers(trace: Trace) -> tuple[Floats]:
             values = (reading.replicate_numbers(trace)[0] for reading in readings)
             return (function(trace, *values),)
 
-        is_cut = all(reading.ends_at_samples for reading in readings)
-        has_corners = any(reading.depends_on_corners for reading in readings)
-        return Reading(numbers, readings[0].n, drawn, is_cut, has_corners)
+        ends_at_samples = all(reading.ends_at_samples for reading in readings)
+        depends_on_corners = any(reading.depends_on_corners for reading in readings)
+        return Reading(numbers, readings[0].n, noisy_numbers, ends_at_samples, depends_on_corners)
 
     return decide

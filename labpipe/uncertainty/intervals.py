@@ -29,10 +29,12 @@ from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
 from labpipe.uncertainty.replicates import Curves, Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
-_BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
-"""The effect of finer samples is computed on a curve that is smoother or rougher than the true one:
-the true effect is taken between -1/2 and 3/2 of it."""
-_CORNERS = Input(STEP, lambda trace, _: trace, law="uniform", stream="corners between samples")
+_SAMPLING = Input(STEP, lambda trace, _: trace, distribution="uniform", stream="between samples")
+"""The effect of finer samples is computed on a curve that may be smoother or rougher than the true
+one: the true effect is assumed to be from -1/2 to 3/2 of it."""
+_CORNERS = Input(
+    STEP, lambda trace, _: trace, distribution="uniform", stream="corners between samples"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +48,8 @@ class Measured:
         a replicate has none
     budget : contributions to the uncertainty
     n : number of samples used
-    doubts : reasons why the interval may be wrong, with the quantity whose noise is the cause
+    doubts : reasons why the interval may be wrong, each with the quantity whose noise causes it, or
+        an empty text
     """
 
     value: float
@@ -89,7 +92,7 @@ def measure_numbers(
     ----------
     replicates : of the curve
     decide : chooses the samples of the numbers
-    values : the numbers, if they were computed from more samples than the curve has
+    values : the numbers, if they were computed from more samples than those of the curve
 
     Returns
     -------
@@ -100,58 +103,60 @@ def measure_numbers(
     UnavailableError
         If the measured curve, or half of the replicates, do not have them.
     """
-    # Noise below this share of the number raises no doubt,
+    # Noise below this share of the number raises no doubt.
     slight_share = 5e-4
-    # nor below this share of its standard uncertainty: twice that noise would widen the interval by
-    # less than a fifth.
+    # Nor does noise below this share of the standard uncertainty: twice that noise would widen the
+    # interval by less than a fifth.
     small_uncertainty_share = 0.38
     reading = decide(replicates.measured)
     if values is None:
         values = [float(number) for number in reading.numbers(replicates.measured)]
-    plain = _decide_on_smooth(replicates, decide, reading)
-    smooth = SmoothNumbers.of(decide, replicates.smooth, plain, replicates.curves)
-    drawn = [np.asarray(plain.replicate_numbers(trace)) for trace in replicates.traces()]
+    smooth_reading = _decide_on_smooth(replicates, decide, reading)
+    smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
+    drawn = [np.asarray(smooth_reading.replicate_numbers(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
-    between, spread_between = _between_samples(replicates, reading, smooth)
-    off = noise - between
-    parts, doubts = [(STEP, spread_between)], list[tuple[str, Reason]]()
+    sampling_errors, sampling_spread = _draw_sampling_errors(replicates, reading, smooth)
+    deviations = noise - sampling_errors
+    parts, doubts = [(STEP, sampling_spread)], list[tuple[str, Reason]]()
     input_doubts = list[tuple[Floats, Reason]]()
     for quantity in replicates.inputs:
         low, high = (smooth.compute_change(quantity, x) for x in (-1.0, 1.0))
-        if np.isnan(low + high).any():  # a missing change on one side is the mirrored other one
+        if np.isnan(low + high).any():  # a missing change is the opposite of the other one
             low, high = np.where(np.isnan(low), -high, low), np.where(np.isnan(high), -low, high)
             doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
         z = replicates.draw_input(quantity)
-        off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
+        deviations = deviations + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
         input_doubts += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
-    lost = float(np.isnan(off).any(axis=0).mean())
-    not_repeatable = Reason.of("uncertainty.not_repeatable", lost=lost)
-    if lost >= 0.5:
+    missing_share = float(np.isnan(deviations).any(axis=0).mean())
+    not_repeatable = Reason.of("uncertainty.not_repeatable", missing=missing_share)
+    if missing_share >= 0.5:
         raise UnavailableError(not_repeatable)
-    if lost > 0.05:
+    if missing_share > 0.05:
         doubts.append(("", not_repeatable))
-    noise_doubts = tuple(_slow_noise_doubts(replicates, plain.n))
-    spread, slight = np.nanstd(noise, axis=1), slight_share * np.abs(values)
-    matters = spread > np.maximum(slight, small_uncertainty_share * np.nanstd(off, axis=1))
+    noise_doubts = tuple(_list_slow_noise_doubts(replicates, smooth_reading.n))
+    spread, negligible = np.nanstd(noise, axis=1), slight_share * np.abs(values)
+    is_relevant = spread > np.maximum(
+        negligible, small_uncertainty_share * np.nanstd(deviations, axis=1)
+    )
     return tuple(
         Measured(
             value,
-            off[row],
-            _budget(float(spread[row]), parts, row),
+            deviations[row],
+            _make_budget(float(spread[row]), parts, row),
             reading.n,
             (
                 *doubts,
-                *_interval_doubts(value, off[row]),
-                *(noise_doubts if matters[row] else ()),
-                *(("", reason) for by, reason in input_doubts if by[row] > slight[row]),
+                *_list_interval_doubts(value, deviations[row]),
+                *(noise_doubts if is_relevant[row] else ()),
+                *(("", reason) for by, reason in input_doubts if by[row] > negligible[row]),
             ),
         )
         for row, value in enumerate(values)
     )
 
 
-def _between_samples(
+def _draw_sampling_errors(
     replicates: Replicates, reading: Reading, smooth: SmoothNumbers
 ) -> tuple[Floats, Floats]:
     """Draw the correction of numbers to infinitely fine samples.
@@ -162,19 +167,19 @@ def _between_samples(
     """
     measured = replicates.measured
     if reading.sampling_correction is not None:
-        between = np.array(reading.sampling_correction)
+        correction = np.array(reading.sampling_correction)
     elif not reading.depends_on_corners or len(measured.time) != len(replicates.smooth.time):
-        between = smooth.compute_sampling_change()
+        correction = smooth.compute_sampling_change()
     else:
-        between = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
+        correction = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
     share = 1.0 / np.sqrt(3.0)
     drawn, spread = (
-        np.outer(between, 0.5 + share * replicates.draw_input(_BETWEEN)),
-        share * between,
+        np.outer(correction, 0.5 + share * replicates.draw_input(_SAMPLING)),
+        share * correction,
     )
-    longest = max((branch.stop - branch.start for branch in measured.branches), default=0)
+    longest_branch = max((branch.stop - branch.start for branch in measured.branches), default=0)
     is_sampled = reading.ends_at_samples or reading.sampling_correction is not None
-    if longest > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
+    if longest_branch > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
         return drawn, spread
     # A short record does not show whether the curve is smooth: one half of the replicates has a
     # corner wherever the steps allow one.
@@ -186,38 +191,38 @@ def _between_samples(
 
 def _decide_on_smooth(replicates: Replicates, decide: Decide, reading: Reading) -> Reading:
     """Choose the samples on the smooth curve; if that fails, on the measured one."""
-    plain = return_failure(decide)(replicates.smooth)
-    if isinstance(plain, Reading):
-        return plain
+    smooth_reading = return_failure(decide)(replicates.smooth)
+    if isinstance(smooth_reading, Reading):
+        return smooth_reading
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
-    coarse = return_failure(decide)(replicates.blocks)
-    if isinstance(coarse, Failure):
-        raise UnavailableError.of("uncertainty.no_replicate", why=plain.message)
-    return coarse
+    block_reading = return_failure(decide)(replicates.blocks)
+    if isinstance(block_reading, Failure):
+        raise UnavailableError.of("uncertainty.no_replicate", why=smooth_reading.message)
+    return block_reading
 
 
-def _interval_doubts(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
+def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[str, Reason]]:
     """Yield doubts about an interval without width, or far from its value.
 
-    The largest of many noisy samples is outside by a part of the noise only, which the estimate
-    corrects.
+    The largest of many noisy samples is outside by only a part of the noise, for which the estimate
+    is corrected.
     """
-    if not np.nanmax(off) > np.nanmin(off):
+    if not np.nanmax(deviations) > np.nanmin(deviations):
         yield "", Reason.of("uncertainty.no_width")
         return
-    low, high = np.nanquantile(off, _QUANTILES_95).tolist()
+    low, high = np.nanquantile(deviations, _QUANTILES_95).tolist()
     if max(low, -high) > 0.01 * abs(value):
         yield "", Reason.of("uncertainty.value_outside")
 
 
-def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
+def _list_slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Yield reasons why the interval of a number of `count` samples may be too narrow."""
-    # Largest correlation time, as a share of the samples of a number,
+    # Largest correlation time, as a share of the samples of a number.
     max_window_share = 0.4
-    # as a share of the samples of the record,
+    # Largest correlation time, as a share of the samples of the record.
     max_record_share = 0.04
-    # and in samples, below which no short record is doubtful.
+    # Correlation time up to which no record is doubtful.
     harmless_samples = 1.0
     # A shorter record does not show whether its noise is slow.
     min_record_samples = 100
@@ -225,11 +230,10 @@ def _slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str
         # One sentence for all numbers of a test.
         slowness, is_long = noise.correlation_time, noise.count >= min_record_samples
         if is_long and slowness > max(noise.count * max_record_share, harmless_samples):
-            facts = slowness, noise.count
-            yield (
-                name,
-                Reason.of("uncertainty.slow_noise", name=name, slowness=facts[0], count=facts[1]),
+            reason = Reason.of(
+                "uncertainty.slow_noise", name=name, slowness=slowness, count=noise.count
             )
+            yield name, reason
         elif is_long and count > 1 and slowness > max(count * max_window_share, harmless_samples):
             yield name, Reason.of("uncertainty.slow_in_number", name=name, slowness=slowness)
 
@@ -264,14 +268,14 @@ class SmoothNumbers:
         cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
     ) -> SmoothNumbers:
         """Choose the samples again on finer samples, if windows end at samples."""
-        times = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.ends_at_samples else 1
-        plain = trace, reading, _numbers_of(reading, trace)
-        smooth = cls(decide, *plain, *plain, {} if curves is None else curves)
-        fine = smooth._curve(None, 0.0, times)
+        parts = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.ends_at_samples else 1
+        original = trace, reading, _compute_numbers(reading, trace)
+        smooth = cls(decide, *original, *original, {} if curves is None else curves)
+        fine = smooth._make_curve(None, 0.0, parts)
         fine_reading = return_failure(decide)(fine)
         if isinstance(fine_reading, Failure):
             return smooth
-        numbers = _numbers_of(fine_reading, fine)
+        numbers = _compute_numbers(fine_reading, fine)
         return replace(smooth, fine=fine, fine_reading=fine_reading, fine_numbers=numbers)
 
     def compute_sampling_change(self) -> Floats:
@@ -279,7 +283,7 @@ class SmoothNumbers:
         return self.fine_numbers - self.numbers
 
     def compute_corner_change(self) -> Floats:
-        """Return the change of the numbers with corners between samples, where steps allow them."""
+        """Return the change of the numbers by corners between samples, where steps allow them."""
         parts_per_step = 8
         changes = list[Floats]()
         for has_corners in (False, True):
@@ -287,7 +291,7 @@ class SmoothNumbers:
             reading = return_failure(self.decide)(fine)
             if isinstance(reading, Failure):
                 return np.zeros(len(self.numbers))
-            changes.append(_numbers_of(reading, fine))
+            changes.append(_compute_numbers(reading, fine))
         return changes[1] - changes[0]
 
     def compute_change(self, quantity: Input, by: float) -> Floats:
@@ -303,35 +307,37 @@ class SmoothNumbers:
         One per number; if the input moves the curve, windows are chosen again.
         """
         if not quantity.moves_curve:
-            return _numbers_of(self.reading, self._curve(quantity, by, 1)) - self.numbers
-        times = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
-        moved = self._curve(quantity, by, times)
+            return _compute_numbers(self.reading, self._make_curve(quantity, by, 1)) - self.numbers
+        parts = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
+        moved = self._make_curve(quantity, by, parts)
         outcome = return_failure(self.decide)(moved)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
-        return _numbers_of(reading, moved) - self.fine_numbers
+        return _compute_numbers(reading, moved) - self.fine_numbers
 
-    def _curve(self, quantity: Input | None, by: float, times: int) -> Trace:
+    def _make_curve(self, quantity: Input | None, by: float, parts: int) -> Trace:
         """Return the curve with an input changed, on finer samples; all numbers share it."""
-        key = quantity, by, times
+        key = quantity, by, parts
         if key not in self.curves:
-            if times > 1:
-                curve = self._curve(quantity, by, 1).refine(times)
+            if parts > 1:
+                curve = self._make_curve(quantity, by, 1).refine(parts)
             else:
                 curve = quantity.perturb(self.trace, by) if quantity else self.trace
             self.curves[key] = curve
         return self.curves[key]
 
 
-def _numbers_of(reading: Reading, trace: Trace) -> Floats:
+def _compute_numbers(reading: Reading, trace: Trace) -> Floats:
     return np.array([float(number) for number in reading.numbers(trace)])
 
 
-def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:
+def _make_budget(
+    noise: float, parts: list[tuple[str, Floats]], row: int
+) -> tuple[Contribution, ...]:
     """Return the contribution of each cause that does not cancel; unsigned for several inputs."""
     changes: dict[str, float] = {NOISE: noise}
     for cause, change in parts:
-        before, by = changes.get(cause, 0.0), float(change[row])
-        changes[cause] = hypot(before, by) if before else by
+        earlier, by = changes.get(cause, 0.0), float(change[row])
+        changes[cause] = hypot(earlier, by) if earlier else by
     smallest = 1e-9 * max(map(abs, changes.values()))
     return tuple(
         make_contribution(cause, by) for cause, by in changes.items() if abs(by) > smallest

@@ -51,7 +51,11 @@ class LinearFit:
 
 
 def fit_linear(
-    design: Floats, values: Floats, *, weighted: bool = False, beside: Sequence[Floats] = ()
+    design: Floats,
+    values: Floats,
+    *,
+    weighted: bool = False,
+    other_stretches: Sequence[Floats] = (),
 ) -> LinearFit:
     """Fit by least squares, with intervals that hold for serially correlated residuals.
 
@@ -61,9 +65,9 @@ def fit_linear(
     values : shape (n,), without NaN
     weighted : False for ordinary least squares; True for generalised least squares, better for a
         jump in strongly correlated noise
-    beside : other smooth stretches of the same signal, at least 8 samples each, sampled alike and
-        without NaN: their residuals about a cubic show the noise, too. A short window alone does
-        not show the correlation time of its noise
+    other_stretches : further smooth stretches of the same signal, at least 8 samples each, sampled
+        alike and without NaN. Their residuals about a cubic also show the noise; a short window
+        alone does not show its correlation time
 
     Returns
     -------
@@ -72,12 +76,12 @@ def fit_linear(
     Raises
     ------
     ValueError
-        For fewer than p + 4 samples; with stretches beside, for fewer than p + 1.
+        For fewer than p + 4 samples; with other stretches, for fewer than p + 1.
 
     Notes
     -----
     The noise is modelled as a first-order autoregressive process of unknown correlation time, up to
-    a fifth of the window, or its mirror image, with more or less white noise below. In cosines over
+    a fifth of the window, or its mirror image, with more or less added white noise. In cosines over
     the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE
     Trans. Comput. C-23 (1974) 90), with the variance of its spectrum, so that each spectrum has a
     restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the
@@ -87,48 +91,58 @@ def fit_linear(
     slowest cosines enter (all of them with `weighted`): hum, filters and rounding have no
     information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
     al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that is not of the model's shape looks like
-    slow noise and widens the interval. Stretches beside the fit multiply the likelihood of each
+    slow noise and widens the interval. Other stretches multiply the likelihood of each
     spectrum by theirs, all of one variance; the longest of all stretches sets the range of
     correlation times. The window may then be shorter than the correlation time, so the covariance
     of ordinary least squares is the exact one and not that of cosines.
     """
-    count, spent = design.shape
-    least = spent + (1 if beside else 4)
-    if count < least:
-        text = format_sentence("uncertainty.too_few", least=least, spent=spent, count=count)
+    count, n_coefficients = design.shape
+    min_samples = n_coefficients + (1 if other_stretches else 4)
+    if count < min_samples:
+        text = format_sentence(
+            "uncertainty.too_few", needed=min_samples, coefficients=n_coefficients, count=count
+        )
         raise ValueError(text)
     basis, to_coefficients = orthonormalise(design)
-    plain = basis @ values
-    residuals = values - plain @ basis
-    max_samples = max([count, *map(len, beside)])
+    projections = basis @ values
+    residuals = values - projections @ basis
+    max_samples = max([count, *map(len, other_stretches)])
     grid = SpectrumGrid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
     window = SpectrumLikelihood.from_values(
         basis, residuals, grid, count if weighted else MAX_COSINES
     )
-    lengths = sorted(set(map(len, beside)))
-    others = [
+    lengths = sorted(set(map(len, other_stretches)))
+    stretch_likelihoods = [
         SpectrumLikelihood.from_values(
             build_cubic_basis(length),
-            np.stack([x for x in beside if len(x) == length]),
+            np.stack([x for x in other_stretches if len(x) == length]),
             grid,
             MAX_COSINES,
         )
         for length in lengths
     ]
-    noise = SpectrumPosterior.combine([window, *others], grid.prior)
-    shifts, unit = window.shifts[:, 0], window.unit
+    noise = SpectrumPosterior.combine([window, *stretch_likelihoods], grid.prior)
+    shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
     if not weighted:
         shifts = np.zeros_like(shifts)
-        unit = compute_covariance(basis, grid) if beside else window.plain_covariance()
-    shift = noise.chances @ shifts
-    deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
-    covariances = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
+        unit_covariance = (
+            compute_covariance(basis, grid)
+            if other_stretches
+            else window.compute_least_squares_covariance()
+        )
+    shift = noise.probabilities @ shifts
+    deviation = float(np.sqrt(residuals @ residuals / (count - n_coefficients)))
+    covariances = (
+        to_coefficients @ (unit_covariance * noise.variances[:, None, None]) @ to_coefficients.T
+    )
     offsets = (shifts - shift) @ to_coefficients.T
-    spread = np.einsum("g,gi,gj->ij", noise.chances, offsets, offsets)
+    spread = np.einsum("g,gi,gj->ij", noise.probabilities, offsets, offsets)
     return LinearFit(
-        coefficients=to_coefficients @ (plain + shift),
-        covariance=np.tensordot(noise.chances, covariances, axes=1) + spread,
-        half_widths=_half_widths(noise, np.diagonal(covariances, axis1=1, axis2=2), offsets),
+        coefficients=to_coefficients @ (projections + shift),
+        covariance=np.tensordot(noise.probabilities, covariances, axes=1) + spread,
+        half_widths=_compute_half_widths(
+            noise, np.diagonal(covariances, axis1=1, axis2=2), offsets
+        ),
         classical_errors=deviation * np.linalg.norm(to_coefficients, axis=1),
         residual_deviation=deviation,
         n=count,
@@ -152,39 +166,47 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
 
 
-def _half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
+def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
     """Return half widths that contain 95 % of the mixture of t-distributions.
 
     By Newton's method: the coverage is concave in the half width, so it does not overshoot.
     """
     # Spectra below this probability do not change a half width.
-    min_chance = 1e-15
+    min_probability = 1e-15
     deviations = np.sqrt(np.maximum(variances, 0.0))
-    safe = np.where(deviations > 0.0, deviations, 1.0)
-    half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(noise.chances @ np.log(safe))
+    positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
+    half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(
+        noise.probabilities @ np.log(positive_deviations)
+    )
     smallest = 0.1 * half
-    counted = noise.chances > min_chance
-    chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
+    is_relevant = noise.probabilities > min_probability
+    probabilities, positive_deviations, offsets = (
+        noise.probabilities[is_relevant],
+        positive_deviations[is_relevant],
+        offsets[is_relevant],
+    )
     for _ in range(12):
-        share, slope = _coverage(half, safe, offsets, noise.freedom)
-        step = (0.95 - chances @ share) / (chances @ slope)
+        share, slope = _compute_coverage(half, positive_deviations, offsets, noise.freedom)
+        step = (0.95 - probabilities @ share) / (probabilities @ slope)
         half = np.maximum(half + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)
 
 
-def _coverage(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Floats, Floats]:
+def _compute_coverage(
+    half: Floats, deviations: Floats, offsets: Floats, freedom: int
+) -> tuple[Floats, Floats]:
     """Return the coverage of each t-distribution by a half width, and its derivative."""
     if not offsets.any():
-        t = half / safe
-        return 2.0 * stdtr(freedom, t) - 1.0, 2.0 * _density(t, freedom) / safe
-    high, low = (half - offsets) / safe, (half + offsets) / safe
+        t = half / deviations
+        return 2.0 * stdtr(freedom, t) - 1.0, 2.0 * _compute_density(t, freedom) / deviations
+    high, low = (half - offsets) / deviations, (half + offsets) / deviations
     share = stdtr(freedom, high) - stdtr(freedom, -low)
-    return share, (_density(high, freedom) + _density(low, freedom)) / safe
+    return share, (_compute_density(high, freedom) + _compute_density(low, freedom)) / deviations
 
 
-def _density(t: Floats, freedom: int) -> Floats:
+def _compute_density(t: Floats, freedom: int) -> Floats:
     """Return the density of Student's t-distribution."""
     density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
     density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)

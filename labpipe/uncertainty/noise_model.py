@@ -1,8 +1,8 @@
-"""Model of the noise of a signal, estimated from short pieces, and random records from it.
+"""Estimate the noise of a signal from short pieces, and draw random records of it.
 
 The noise of a load cell, a controller or a specimen is correlated over tenths of a second, which
-may be as long as a window of a test. The estimated correlation is then uncertain: each replicate
-also draws the noise process by its probability.
+may be as long as the window of a fit. The estimated correlation is then uncertain, so each
+replicate also draws its noise process by the probability of the process.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ _CORNER_VARIANCE_RATIO = 4.0
 """A piece with more than this multiple of the median variance contains a corner or a step."""
 _FLICKER_POWERS, _FLICKER_CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Powers of the frequency of flicker noise; rad per sample at which white noise is as large."""
-_MIN_OWN_WAVES, _BAND_WAVES = 256, 16
-"""Half waves over a branch above which the power of the record is used; half waves of its bands."""
+_MIN_RECORD_WAVES, _BAND_WAVES = 256, 16
+"""Half waves over a branch above which the power of the record is used; half waves per band."""
 _MARGIN_TIMES = 12
 """Correlation times after which samples of a drawn record count as independent."""
 _BATCH_RECORDS = 10
@@ -56,7 +56,7 @@ class _Processes:
 
     The power of flicker noise rises with a power of the period, up to the length of the record.
 
-    factor, floor, is_mirrored, prior, time, steep : shape (g,)
+    factor, floor, is_mirrored, prior, time, flicker_power : shape (g,)
     crossing : shape (g,), rad per sample, where white noise is as large as flicker noise
     lowest : rad per sample, below which flicker noise is constant
     """
@@ -67,16 +67,21 @@ class _Processes:
     is_mirrored: Floats
     prior: Floats
     time: Floats
-    steep: Floats
+    flicker_power: Floats
     crossing: Floats
 
     def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
-        steep, floor = self.steep[chosen], self.floor[chosen, None]
-        slow, flickers = compute_autoregressive_spectra(self.factor[chosen], angle), steep > 0.0
-        slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** (-0.5 * steep[flickers, None])
-        mixed = floor + (1.0 - floor) * slow
-        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / slow, mixed)
+        flicker_power, floor = self.flicker_power[chosen], self.floor[chosen, None]
+        spectra, is_flicker = (
+            compute_autoregressive_spectra(self.factor[chosen], angle),
+            flicker_power > 0.0,
+        )
+        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** (
+            -0.5 * flicker_power[is_flicker, None]
+        )
+        mixed = floor + (1.0 - floor) * spectra
+        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / spectra, mixed)
 
 
 @lru_cache(maxsize=16)
@@ -91,13 +96,13 @@ def _processes(longest: int, count: int) -> _Processes:
     # pieces does not exclude a longer one.
     longest_share = 0.1 if longest < _PIECES_PER_BRANCH * _MIN_PIECE_SAMPLES else 0.05
     # Prior of flicker noise without white noise, relative to white noise. Their crossing is uniform
-    # in frequency: the later flicker noise rises above white noise, the smaller its prior.
+    # in frequency: the lower the frequency of the crossing, the smaller its prior.
     flicker_prior = 1.0
     times = np.geomspace(shortest_time, max(longest_share * longest, 2.0 * shortest_time), n_times)
     factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
     slow = list(zip(factors, priors, times, strict=True))
     lowest, share = np.pi / (2.0 * max(count, 1)), 0.5 / len(white_floors)
-    whole = count / _MARGIN_TIMES
+    record_time = count / _MARGIN_TIMES
     # White noise, mirror images, autoregressive noise without and with floors, flicker noise, which
     # is correlated over the whole record.
     rows = [
@@ -109,8 +114,16 @@ def _processes(longest: int, count: int) -> _Processes:
             for floor, (a, prior, time) in product(white_floors, slow)
         ),
         *(
-            (0.0, (lowest / rise) ** steep, 0.0, flicker_prior * rise / np.pi, whole, steep, rise)
-            for steep, rise in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
+            (
+                0.0,
+                (lowest / crossing) ** power,
+                0.0,
+                flicker_prior * crossing / np.pi,
+                record_time,
+                power,
+                crossing,
+            )
+            for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
         ),
     ]
     return _Processes(lowest, *np.array(rows).T)
@@ -122,7 +135,7 @@ class NoiseModel:
 
     Parameters
     ----------
-    chances : shape (g,), probability of each process
+    probabilities : shape (g,), probability of each process
     squares : shape (g,), in the unit of the signal, squared: the variance at frequency zero times
         `freedom`
     freedom : degrees of freedom of the variance
@@ -131,7 +144,7 @@ class NoiseModel:
         in bands; empty for a short record
     """
 
-    chances: Floats
+    probabilities: Floats
     squares: Floats
     freedom: int
     longest: int
@@ -151,7 +164,7 @@ class NoiseModel:
         variance = np.where(
             processes.is_mirrored > 0.0, 1.0, processes.floor + (1.0 - processes.floor) * slow
         )
-        return float(self.chances @ (0.5 / variance)[: len(self.chances)])
+        return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
 
     @property
     def is_zero(self) -> bool:
@@ -172,33 +185,40 @@ class NoiseModel:
         Shape (replicates, count), single precision. For each record the process is drawn by its
         probability, and the variance by its degrees of freedom, to include their uncertainty.
         """
-        drawn = rng.choice(len(self.chances), size=replicates, p=self.chances)
-        variance = self.squares[drawn] / rng.chisquare(self.freedom, size=replicates)
+        chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
+        variance = self.squares[chosen] / rng.chisquare(self.freedom, size=replicates)
         processes = _processes(self.longest, self.count)
-        margin_time = _MARGIN_TIMES * processes.time[drawn].max(initial=0.0)
+        margin_time = _MARGIN_TIMES * processes.time[chosen].max(initial=0.0)
         if len(self.angles):
             # Power that ends at the edge of a band is correlated over its inverse width.
             margin_time = max(margin_time, 2.0 * self.longest / _BAND_WAVES)
         margin = min(count, ceil(margin_time) + 1)
         length = fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
-        used, which = np.unique(drawn, return_inverse=True)
+        processes_drawn, process_numbers = np.unique(chosen, return_inverse=True)
         # Cosine and sine have half of the power each; the first wave has no sine.
-        height = np.sqrt(0.5 * length * processes.spectra(angle, used))
+        amplitude = np.sqrt(0.5 * length * processes.spectra(angle, processes_drawn))
         # Nor has the last one at half the sampling rate.
-        height[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
+        amplitude[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
         scale = np.sqrt(variance)
         fast = np.searchsorted(angle, self.angles[0]) if len(self.angles) else len(angle)
         # Fast waves have the power of the record.
         band = np.searchsorted(self.angles, angle[fast:], side="right") - 1
-        of_fast = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
-        of_slow, of_fast = np.repeat(height[:, :fast], 2, axis=1), np.repeat(of_fast, 2)
+        fast_amplitude = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
+        slow_amplitude, fast_amplitude = (
+            np.repeat(amplitude[:, :fast], 2, axis=1),
+            np.repeat(fast_amplitude, 2),
+        )
         records = np.empty((replicates, count), dtype=np.float32)
         for first in range(0, replicates, _BATCH_RECORDS):
             rows = slice(first, first + _BATCH_RECORDS)
-            waves = rng.standard_normal((len(which[rows]), 2 * len(angle)), dtype=np.float32)
-            waves[:, : 2 * fast] *= (scale[rows, None] * of_slow[which[rows]]).astype(np.float32)
-            waves[:, 2 * fast :] *= of_fast
+            waves = rng.standard_normal(
+                (len(process_numbers[rows]), 2 * len(angle)), dtype=np.float32
+            )
+            waves[:, : 2 * fast] *= (
+                scale[rows, None] * slow_amplitude[process_numbers[rows]]
+            ).astype(np.float32)
+            waves[:, 2 * fast :] *= fast_amplitude
             records[rows] = fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
         return records
 
@@ -206,8 +226,8 @@ class NoiseModel:
 def estimate_noise(
     branches: Sequence[Floats],
     smooth: Sequence[Floats],
-    before: Sequence[Floats] = (),
-    behind: Sequence[Floats] = (),
+    rests_before: Sequence[Floats] = (),
+    rests_after: Sequence[Floats] = (),
     *,
     copies: int = 1,
     has_steps: bool = False,
@@ -216,20 +236,20 @@ def estimate_noise(
 
     Parameters
     ----------
-    branches : each shape (n,), unfiltered and evenly sampled; of one with NaN, the other samples
-        are joined, less the smooth curve
+    branches : each shape (n,), unfiltered and evenly sampled; NaN are removed, and the smooth
+        curve is then subtracted
     smooth : shape (n,), the smooth curve through each branch
-    before, behind : each shape (n,), rests before and after the motion, which alone show slow
-        waves; short ones, and ones with NaN, are ignored. After the motion a force relaxes: a
-        parabola is not noise there
-    copies : number of signals with the same noise process, each with all branches and rests
-        here
-    has_steps : whether the steps of a converter are an input of their own, as they vary with the
-        slope of the curve
+    rests_before, rests_after : each shape (n,), rests before and after the motion, which alone show
+        slow waves; short rests, and rests with NaN, are ignored. After the motion a force relaxes,
+        so a parabola is removed there
+    copies : number of signals with the same noise process; `branches` and rests are those of all
+        signals
+    has_steps : whether the steps of a converter are a separate input, as they vary with the slope
+        of the curve
 
     Returns
     -------
-    The probability of each process; none without noise or a branch of 5 samples.
+    The noise model; that of zero noise without noise, or without a branch of 5 samples.
 
     Notes
     -----
@@ -239,11 +259,11 @@ def estimate_noise(
     half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
-    autoregressive noise with and without white noise below, of its mirror image, and of flicker
+    autoregressive noise with and without added white noise, of its mirror image, and of flicker
     noise (power as frequency^-s, s from 0.6 to 1.5), as of cameras and amplifiers. Faster waves are
     hum, rounding and converters: their power is that of the record itself, in bands of 16 half
-    waves. A process is not extrapolated to them: a correlation time of ten samples of 20 000 shows
-    only there, and would make the variance 1.6 times too large on average.
+    waves. A process is not extrapolated to them: a correlation time of ten among 20 000
+    samples is visible only there, and would make the variance 1.6 times too large on average.
     """
     # A piece whose residuals have a lower probability than this in the most probable process
     # contains a kink of the curve.
@@ -253,20 +273,20 @@ def estimate_noise(
     # half of the pieces is used.
     min_alike_share = 0.6
     # Constant branches, saturated or frozen, contain no noise.
-    moves = [_range_of(branch) > 0.0 for branch in branches]
-    span = max(map(_range_of, branches), default=0.0)
+    is_moving = [_compute_range(branch) > 0.0 for branch in branches]
+    span = max(map(_compute_range, branches), default=0.0)
     branch_pairs = [
-        _without_gaps(*pair) for pair in compress(zip(branches, smooth, strict=True), moves)
+        _remove_gaps(*pair) for pair in compress(zip(branches, smooth, strict=True), is_moving)
     ]
     branches, smooth = [branch for branch, _ in branch_pairs], [curve for _, curve in branch_pairs]
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // copies
     if longest <= SHORT_RECORD_SAMPLES:
         rests = [
-            *_rest_middles(before, _MIN_PIECE_SAMPLES),
-            *_rest_middles(behind, _MIN_PIECE_SAMPLES, is_behind=True),
+            *_cut_rest_middles(rests_before, _MIN_PIECE_SAMPLES),
+            *_cut_rest_middles(rests_after, _MIN_PIECE_SAMPLES, is_after_motion=True),
         ]
-        return _short_record_noise(branches, rests, longest, count)
+        return _estimate_short_record_noise(branches, rests, longest, count)
     width = min(longest, max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH))
     pieces = [
         branch[first : first + width]
@@ -275,12 +295,12 @@ def estimate_noise(
     ]
     moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
     if not len(moving):
-        return _no_noise(longest)
-    basis = _polynomials(width)
+        return _make_zero_noise(longest)
+    basis = _build_piece_basis(width)
     residuals = moving - (moving @ basis) @ basis.T
     power = np.sum(residuals**2, axis=1)
     if np.median(power) <= width * (_ROUNDING_SHARE * span) ** 2:
-        return _no_noise(longest)
+        return _make_zero_noise(longest)
     terms = min(_HALF_WAVES, width)
     waves = fft.dct(residuals, norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
@@ -291,45 +311,54 @@ def estimate_noise(
     for _ in range(max_rounds):
         window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
         best = spectra[
-            np.argmax(SpectrumPosterior.combine([window_likelihood], processes.prior).chances)
+            np.argmax(SpectrumPosterior.combine([window_likelihood], processes.prior).probabilities)
         ]
-        whitened = _whitened_squares(best, waves[is_alike], columns)
+        whitened = _compute_whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         has_kink = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
         if not has_kink.any():
             break
         is_alike[is_alike] = ~has_kink
-    still = [*_rest_middles(before, width), *_rest_middles(behind, width, is_behind=True)]
-    is_seen = np.ones(len(spectra), np.bool_) if still else _seen_in_pieces(processes, width)
-    parts = [window_likelihood, *(_part_likelihood(processes, *rest) for rest in still)]
+    rests = [
+        *_cut_rest_middles(rests_before, width),
+        *_cut_rest_middles(rests_after, width, is_after_motion=True),
+    ]
+    is_observed = (
+        np.ones(len(spectra), np.bool_) if rests else _flag_observed_processes(processes, width)
+    )
+    parts = [window_likelihood, *(_compute_likelihood(processes, *rest) for rest in rests)]
     variance_ratio = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
         variance_ratio = power[power >= np.median(power)].mean() / power[is_alike].mean()
-    fast = _replace_corner_power(*_fast_wave_power(branches, smooth), residuals[is_level])
-    prior = np.where(is_seen, processes.prior, 0.0)
-    return _probable_noise(parts, prior, (longest, count), fast, variance_ratio)
+    fast = _replace_corner_power(*_measure_fast_wave_power(branches, smooth), residuals[is_level])
+    prior = np.where(is_observed, processes.prior, 0.0)
+    return _make_noise_model(parts, prior, (longest, count), fast, variance_ratio)
 
 
-def _probable_noise(
+def _make_noise_model(
     parts: Sequence[SpectrumLikelihood],
     prior: Floats,
     samples: tuple[int, int],
     fast: tuple[Floats, Floats],
-    more: float = 1.0,
+    variance_factor: float = 1.0,
 ) -> NoiseModel:
-    """Return the probability of each process, with `more` variance; improbable ones have none.
+    """Return the noise model of the posterior, with its variance multiplied by a factor.
+
+    Improbable processes get the probability zero.
 
     samples : of the longest branch, and of all; fast : angles and power of fast waves
     """
     posterior = SpectrumPosterior.combine(parts, prior)
-    chances = posterior.chances
-    chances[chances < 1e-4 * chances.max()] = 0.0
-    squares = posterior.variances * posterior.freedom * more
-    return NoiseModel(chances / chances.sum(), squares, posterior.freedom, *samples, *fast)
+    probabilities = posterior.probabilities
+    probabilities[probabilities < 1e-4 * probabilities.max()] = 0.0
+    squares = posterior.variances * posterior.freedom * variance_factor
+    return NoiseModel(
+        probabilities / probabilities.sum(), squares, posterior.freedom, *samples, *fast
+    )
 
 
-def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
-    """Flag the processes that pieces distinguish, without rests.
+def _flag_observed_processes(processes: _Processes, width: int) -> Flags:
+    """Flag the processes that pieces distinguish without rests.
 
     Waves as long as the record are then not observed. Flicker noise is excluded if it exceeds white
     noise only below the waves of the pieces, and if it is as steep as autocorrelated noise.
@@ -340,40 +369,42 @@ def _seen_in_pieces(processes: _Processes, width: int) -> Flags:
     # and up to this power of the frequency.
     max_flicker_power = 1.2
     slow, fast = (
-        np.pi * rise / width for rise in (min_crossing * _POLYNOMIAL_COLUMNS, _HALF_WAVES)
+        np.pi * crossing / width for crossing in (min_crossing * _POLYNOMIAL_COLUMNS, _HALF_WAVES)
     )
-    is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
+    is_observed = (processes.crossing >= slow) & (processes.crossing <= fast)
     # Processes that are white up to the fastest wave of a piece are equal there.
-    is_seen |= processes.crossing == _FLICKER_CROSSINGS[0]
-    is_seen &= processes.steep <= max_flicker_power
-    return np.asarray(is_seen | (processes.steep == 0.0), dtype=np.bool_)
+    is_observed |= processes.crossing == _FLICKER_CROSSINGS[0]
+    is_observed &= processes.flicker_power <= max_flicker_power
+    return np.asarray(is_observed | (processes.flicker_power == 0.0), dtype=np.bool_)
 
 
-def _short_record_noise(
+def _estimate_short_record_noise(
     branches: Sequence[Floats], rests: Sequence[tuple[Floats, Floats]], longest: int, count: int
 ) -> NoiseModel:
     """Estimate the noise from residuals of polynomials through the branches."""
     parts = [
-        (branch[start:stop], _legendre(stop - start, degree + 1))
+        (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in cut_into_polynomials(branch)
         if stop - start > degree + 1
     ]
-    span = max(map(_range_of, branches), default=0.0)
+    span = max(map(_compute_range, branches), default=0.0)
     residual_squares = sum(
         float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts
     )
     if not parts or residual_squares <= count * (_ROUNDING_SHARE * span) ** 2:
-        return _no_noise(longest)
-    processes, none = _processes(longest, count), np.zeros(0)
-    prior = processes.prior if rests else np.where(processes.steep > 0.0, 0.0, processes.prior)
-    likelihoods = [_part_likelihood(processes, *part) for part in [*parts, *rests]]
-    return _probable_noise(likelihoods, prior, (longest, count), (none, none))
+        return _make_zero_noise(longest)
+    processes, empty = _processes(longest, count), np.zeros(0)
+    prior = (
+        processes.prior if rests else np.where(processes.flicker_power > 0.0, 0.0, processes.prior)
+    )
+    likelihoods = [_compute_likelihood(processes, *part) for part in [*parts, *rests]]
+    return _make_noise_model(likelihoods, prior, (longest, count), (empty, empty))
 
 
-def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
-    """Return the likelihood of samples with a basis (samples, columns) of what is not noise."""
+def _compute_likelihood(processes: _Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
+    """Return the likelihood of samples with a basis (samples, columns) of the motion."""
     terms = min(_HALF_WAVES, len(part))
     waves = fft.dct(part - basis @ (basis.T @ part), norm="ortho")[None, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
@@ -381,8 +412,8 @@ def _part_likelihood(processes: _Processes, part: Floats, basis: Floats) -> Spec
     return SpectrumLikelihood.from_cosines(spectra, waves, columns)
 
 
-def _rest_middles(
-    rests: Sequence[Floats], least: int, *, is_behind: bool = False
+def _cut_rest_middles(
+    rests: Sequence[Floats], min_samples: int, *, is_after_motion: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield the middle of each long rest, with a basis of its motion."""
     # One tenth of a rest next to the motion is cut off: the motion may have begun or not yet have
@@ -391,20 +422,20 @@ def _rest_middles(
     # Polynomial columns removed after the motion, where a specimen relaxes.
     relaxation_columns = 3
     for rest in rests:
-        if len(rest) < least or not np.ptp(rest) > 0.0:  # nor of NaN
+        if len(rest) < min_samples or not np.ptp(rest) > 0.0:  # nor of NaN
             continue
         edge = len(rest) // edge_divisor
-        middle = rest[edge:] if is_behind else rest[: len(rest) - edge]
-        yield middle, _polynomials(len(middle), relaxation_columns if is_behind else 1)
+        middle = rest[edge:] if is_after_motion else rest[: len(rest) - edge]
+        yield middle, _build_piece_basis(len(middle), relaxation_columns if is_after_motion else 1)
 
 
-def _range_of(values: Floats) -> float:
+def _compute_range(values: Floats) -> float:
     """Return the range of the finite values, or 0."""
     finite = values[~np.isnan(values)]
     return float(np.ptp(finite)) if len(finite) else 0.0
 
 
-def _without_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
+def _remove_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
     """Remove gaps from a branch and its smooth curve; the curve is subtracted if there are any."""
     is_finite = ~np.isnan(values)
     if is_finite.all():
@@ -412,24 +443,26 @@ def _without_gaps(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
     return (values - curve)[is_finite], np.zeros(int(is_finite.sum()))
 
 
-def _no_noise(longest: int) -> NoiseModel:
-    none = np.zeros(0)
-    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
+def _make_zero_noise(longest: int) -> NoiseModel:
+    empty = np.zeros(0)
+    return NoiseModel(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, empty, empty)
 
 
-def _polynomials(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
+def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
     """Return orthonormal polynomials over a piece, shape (width, columns)."""
     min_samples_per_column = 8
-    return _legendre(width, int(np.clip(width // min_samples_per_column, min(2, columns), columns)))
+    return _build_legendre_basis(
+        width, int(np.clip(width // min_samples_per_column, min(2, columns), columns))
+    )
 
 
-def _legendre(width: int, columns: int) -> Floats:
+def _build_legendre_basis(width: int, columns: int) -> Floats:
     """Return the first orthonormal polynomials over even samples, shape (width, columns)."""
     places = np.linspace(-1.0, 1.0, width)
     return np.linalg.qr(np.polynomial.legendre.legvander(places, columns - 1))[0]
 
 
-def _whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
+def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
     """Return the sum of squares of each piece, with each wave divided by its power."""
     score = (waves / spectrum) @ columns
     information = columns.T @ (columns / spectrum[:, None])
@@ -455,18 +488,20 @@ def _replace_corner_power(
     return angles, np.asarray(interpolated, dtype=np.float64)
 
 
-def _fast_wave_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
+def _measure_fast_wave_power(
+    branches: Sequence[Floats], smooth: Sequence[Floats]
+) -> tuple[Floats, Floats]:
     """Return the power of fast waves of all branches in bands: angles per sample, and power."""
     residual_pieces = [
         branch - curve
         for branch, curve in zip(branches, smooth, strict=True)
-        if len(branch) > 2 * _MIN_OWN_WAVES
+        if len(branch) > 2 * _MIN_RECORD_WAVES
     ]
     if not residual_pieces:
         return np.zeros(0), np.zeros(0)
     longest = max(len(residuals) for residuals in residual_pieces)
     # Processes are known only for the waves of the pieces.
-    first = max(_MIN_OWN_WAVES, min(longest // 8, _PIECES_PER_BRANCH * _HALF_WAVES))
+    first = max(_MIN_RECORD_WAVES, min(longest // 8, _PIECES_PER_BRANCH * _HALF_WAVES))
     angles = np.pi * np.arange(first, longest - _BAND_WAVES, _BAND_WAVES) / longest
     total = np.zeros(len(angles))
     for residuals in residual_pieces:
@@ -499,7 +534,8 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     Pieces in order, each of degree 1 to 3. Their number, ends and degrees have the lowest corrected
     information criterion of Schwarz, ln(RSS / n) + k ln(n) / (n - k - 2), with k coefficients and
     cuts (McQuarrie, Stat. Probab. Lett. 44 (1999) 79), in white noise or from 40 samples on in
-    noise of one of four correlations, which counts as a coefficient: else pieces follow slow noise.
+    noise of one of four correlations, which counts as a coefficient: otherwise pieces would follow
+    slow noise.
 
     Examples
     --------
@@ -508,12 +544,12 @@ def cut_into_polynomials(values: Floats) -> tuple[Piece, ...]:
     >>> [piece.degree for piece in cut_into_polynomials(knee + noise)]
     [1, 1]
     """
-    return _cached_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
+    return _find_pieces(np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
 @lru_cache(maxsize=64)
-def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
-    """Return the pieces of a record, which its noise and its smooth curve both ask for."""
+def _find_pieces(record: bytes) -> tuple[Piece, ...]:
+    """Find the pieces of a record; cached, as the noise and the smooth curve both use them."""
     # Correlations of neighbouring samples of the noise, up to a correlation time of six samples.
     correlations: tuple[float, ...] = (0.0, 0.3, 0.5, 0.7, 0.85)
     # Fewer samples do not distinguish correlated noise from a bend of the curve.
@@ -526,15 +562,15 @@ def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
     best: tuple[Piece, ...] = (Piece(0, count, 1),)
     lowest = np.inf
     for correlation in correlations:
-        # What is left of a polynomial is one of the same degree.
+        # The innovations of a polynomial are a polynomial of the same degree.
         innovations = values[1:] - correlation * values[:-1] if correlation else values
         skipped = count - len(innovations)
-        for degrees, left, ends in _best_cuts(_sums_of_squares(innovations)):
-            spent = sum(degrees) + 2 * len(degrees) - 1 + skipped
-            if count - spent - 2 <= 0:
+        for degrees, residual_squares, ends in _list_best_cuts(_compute_squares(innovations)):
+            n_parameters = sum(degrees) + 2 * len(degrees) - 1 + skipped
+            if count - n_parameters - 2 <= 0:
                 continue
-            penalty = spent * np.log(count) / (count - spent - 2)
-            squares = max(left, rounding, np.finfo(float).tiny)
+            penalty = n_parameters * np.log(count) / (count - n_parameters - 2)
+            squares = max(residual_squares, rounding, np.finfo(float).tiny)
             criterion = np.log(squares / len(innovations)) + penalty
             if criterion < lowest:
                 lowest = criterion
@@ -543,8 +579,8 @@ def _cached_pieces(record: bytes) -> tuple[Piece, ...]:
     return best
 
 
-def _best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, tuple[int, ...]]]:
-    """Yield degrees of up to three pieces, the smallest sum of squares for them, and their cuts.
+def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, tuple[int, ...]]]:
+    """Yield the degrees of up to three pieces, their smallest sum of squares, and their cuts.
 
     squares : shape (degrees, n + 1, n + 1), of samples [i, j)
     """
@@ -565,7 +601,7 @@ def _best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, tuple[
             until = np.min(total, axis=-2)
 
 
-def _sums_of_squares(values: Floats) -> Floats:
+def _compute_squares(values: Floats) -> Floats:
     """Return residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
     Shape (3, n + 1, n + 1); inf for too few samples.
@@ -577,15 +613,15 @@ def _sums_of_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        explained = np.cumsum((windows @ _slopes(length, degree)) ** 2, axis=1)
+        explained = np.cumsum((windows @ _build_slope_basis(length, degree)) ** 2, axis=1)
         first = np.arange(count - length + 1)
-        left = np.sum(windows**2, axis=1)[:, None] - explained
-        sums[:degree, first, first + length] = np.maximum(left, 0.0).T
+        residual_squares = np.sum(windows**2, axis=1)[:, None] - explained
+        sums[:degree, first, first + length] = np.maximum(residual_squares, 0.0).T
     return sums
 
 
 @lru_cache(maxsize=512)
-def _slopes(count: int, degree: int) -> Floats:
+def _build_slope_basis(count: int, degree: int) -> Floats:
     """Return orthonormal polynomials without the constant, shape (count, degree)."""
     places = np.linspace(-1.0, 1.0, count)
     return np.linalg.qr(np.vander(places, degree + 1, increasing=True))[0][:, 1:]
@@ -595,8 +631,8 @@ MODES = 3
 """Modes of a zero drift: they contain 93 % of the variance of a random walk."""
 
 
-def compute_drift_modes(times: Floats, by: float) -> list[Floats]:
-    """Compute the modes of a zero drift, each with an independent standard normal draw.
+def compute_drift_modes(times: Floats, drift: float) -> list[Floats]:
+    """Compute the modes of a zero drift, to be multiplied by independent standard normal draws.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)
     (Karhunen-Loeve; M. Loeve, Probability Theory II, 4th ed., 1978). They are scaled so that the
@@ -605,14 +641,14 @@ def compute_drift_modes(times: Floats, by: float) -> list[Floats]:
     Parameters
     ----------
     times : shape (n,), s, time from where the zero was taken; at least one is not zero
-    by : standard uncertainty of the zero at the largest time, in any unit
+    drift : standard uncertainty of the zero at the largest time, in any unit
 
     Returns
     -------
-    `MODES` of shape (n,), in the unit of `by`; none for a zero without drift.
+    `MODES` of shape (n,), in the unit of `drift`; none for a zero without drift.
     """
-    if not by:
+    if not drift:
         return []
     places = np.pi * (np.arange(MODES) + 0.5)
-    scale = by / float(np.sqrt(np.sum(places**-2.0)))
+    scale = drift / float(np.sqrt(np.sum(places**-2.0)))
     return [np.sin(place * times / times.max()) * scale / place for place in places.tolist()]

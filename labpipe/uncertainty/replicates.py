@@ -31,15 +31,15 @@ from labpipe.uncertainty.noise_model import (
 )
 
 N_REPLICATES = 400
-"""Enough that widths of intervals repeat within 5 %."""
+"""Number of replicates, for which widths of intervals repeat within 5 %."""
 _BATCH_REPLICATES = 50
 _MIN_INTERVAL_SAMPLES = 8
 _SPLINE_DEGREE = 3
 
 Filter: TypeAlias = Callable[[Floats], Floats]
-Law: TypeAlias = Literal["normal", "uniform", "step", "ends"]
-"""Distribution of an input, in its standard uncertainties: normal, rectangular, uniform over one
-whole step after the last sample, or at either end of such a step, where the true value may be."""
+Distribution: TypeAlias = Literal["normal", "uniform", "step", "ends"]
+"""Distribution of an input, in its standard uncertainties: normal; rectangular; rectangular over
+the step after the last sample; or at either end of that step, with equal probability."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,16 +50,16 @@ class Input:
     ----------
     cause : a key of `labpipe.records.causes.IS_COMMON`
     perturb : returns a trace with the input changed by a number of standard uncertainties
-    law : its distribution
-    moves_curve : whether it changes the curve, so that windows are chosen again
-    draws : shape (replicates,), in standard uncertainties, if the input was drawn before
+    distribution : of its error
+    moves_curve : whether it changes the curve; windows are then chosen again
+    draws : shape (replicates,), in standard uncertainties; None if they are not drawn yet
     stream : name of its random stream; the cause if empty
     doubts : reasons why its uncertainty, and that of dependent numbers, may be wrong
     """
 
     cause: str
     perturb: Callable[[Trace, float], Trace]
-    law: Law = "normal"
+    distribution: Distribution = "normal"
     moves_curve: bool = True
     draws: Floats | None = None
     stream: str = ""
@@ -68,11 +68,11 @@ class Input:
     @property
     def deviation(self) -> float:
         """Return the standard deviation of its draws, in the unit of `perturb`."""
-        return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.law, 1.0)
+        return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.distribution, 1.0)
 
 
 Curves: TypeAlias = dict[tuple[Input | None, float, int], Trace]
-"""Curves with an input changed by standard uncertainties, on finer samples: parts per step."""
+"""Curves by changed input, its change in standard uncertainties, and parts per sampling step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +82,7 @@ class Replicates:
     Parameters
     ----------
     measured : curve from which numbers are computed
-    blocks : the same on the samples of `smooth`
+    blocks : the measured curve on the samples of `smooth`
     smooth : the curve without noise and filters, possibly on fewer samples
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : further uncertain inputs
@@ -119,12 +119,14 @@ class Replicates:
             return quantity.draws
         rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
         # Stratified: one draw in each of as many equal parts.
-        chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
-        if quantity.law == "normal":
-            return np.asarray(ndtri(chance), dtype=np.float64)
-        if quantity.law == "uniform":
-            return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
-        return np.asarray(-np.rint(chance) if quantity.law == "ends" else -chance, dtype=np.float64)
+        quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
+        if quantity.distribution == "normal":
+            return np.asarray(ndtri(quantiles), dtype=np.float64)
+        if quantity.distribution == "uniform":
+            return np.asarray(np.sqrt(3.0) * (2.0 * quantiles - 1.0), dtype=np.float64)
+        return np.asarray(
+            -np.rint(quantiles) if quantity.distribution == "ends" else -quantiles, dtype=np.float64
+        )
 
     def has_noise(self, name: str) -> bool:
         """Return whether the noise of a signal is more than 1e-4 of its range.
@@ -168,7 +170,7 @@ def make_generator(seed: bytes, name: str) -> np.random.Generator:
 
 
 def count_spline_intervals(trace: Trace) -> int:
-    """Return the spline intervals per piece of a record.
+    """Return the number of spline intervals per piece of a record.
 
     Parameters
     ----------
@@ -182,9 +184,9 @@ def fit_smooth_curve(
     time: Floats,
     values: Floats,
     cuts: Sequence[int],
-    parts: int,
+    max_intervals: int,
     *,
-    broken: int | None = None,
+    jump: int | None = None,
     branches: Sequence[Branch] | None = None,
 ) -> Floats:
     """Fit least-squares cubic splines with even intervals to the pieces of a record.
@@ -193,8 +195,8 @@ def fit_smooth_curve(
     ----------
     time, values : shape (n,); NaN stay NaN
     cuts : samples at which a new piece begins: turns, slips, the failure
-    parts : largest number of intervals per piece
-    broken : the cut at which the curve may jump; at all others the pieces are joined
+    max_intervals : largest number of spline intervals per piece
+    jump : cut at which the curve may jump; at all other cuts the pieces are joined
     branches : branches with motion; None if the whole record is in motion
 
     Returns
@@ -212,28 +214,30 @@ def fit_smooth_curve(
         is_finite = ~np.isnan(values[low:high])
         t, y = time[low:high][is_finite], values[low:high][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            smooth[low:high][is_finite] = _straight_line(t, y)
+            smooth[low:high][is_finite] = _fit_straight_line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         is_rest = branches is not None and not any(x.start <= low < x.stop for x in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
-            smooth[low:high][is_finite] = _polynomials(x, y)
+            smooth[low:high][is_finite] = _fit_polynomials(x, y)
             continue
         min_samples, max_pieces = (
-            (min_rest_samples, max_rest_intervals) if is_rest else (_MIN_INTERVAL_SAMPLES, parts)
+            (min_rest_samples, max_rest_intervals)
+            if is_rest
+            else (_MIN_INTERVAL_SAMPLES, max_intervals)
         )
         count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
-        curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
+        curve = make_lsq_spline(x, y, _select_supported_knots(knots, x), _SPLINE_DEGREE)(x)
         is_constant = is_rest and _is_constant(y, curve, count + _SPLINE_DEGREE)
         smooth[low:high][is_finite] = y.mean() if is_constant else curve
-    for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
-        if cut != broken and cut - before > 1 and after - cut > 1:
+    for previous, cut, following in zip(ends, ends[1:], ends[2:], strict=False):
+        if cut != jump and cut - previous > 1 and following - cut > 1:
             _join_pieces(smooth, cut)
     return smooth
 
 
-def _polynomials(x: Floats, y: Floats) -> Floats:
+def _fit_polynomials(x: Floats, y: Floats) -> Floats:
     """Fit polynomials to the pieces of a short record."""
     polynomials = np.empty(len(y))
     for start, stop, degree in cut_into_polynomials(y):
@@ -263,26 +267,34 @@ def _join_pieces(values: Floats, cut: int) -> None:
     """
     max_gap_steps = 2.5
     step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
-    ahead, back = values[cut - 1] + step_before, values[cut] - step_after
-    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(step_before), abs(step_after)):
+    extrapolated_forward, extrapolated_back = (
+        values[cut - 1] + step_before,
+        values[cut] - step_after,
+    )
+    if not abs(extrapolated_forward - values[cut]) <= max_gap_steps * max(
+        abs(step_before), abs(step_after)
+    ):
         return
-    pick = min if step_before > step_after else max
-    values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
+    select = min if step_before > step_after else max
+    values[cut - 1], values[cut] = (
+        select(values[cut - 1], extrapolated_back),
+        select(values[cut], extrapolated_forward),
+    )
 
 
-def _supported_knots(knots: Floats, x: Floats) -> Floats:
+def _select_supported_knots(knots: Floats, x: Floats) -> Floats:
     """Remove knots in gaps, so that every spline of the basis has samples."""
     inner = knots[4:-4]
     counts = np.diff(np.searchsorted(x, np.concatenate([[0.0], inner, [1.0]])))
     supported = [
-        knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _SPLINE_DEGREE
+        knot for knot, samples in zip(inner, counts[:-1], strict=True) if samples > _SPLINE_DEGREE
     ]
     while supported and (x > supported[-1]).sum() <= _SPLINE_DEGREE:
         supported.pop()
     return np.concatenate([knots[:4], supported, knots[-4:]])
 
 
-def _straight_line(t: Floats, y: Floats) -> Floats:
+def _fit_straight_line(t: Floats, y: Floats) -> Floats:
     """Fit a straight line to a few samples; fewer than three are returned unchanged."""
     if len(y) < 3 or np.ptp(t) == 0.0:
         return y
@@ -319,16 +331,16 @@ def draw_replicates(
     -------
     The replicates, the same for the same seed.
     """
-    parts = count_spline_intervals(unfiltered)
-    time, drawn, noises, smooth = unfiltered.time, [], {}, []
+    n_intervals = count_spline_intervals(unfiltered)
+    time, noisy, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, function in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = fit_smooth_curve(
-            time, values, cuts, parts, broken=failed, branches=unfiltered.branches
+            time, values, cuts, n_intervals, jump=failed, branches=unfiltered.branches
         )
-        noise = _record_noise(
+        noise = _estimate_record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
         record_noise = (
@@ -336,10 +348,10 @@ def draw_replicates(
             if noise.is_zero
             else noise.draw(len(time), N_REPLICATES, make_generator(seed, name))
         )
-        drawn.append(_noisy_and_filtered(curve, record_noise, function))
+        noisy.append(_add_noise_and_filter(curve, record_noise, function))
         noises[name] = noise
         smooth.append(curve)
-    displacement, force = drawn
+    displacement, force = noisy
     if compliance:
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
@@ -351,7 +363,7 @@ def draw_replicates(
     return replace(replicates, noises=noises)
 
 
-def _noisy_and_filtered(curve: Floats, noise: Singles | None, function: Filter) -> Floats:
+def _add_noise_and_filter(curve: Floats, noise: Singles | None, function: Filter) -> Floats:
     """Add noise to a curve and filter it, in batches: shape (replicates, n)."""
     if noise is None:
         return np.broadcast_to(function(curve[None]), (N_REPLICATES, len(curve)))
@@ -362,22 +374,22 @@ def _noisy_and_filtered(curve: Floats, noise: Singles | None, function: Filter) 
     return filtered
 
 
-def _record_noise(
+def _estimate_record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
 ) -> NoiseModel:
     """Estimate the noise of a record from its branches up to the failure, or from all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
-    pieces = _pieces(cuts, last)
+    pieces = _list_pieces(cuts, last)
     if max(piece.stop - piece.start for piece in pieces) < _MIN_INTERVAL_SAMPLES:
-        pieces = _pieces(cuts, len(values))
-    of_pieces = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
+        pieces = _list_pieces(cuts, len(values))
+    pieces_and_curves = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
     if len(trace.branches) < 2:
-        return estimate_noise(*of_pieces, has_steps=has_steps)
+        return estimate_noise(*pieces_and_curves, has_steps=has_steps)
     # Rests before the first branch of a cyclic test and after its last one.
-    before, behind = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
-    return estimate_noise(*of_pieces, [before], [behind], has_steps=has_steps)
+    rest_before, rest_after = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
+    return estimate_noise(*pieces_and_curves, [rest_before], [rest_after], has_steps=has_steps)
 
 
-def _pieces(cuts: Sequence[int], last: int) -> list[slice]:
+def _list_pieces(cuts: Sequence[int], last: int) -> list[slice]:
     ends = sorted({0, last, *(cut for cut in cuts if cut < last)})
     return [slice(low, high) for low, high in pairwise(ends)]

@@ -1,7 +1,7 @@
-"""A virtual test lab: synthetic exports of bending and tensile tests, with known truth.
+"""Simulate a test lab: synthetic exports of bending and tensile tests, with known true values.
 
-The exports are in the vendors' formats. The lab is written from physics and the vendors' file
-layouts alone and shares no code with the processing that it checks.
+The exports are in the vendors' formats. The simulation uses physics and the vendors' file layouts
+only, and shares no code with the processing that it checks.
 """
 
 from labpipe.virtual_lab.campaigns import (

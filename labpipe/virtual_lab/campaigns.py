@@ -1,7 +1,7 @@
-"""Campaigns of virtual tests: their specimens, the scatter of samples, and mishaps.
+"""Define campaigns of virtual tests: their specimens, the scatter of samples, and mishaps.
 
-A campaign is data from which scenarios follow. All tests with one load cell share its gain error;
-each test has its own clocks and pose.
+The parameters of a campaign determine its scenarios. All tests with one load cell have the same
+gain error; each test has its own clocks and pose.
 """
 
 from __future__ import annotations
@@ -88,12 +88,12 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
 
 @dataclass(frozen=True, slots=True)
 class ChosenTests:
-    """Some tests of campaigns, each identical to the one in its campaign.
+    """A selection of the tests of campaigns.
 
     Parameters
     ----------
-    campaigns : that contain the tests
-    names : of the tests, which keep the order of the campaigns
+    campaigns : campaigns that contain the tests; their order is kept
+    names : names of the selected tests
     """
 
     campaigns: Sequence[Campaign]
@@ -290,8 +290,13 @@ _SLIPS = {
     "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
 }
-_UNLOADED_TUBE, _TUBE_IN_PARTS = "CT-10-3", "2b"
+"""Slips in the grips, by test."""
+_UNLOADED_TUBE = "CT-10-3"
+"""Test that includes unloading."""
+_TUBE_IN_PARTS = "2b"
+"""Sample whose export has several files."""
 _TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e-3))
+"""Factor on the forces, and displacement at failure, m, of each tape."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,8 +330,8 @@ def _build_corrugated_tubes(
     for tube_type, (factor, section) in _TUBES.items():
         for sample in range(1, 4):
             name = f"{tube_type}-{sample}"
-            scattered = factor * _draw_factor(random, 0.01)
-            tube = build_corrugated_tube(name, factor=scattered, gain_error=gain_error)
+            sample_factor = factor * _draw_factor(random, 0.01)
+            tube = build_corrugated_tube(name, factor=sample_factor, gain_error=gain_error)
             yield replace(
                 tube,
                 law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
@@ -353,11 +358,11 @@ def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterat
 def _build_tapes(
     tapes: Sequence[tuple[float, float]], gain_error: float, random: np.random.Generator
 ) -> Iterator[TensileScenario]:
-    for number, (factor, fails_at) in enumerate(tapes, start=1):
+    for number, (factor, failure_displacement) in enumerate(tapes, start=1):
         tape = build_pet_tape(
             str(number),
             factor=factor * _draw_factor(random, 0.01),
-            fails_at=fails_at * _draw_factor(random, 0.02),
+            failure_displacement=failure_displacement * _draw_factor(random, 0.02),
             gain_error=gain_error,
         )
         slack = float(random.uniform(0.4e-3, 0.8e-3))
@@ -371,7 +376,7 @@ class CrimpLot(NamedTuple):
     ----------
     conductor : its section, as the test sheets state it
     strength, deviation : N, mean and standard deviation of normal strengths
-    separations : kinds of separation, in turn; an empty one is not stated
+    separations : kinds of separation of successive samples, repeated; an empty one is not stated
     """
 
     conductor: str
@@ -386,7 +391,7 @@ class CrimpCampaign:
 
     Parameters
     ----------
-    lots : by default one that passes, one that cannot be told and one that fails
+    lots : by default one that passes, one without a clear result and one that fails
     samples : of each lot
     """
 

@@ -1,4 +1,4 @@
-"""Virtual cantilever tests: settings, quasi-static path, records, and true values.
+"""Simulate cantilever tests: settings, quasi-static path, records, and true values.
 
 Everything is SI. The origin of the specimen frame is the clamped end, with which it moves; x is
 along the undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
@@ -10,8 +10,9 @@ The path is a function of *progress*, the total distance that the clamp has move
 Events are turning points, and points at which the string becomes taut or slack. Between events the
 path is smooth and interpolated by cubic splines through the solved positions.
 
-True values are computed from curves without noise, and not by the formulas of the processing: the
-kink is searched over a fine grid, and the start of the plateau backwards from the end of the curve.
+True values are computed from curves without noise, with other algorithms than in the processing:
+the kink is the best point of a fine grid, and the search for the start of the plateau begins at the
+end of the curve.
 """
 
 from __future__ import annotations
@@ -241,14 +242,16 @@ class CantileverScenario:
         force = self._record_force(path, plan, force_random)
         layout = self.markers
         progress = plan.progress_at(plan.frame_times)
-        drop = np.zeros((len(progress), 3))
-        drop[:, 1] = -path.travel(progress)
+        clamp_offsets = np.zeros((len(progress), 3))
+        clamp_offsets[:, 1] = -path.travel(progress)
         arc_lengths = np.array(layout.arc_lengths(self.mechanics.length))
         x, y, angle = path.points(progress, arc_lengths)
-        across, up = -layout.centre_offset * np.sin(angle), layout.centre_offset * np.cos(angle)
+        offset_x = -layout.centre_offset * np.sin(angle)
+        offset_y = layout.centre_offset * np.cos(angle)
         take = film(
             "Wire",
-            np.stack([x + across, y + up, np.zeros_like(x)], axis=2) + drop[:, None, :],
+            np.stack([x + offset_x, y + offset_y, np.zeros_like(x)], axis=2)
+            + clamp_offsets[:, None, :],
             plan,
             camera_random,
             pose=self.pose,
@@ -256,7 +259,7 @@ class CantileverScenario:
             unit=self.length_unit,
             noise=layout.noise,
             scrambled=layout.scrambled,
-            clamp=(drop + np.asarray(layout.pivot), layout.pivot_noise, layout.turn_noise),
+            clamp=(clamp_offsets + np.asarray(layout.pivot), layout.pivot_noise, layout.turn_noise),
             mishaps=self.mishaps,
         )
         truth = {
@@ -277,12 +280,12 @@ class CantileverScenario:
         pulses_per_metre = 8e6
         progress = plan.progress_at(plan.force_times)
         volts, gain = self.load_cell.read(path.tension(progress), random)
-        moving = np.diff(progress, append=progress[-1]) > 0.0
-        down = moving & (np.floor_divide(progress, self.mechanics.stroke) % 2 == 0)
+        is_moving = np.diff(progress, append=progress[-1]) > 0.0
+        is_down = is_moving & (np.floor_divide(progress, self.mechanics.stroke) % 2 == 0)
         signals = {
             FORCE_PATH: volts,
-            "Model Root/Motor/Direction": down.astype(np.float64),
-            "Model Root/Motor/Frequency": moving * round(pulses_per_metre * self.speed, 6),
+            "Model Root/Motor/Direction": is_down.astype(np.float64),
+            "Model Root/Motor/Frequency": is_moving * round(pulses_per_metre * self.speed, 6),
         }
         return ForceRecord(plan.force_clock, signals, gain)
 
@@ -361,9 +364,11 @@ def build_taped_scenario(name: str, *, cycles: int = 3, factor: float = 1.0) -> 
     KeyError
         If the type is unknown.
     """
-    half = 0.5 * 0.0127
+    half_interval = 0.5 * 0.0127
     bundle = replace(TAPED_TYPES[name], factor=factor)
-    markers = MarkerLayout(n_markers=9, first=half, pull_offset=half, centre_offset=bundle.radius)
+    markers = MarkerLayout(
+        n_markers=9, first=half_interval, pull_offset=half_interval, centre_offset=bundle.radius
+    )
     return CantileverScenario(
         specimen_type=name,
         spool=f"{name}-s1",
@@ -428,8 +433,8 @@ class MechanicalPath:
         """Return the travel of the clamp, m, shape (n,); a triangle wave."""
         stroke = self.test.stroke
         inside = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
-        saw: Floats = stroke - np.abs(inside % (2.0 * stroke) - stroke)
-        return saw
+        travel: Floats = stroke - np.abs(inside % (2.0 * stroke) - stroke)
+        return travel
 
     def tension(self, progress: Floats) -> Floats:
         """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
@@ -449,8 +454,11 @@ class MechanicalPath:
         x, y, angle, each of shape (n, m), in the specimen frame.
         """
         nodes = self.segments[0].x.shape[1]
-        onto = make_interpolation_matrix(nodes, arc_lengths / self.test.length).T
-        columns = [np.hstack([s.x @ onto, s.y @ onto, s.angle @ onto]) for s in self.segments]
+        interpolation = make_interpolation_matrix(nodes, arc_lengths / self.test.length).T
+        columns = [
+            np.hstack([s.x @ interpolation, s.y @ interpolation, s.angle @ interpolation])
+            for s in self.segments
+        ]
         x, y, angle = np.split(self._look_up(progress, columns), 3, axis=1)
         return x, y, angle
 
@@ -465,17 +473,18 @@ class MechanicalPath:
         return self.deflection(progress), self.tension(progress) - self.rest.tension
 
     def _look_up(self, progress: Floats, columns: list[Floats]) -> Floats:
-        out = np.empty((len(progress), columns[0].shape[1]))
+        """Interpolate columns of the segments at nondecreasing progress, shape (n, columns)."""
+        interpolated = np.empty((len(progress), columns[0].shape[1]))
         starts = [segment.progress[0] for segment in self.segments[1:]]
         edges = [0, *np.searchsorted(progress, starts), len(progress)]
         parts = [slice(first, last) for first, last in pairwise(edges)]
         for segment, values, part in zip(self.segments, columns, parts, strict=True):
             if segment.is_still:
-                out[part] = values[0]
+                interpolated[part] = values[0]
             elif part.stop > part.start:
                 inside = np.clip(progress[part], segment.progress[0], segment.progress[-1])
-                out[part] = CubicSpline(segment.progress, values)(inside)
-        return out
+                interpolated[part] = CubicSpline(segment.progress, values)(inside)
+        return interpolated
 
 
 @lru_cache(maxsize=32)
@@ -520,11 +529,13 @@ def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     """Return the string, and the shape at rest before the motion."""
     law, weight = test.wire.law(), test.gravity * test.counterweight
     undeformed = make_straight(law, test.n_stations, self_weight=test.self_weight)
-    level = StringRig(test.string_length, weight, test.length, test.string_length)
+    level_rig = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
-        return level, bend_to_travel(law, undeformed, test.length, level, 0.0)
+        return level_rig, bend_to_travel(law, undeformed, test.length, level_rig, 0.0)
     hanging = bend_under_force(law, undeformed, test.length, np.array([0.0, -weight]))
-    surplus = test.slack - level.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
+    surplus = test.slack - level_rig.travel_to_taut_string(
+        float(hanging.x[-1]), float(hanging.y[-1])
+    )
     rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
@@ -558,7 +569,7 @@ class _Branch:
             yield from self._solve_taut(shape, goal)
 
     def _solve_taut(self, shape: CantileverShape, goal: float) -> Iterator[list[CantileverShape]]:
-        """Solve with a taut string; from where it becomes slack, the wire moves with the clamp."""
+        """Solve with a taut string; after it becomes slack, the wire moves with the clamp."""
         shapes, test = [shape], self.test
         share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
         for travel in (shape.state.travel + share * (goal - shape.state.travel)).tolist():
@@ -585,17 +596,19 @@ class _Branch:
         for _ in range(max_iterations):
             self._update_law()
             shape = self._bend(state, travel)
-            reached = _find_largest_curvature([shape], self.max_curvature)
-            if not isinstance(wire, BundleModel) or reached == self.max_curvature:
+            largest_curvature = _find_largest_curvature([shape], self.max_curvature)
+            if not isinstance(wire, BundleModel) or largest_curvature == self.max_curvature:
                 break
-            is_settled = abs(wire.held(reached) - wire.held(self.max_curvature)) < tolerance
-            self.max_curvature = reached
+            share_before = wire.compute_slip_share(self.max_curvature)
+            share = wire.compute_slip_share(largest_curvature)
+            is_settled = abs(share - share_before) < tolerance
+            self.max_curvature = largest_curvature
             if is_settled:
                 break
         return shape
 
     def _update_law(self) -> None:
-        """Take the law after the largest curvature, on which only bundles depend."""
+        """Set the law for the largest curvature so far; only the law of a bundle depends on it."""
         wire = self.test.wire
         if isinstance(wire, BundleModel):
             self._law = wire.law(self.cycle, self.max_curvature)
@@ -616,10 +629,10 @@ def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float)
     return max(max_curvature, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
 
 
-def _is_same_state(one: WireState, other: WireState) -> bool:
+def _is_same_state(first: WireState, second: WireState) -> bool:
     """Return whether two states have the same history within the accuracy of the solver."""
-    largest = float(np.max(np.abs(other.plays), initial=1e-12))
-    return bool(np.max(np.abs(one.plays - other.plays), initial=0.0) <= 1e-9 * largest)
+    largest = float(np.max(np.abs(second.plays), initial=1e-12))
+    return bool(np.max(np.abs(first.plays - second.plays), initial=0.0) <= 1e-9 * largest)
 
 
 def _repeat_segment(segment: Segment, stroke: float) -> Segment:
@@ -702,8 +715,8 @@ def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | 
     above = np.flatnonzero(tangent >= limit)
     if len(above) == 0 or above[-1] == len(grid) - 1:
         return None
-    pair = slice(above[-1], above[-1] + 2)
-    return float(np.interp(-limit, -tangent[pair], grid[pair]))
+    crossing = slice(above[-1], above[-1] + 2)
+    return float(np.interp(-limit, -tangent[crossing], grid[crossing]))
 
 
 def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> Truth:
@@ -723,22 +736,24 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     grid, roots = np.linspace(start, stop, _FIT_POINTS), _build_weights()
     forces = np.interp(grid, displacement, force)
 
-    def fit(place: float) -> tuple[Floats, float]:
+    def fit(break_point: float) -> tuple[Floats, float]:
         """Return level, slope and change of slope of the best lines, and the sum of squares."""
-        basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - place, 0.0)])
+        basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - break_point, 0.0)])
         lines = np.linalg.lstsq(roots[:, None] * basis, roots * forces, rcond=None)[0]
         return lines, float(np.sum((roots * (basis @ lines - forces)) ** 2))
 
-    breaks = grid[10:-10]
-    misfits = np.array([fit(place)[1] for place in breaks.tolist()])
+    break_points = grid[10:-10]
+    misfits = np.array([fit(break_point)[1] for break_point in break_points.tolist()])
     best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
     below, middle, above = misfits[best - 1 : best + 2]
     shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
-    place = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
-    level, first, change = fit(place)[0].tolist()
+    break_point = float(
+        break_points[best] + np.clip(shift, -1.0, 1.0) * (break_points[1] - break_points[0])
+    )
+    level, first, change = fit(break_point)[0].tolist()
     return {
-        "displacement": place,
-        "force": level + first * place,
+        "displacement": break_point,
+        "force": level + first * break_point,
         "stiffness_before": first,
         "stiffness_after": first + change,
     }
@@ -830,8 +845,8 @@ def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
 def _evaluate_cycle(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
     """Return times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
     start, top, stop = turning_times[2 * number - 2 : 2 * number + 1].tolist()
-    there_and_back = 2.0 * path.test.stroke
-    progress = there_and_back * (number - 1) + np.linspace(0.0, there_and_back, TRUTH_POINTS)
+    cycle_progress = 2.0 * path.test.stroke
+    progress = cycle_progress * (number - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
     deflection, force = path.curve(progress)
     return {
         "cycle": number,
@@ -854,8 +869,8 @@ def _find_residual(path: MechanicalPath, number: int) -> float | None:
         force = segment.tension - path.rest.tension
         if force[-1] > zero_force:
             return None
-        place = float(segment.progress[-1])
+        progress = float(segment.progress[-1])
         if force[-1] < -zero_force:
-            place = float(CubicSpline(segment.progress, force).roots(extrapolate=False)[0])
-        return float(path.deflection(np.array([place]))[0])
+            progress = float(CubicSpline(segment.progress, force).roots(extrapolate=False)[0])
+        return float(path.deflection(np.array([progress]))[0])
     return None

@@ -1,4 +1,4 @@
-"""Virtual instruments: settings, schedule of a test, and records of recorder, frame and cameras.
+"""Simulate instruments: settings, schedule of a test, records of recorder, frame and cameras.
 
 In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
 towards the pull. The initial orientation of the clamp's body is the identity for any pose of the
@@ -26,7 +26,7 @@ PORT = "Out1"
 
 
 class Setting(NamedTuple):
-    """Value of the rig, which the test sheet states where the protocol has another.
+    """Value of the virtual rig; the test sheet states it if the protocol has another value.
 
     Parameters
     ----------
@@ -64,12 +64,15 @@ class LoadCell:
 
     def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
         """Return the output for a force, V, quantised and saturated, and the true gain, N/V."""
-        drawn = self.gain_uncertainty * random.standard_normal()
-        gain = float(self.gain * (1.0 + (drawn if self.gain_error is None else self.gain_error)))
-        sensed = force + self.noise * random.standard_normal(len(force))
+        drawn_error = self.gain_uncertainty * random.standard_normal()
+        gain_error = drawn_error if self.gain_error is None else self.gain_error
+        gain = float(self.gain * (1.0 + gain_error))
+        noisy_force = force + self.noise * random.standard_normal(len(force))
         step = 2.0 * self.full_scale / 2**self.bits
         lowest, highest = -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
-        counts: Floats = np.clip(np.rint((sensed / gain + self.offset) / step), lowest, highest)
+        counts: Floats = np.clip(
+            np.rint((noisy_force / gain + self.offset) / step), lowest, highest
+        )
         return counts * step, gain
 
     def list_settings(self) -> list[Setting]:
@@ -98,18 +101,18 @@ class Pose:
 
     def rotation(self) -> Floats:
         """Return the rotation from specimen to lab, shape (3, 3)."""
-        turned: Floats = Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
-        return turned
+        rotation: Floats = Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
+        return rotation
 
     def to_lab(self, positions: Floats) -> Floats:
         """Transform positions from the specimen frame to the motion-capture frame, m."""
-        turned: Floats = positions @ self.rotation().T + np.asarray(self.origin)
-        return turned
+        lab_positions: Floats = positions @ self.rotation().T + np.asarray(self.origin)
+        return lab_positions
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """Part of a take in which a mishap affects a marker.
+class MarkerInterval:
+    """Part of a take during which a mishap affects a marker.
 
     Parameters
     ----------
@@ -124,29 +127,29 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Mishaps:
-    """Mishaps of the markers of a take; `NO_MISHAPS` for a clean one.
+    """Mishaps of the markers of a take; `NO_MISHAPS` has none.
 
     Parameters
     ----------
     n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
     long_gap : s, length of one long gap on a random marker; 0 for none
-    switch : where the marker and the next one swap labels; None for nowhere
-    unlabelled : where the marker is renamed ``Unlabeled 1234``; None for nowhere
+    switch : interval in which the marker and the next one swap labels; None for no swap
+    unlabelled : interval in which the marker is named ``Unlabeled 1234``; None for none
     """
 
     n_gaps: int = 8
     long_gap: float = 1.2
-    switch: Stretch | None = Stretch(3, 0.40, 0.55)
-    unlabelled: Stretch | None = Stretch(5, 0.70, 0.72)
+    switch: MarkerInterval | None = MarkerInterval(3, 0.40, 0.55)
+    unlabelled: MarkerInterval | None = MarkerInterval(5, 0.70, 0.72)
 
 
 NO_MISHAPS = Mishaps(n_gaps=0, long_gap=0.0, switch=None, unlabelled=None)
 MISHAPS = (
     Mishaps(),
-    Mishaps(n_gaps=4, long_gap=0.0, switch=Stretch(1, 0.62, 1.0), unlabelled=None),
-    Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=Stretch(2, 0.3, 0.33)),
+    Mishaps(n_gaps=4, long_gap=0.0, switch=MarkerInterval(1, 0.62, 1.0), unlabelled=None),
+    Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=MarkerInterval(2, 0.3, 0.33)),
 )
-"""Mishaps in the tests of a campaign, in turn."""
+"""Mishaps in successive samples of a campaign, repeated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,7 +278,7 @@ BODY_MARKERS = np.array(
 
 @dataclass(frozen=True, slots=True)
 class MishapEvent:
-    """A mishap that occurred: its markers and its frames.
+    """A mishap in a take: its markers and its frames.
 
     Parameters
     ----------
@@ -401,16 +404,17 @@ def film(
 def _film_body(
     pivot: Floats, pivot_noise: float, turn_noise: float, noise: float, random: np.random.Generator
 ) -> tuple[RigidBody, Floats]:
-    """Return the noisy pose of the clamp and its markers in that pose."""
+    """Return the pose of the clamp with noise, and the positions of its markers in this pose."""
     frames = len(pivot)
     position = pivot + pivot_noise * random.standard_normal((frames, 3))
-    turns = turn_noise * random.standard_normal((frames, 3))
-    quaternion = np.column_stack([0.5 * turns, np.ones(frames)])  # small turns about x, y, z
+    rotations = turn_noise * random.standard_normal((frames, 3))
+    # small rotations about x, y, z
+    quaternion = np.column_stack([0.5 * rotations, np.ones(frames)])
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    turned = np.cross(turns[:, None, :], BODY_MARKERS[None])
+    marker_shifts = np.cross(rotations[:, None, :], BODY_MARKERS[None])
     error = noise * (1.5 + 0.2 * random.standard_normal(frames))
     body = RigidBody(BODY, position, quaternion, np.abs(error))
-    return body, position[:, None, :] + BODY_MARKERS + turned
+    return body, position[:, None, :] + BODY_MARKERS + marker_shifts
 
 
 def _rank_column(name: str) -> tuple[int, int]:
@@ -433,11 +437,11 @@ def _draw_mishaps(
         start = int(random.integers(first, max(first + 1, last - length)))
         marker = int(random.integers(n_markers))
         log.append(MishapEvent("gap", (marker,), start, start + int(length)))
-    stretches = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
-    for kind, stretch, n_affected in stretches:
-        if stretch is not None:
-            markers = tuple(range(stretch.marker, stretch.marker + n_affected))
-            start, stop = (int(share * len(time)) for share in (stretch.start, stretch.stop))
+    intervals_by_kind = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
+    for kind, interval, n_affected in intervals_by_kind:
+        if interval is not None:
+            markers = tuple(range(interval.marker, interval.marker + n_affected))
+            start, stop = (int(share * len(time)) for share in (interval.start, interval.stop))
             log.append(MishapEvent(kind, markers, start, stop))
     return tuple(log)
 
@@ -447,27 +451,30 @@ def _apply_mishaps(
 ) -> tuple[tuple[str, ...], Floats]:
     """Apply mishaps to the markers along the specimen, which are the last `n_markers`.
 
-    A gap belongs to a marker, not to a label: during a switch it appears under the other label.
+    A gap affects a marker, not a label: while labels are swapped, it appears under the other label.
     """
     first = len(names) - n_markers
-    extra = np.full((len(positions), 1, 3), np.nan)
+    unlabelled = np.full((len(positions), 1, 3), np.nan)
     for event in log:
-        during, columns = slice(event.start, event.stop), [first + n for n in event.markers]
+        frames, columns = slice(event.start, event.stop), [first + n for n in event.markers]
         if event.kind == "switch":
-            positions[during, columns] = positions[during, columns[::-1]]
+            positions[frames, columns] = positions[frames, columns[::-1]]
             continue
         if event.kind == "unlabelled":
-            extra[during] = positions[during, columns]
-        positions[during, columns] = np.nan
+            unlabelled[frames] = positions[frames, columns]
+        positions[frames, columns] = np.nan
     if any(event.kind == "unlabelled" for event in log):
-        return (*names, "Unlabeled 1234"), np.concatenate([positions, extra], axis=1)
+        return (*names, "Unlabeled 1234"), np.concatenate([positions, unlabelled], axis=1)
     return names, positions
 
 
 def list_markers(labels: tuple[str, ...], arc_lengths: Floats) -> list[dict[str, object]]:
     """Return the markers along a specimen for ``truth.json``; arc lengths in m."""
-    places = arc_lengths.round(12).tolist()
-    return [{"label": label, "arc_length": s} for label, s in zip(labels, places, strict=True)]
+    arc_length_values = arc_lengths.round(12).tolist()
+    return [
+        {"label": label, "arc_length": arc_length}
+        for label, arc_length in zip(labels, arc_length_values, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Files of a virtual test: exports in the vendors' formats, test sheet, and true values.
+"""Write the files of a virtual test: exports in the vendors' formats, test sheet, true values.
 
 **ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. It holds one struct
 with Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
@@ -280,21 +280,21 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     clock = record.clock
     saved = run.started + timedelta(seconds=round(float(clock[-1])))
     limit = np.finfo(np.float64).max
-    one, two, data_type = np.int32(1), np.int32(2), np.int32(4)
+    int1, int2, data_type = np.int32(1), np.int32(2), np.int32(4)
     raster = "HostService"
     fields = "Name Type Data Unit Raster Device XIndex DownSampling Description DisplayIdentifier"
     fields += " Path Flags Min Max MinWeak MaxWeak"
     channels = []
     for path, values in sorted(record.signals.items()):
         data = _compact_integers(values)[None, :]
-        head = (PORT, data_type, data, "", raster, "Platform", one, one, "", "", path, two)
+        head = (PORT, data_type, data, "", raster, "Platform", int1, int1, "", "", path, int2)
         channels.append((*head, -limit, limit, -limit, limit))
     origin = (
         "Software revision: virtual_lab.sdf\r\nVariable description: virtual_lab.sdf\r\n"
         f"    Platform / Device: Platform [{run.note}]\r\nControlDesk version: 7.4"
     )
     content = {
-        "Info": {"RevisionMajor": two, "RevisionMinor": one, "MeasurementID": one},
+        "Info": {"RevisionMajor": int2, "RevisionMinor": int1, "MeasurementID": int1},
         "X": {"Name": "", "Type": data_type, "Data": clock[None, :], "Unit": "", "Raster": raster},
         "Y": np.array([channels], dtype=[(field, object) for field in fields.split()]),
         "Description": {
@@ -377,26 +377,26 @@ def _build_motive_columns(
     take: Take, factor: float, random: np.random.Generator
 ) -> tuple[list[tuple[str, ...]], Floats]:
     """Return type, name, id, quantity and axis of every column, and the data after the frame."""
-    place = [("Position", axis) for axis in "XYZ"]
-    turn = [("Rotation", axis) for axis in "XYZW"]
+    position_columns = [("Position", axis) for axis in "XYZ"]
+    rotation_columns = [("Rotation", axis) for axis in "XYZW"]
     blocks: list[tuple[str, str, str, list[tuple[str, str]]]] = []
     data = [take.time[:, None]]
     for body in take.bodies:
         identity = f'"{random.bytes(16).hex().upper()}"'
-        columns = [*turn, *place, ("Mean Marker Error", "")]
+        columns = [*rotation_columns, *position_columns, ("Mean Marker Error", "")]
         blocks.append(("Rigid Body", body.name, identity, columns))
         data += [body.rotation, body.position * factor, body.error[:, None] * factor]
-        columns = [*place, ("Marker Quality", "")]
+        columns = [*position_columns, ("Marker Quality", "")]
         for number in range(1, len(BODY_MARKERS) + 1):
             marker = f'"{body.name}:Marker{number}"'
             blocks.append(("Rigid Body Marker", marker, identity, columns))
     for name in take.names:
-        blocks.append(("Marker", name, f'"{random.bytes(3).hex().upper()}"', place))
+        blocks.append(("Marker", name, f'"{random.bytes(3).hex().upper()}"', position_columns))
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
     data += [part.reshape(len(take.time), -1) for part in (fitted, take.positions * factor)]
-    first = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
+    heading_rows = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
     labels = [(*names, *column) for *names, columns in blocks for column in columns]
-    return [*first, *labels], np.hstack(data)
+    return [*heading_rows, *labels], np.hstack(data)
 
 
 def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
@@ -415,10 +415,11 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     if record.layout.force_unit == "lbf":
         return _write_r_controller(folder, record, run)
     parts: list[slice | None] = [slice(None)]
-    if record.layout.part_at is not None:  # the later step, the earlier one, one without samples
-        lost_rows = 2
+    # the later step, the earlier step, and a step without samples
+    if record.layout.part_at is not None:
+        n_missing_rows = 2
         first = int(np.searchsorted(record.time, record.layout.part_at))
-        parts = [slice(first + lost_rows, None), slice(first), None]
+        parts = [slice(first + n_missing_rows, None), slice(first), None]
     names = []
     for number, part in enumerate(parts):
         names.append(f"DAQ- Crosshead, … - (Timed){number or ''}.txt")

@@ -1,4 +1,4 @@
-"""Specimens of the virtual rigs and their laws: wires, an elastic bar, and bundles of wires.
+"""Define the specimens of the virtual rigs and their laws: wires, an elastic bar, bundles.
 
 The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
 (`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
@@ -13,19 +13,19 @@ by friction between neighbours and by the tape:
                               + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
 
 Here y_i is the distance of a wire from the neutral axis and EA_i the axial stiffness of its copper.
-The shares h and g of it are effective, because friction and glue are compliant. Friction between
+The shares h and g are effective values, because friction and glue are compliant. Friction between
 neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y and kappa_s the
 curvature at which a wire at that distance slips; a wire at twice the distance slips at half of it.
 This causes the kink. The glue of the tape holds the outer wires until the strain kappa R at the
 radius R of the bundle is e; then the tape slides on all of them at once. This causes the plateau,
 where only the wires themselves are stiff. Without further effects the force would still increase by
-1 % per millimetre, because the lever of a strongly bent bundle gets shorter. But a sliding tape
+1 % per millimetre, because the lever of a strongly bent bundle becomes shorter. But a sliding tape
 holds the bundle less firmly: all slip moments are multiplied by 1 - q (kappa_max R / e - 1), where
 kappa_max is the largest curvature so far. If the tape does not slide, there is no such factor.
 
 Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
-Therefore a bundle is one `PlayLaw`. Wires that have slipped lock: from the second cycle on, all
-slip moments and slip curvatures are multiplied by `locking`.
+Therefore a bundle is one `PlayLaw`. Wires that have slipped are locked afterwards: from the second
+cycle on, all slip moments and slip curvatures are multiplied by `locking`.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
 
     Parameters
     ----------
-    law : of the type
-    factor : on all moments
-    slip_factor : on moments and curvatures at which slip begins
+    law : law of the type
+    factor : factor on all moments
+    slip_factor : factor on moments and curvatures at which slip begins
     """
     return PlayLaw(
         law.stiffness * factor,
@@ -316,15 +316,15 @@ class BundleModel:
         """
         locking = 1.0 if cycle == 1 else self.locking
         law = _build_law(replace(self, factor=1.0))
-        return scale_law(law, self.factor, self.held(max_curvature) * locking)
+        return scale_law(law, self.factor, self.compute_slip_share(max_curvature) * locking)
 
-    def held(self, max_curvature: float) -> float:
-        """Return the remaining share of all slip moments at a largest curvature, 1/m."""
+    def compute_slip_share(self, max_curvature: float) -> float:
+        """Return the share of the slip moments that remains after a largest curvature, 1/m."""
         min_sticking_share = 0.5
         if self.glue_strain is None:
             return 1.0
-        slid = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
-        return max(min_sticking_share, 1.0 - self.slide_loss * slid)
+        slide_ratio = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
+        return max(min_sticking_share, 1.0 - self.slide_loss * slide_ratio)
 
     @property
     def mass_per_length(self) -> float:
@@ -356,8 +356,8 @@ class BundleModel:
         block = {"wires": sizes, "number": self.number, "arrangement": self.arrangement}
         if len(self.wires) > 1:
             layout = lay_wires(self)
-            places = zip(layout.x, layout.y, strict=True)
-            block["positions"] = [[f"{1e3 * x:.4f} mm", f"{1e3 * y:.4f} mm"] for x, y in places]
+            positions = zip(layout.x, layout.y, strict=True)
+            block["positions"] = [[f"{1e3 * x:.4f} mm", f"{1e3 * y:.4f} mm"] for x, y in positions]
         covers = {"tape": self.tape, "taping": self.taping, "conduit": self.conduit}
         block |= {key: value for key, value in covers.items() if value != NONE}
         if self.conduit_bore is not None:
@@ -366,7 +366,7 @@ class BundleModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WirePlaces:
+class WirePositions:
     """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its types.
 
     Parameters
@@ -389,7 +389,7 @@ class WirePlaces:
         return self.axial * self.y**2
 
 
-def lay_wires(bundle: BundleModel) -> WirePlaces:
+def lay_wires(bundle: BundleModel) -> WirePositions:
     """Lay the wires in shells of the densest lattice, around a wire or around a gap.
 
     Parameters
@@ -401,15 +401,15 @@ def lay_wires(bundle: BundleModel) -> WirePlaces:
     ValueError
         If the wires do not fill shells.
     """
-    kinds = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
-    diameter = np.array([wire.diameter for wire in kinds])
-    copper = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in kinds])
+    wires = [WIRES[name] for name, number in bundle.wires for _ in range(number)]
+    diameter = np.array([wire.diameter for wire in wires])
+    copper = np.array([wire.n_strands * 0.25 * np.pi * wire.strand**2 for wire in wires])
     axial = ANNEALED_COPPER.modulus * copper
-    places, is_outer = _fill_shells(bundle.number)
-    order = _order_by_kind(places, bundle)
-    x, y = np.max(diameter) * places[order].T
-    neutral_x, neutral_y = (float(axial @ along / np.sum(axial)) for along in (x, y))
-    return WirePlaces(x - neutral_x, y - neutral_y, diameter, axial, is_outer[order])
+    positions, is_outer = _fill_shells(bundle.number)
+    order = _order_by_kind(positions, bundle)
+    x, y = np.max(diameter) * positions[order].T
+    neutral_x, neutral_y = (float(axial @ coordinate / np.sum(axial)) for coordinate in (x, y))
+    return WirePositions(x - neutral_x, y - neutral_y, diameter, axial, is_outer[order])
 
 
 def _fill_shells(number: int) -> tuple[Floats, Flags]:
@@ -417,26 +417,26 @@ def _fill_shells(number: int) -> tuple[Floats, Flags]:
     for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
-        places = lattice - centre
-        distance = np.hypot(*places.T)
-        order = np.lexsort((np.arctan2(places[:, 1], places[:, 0]), np.round(distance, 6)))
-        first, last = distance[order[number - 1 : number + 1]]
-        if last - first > _SHELL_TOLERANCE:
-            inside = places[order[:number]]
-            distances = np.hypot(*(inside[:, None, :] - inside).transpose(2, 0, 1))
-            return inside, np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1) < 6
+        positions = lattice - centre
+        distance = np.hypot(*positions.T)
+        order = np.lexsort((np.arctan2(positions[:, 1], positions[:, 0]), np.round(distance, 6)))
+        last_inside, first_outside = distance[order[number - 1 : number + 1]]
+        if first_outside - last_inside > _SHELL_TOLERANCE:
+            chosen = positions[order[:number]]
+            distances = np.hypot(*(chosen[:, None, :] - chosen).transpose(2, 0, 1))
+            return chosen, np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1) < 6
     raise ValueError(format_sentence("virtual_lab.open_shell", number=number))
 
 
-def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
+def _order_by_kind(positions: Floats, bundle: BundleModel) -> Ints:
     """Return the order of the places for wires of the first type, then those of the second."""
     first = bundle.wires[0][1]
-    order = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
+    order = np.argsort(positions[:, 1] + 1e-3 * positions[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
         return order
     # the second type is spread evenly over the shells
-    share = (len(places) - first) / len(places)
-    is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0
+    share = (len(positions) - first) / len(positions)
+    is_second = np.diff(np.floor(share * np.arange(len(positions) + 1) + 0.5)) > 0.0
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
@@ -452,12 +452,12 @@ def _build_law(bundle: BundleModel) -> PlayLaw:
     laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
     last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
     knots = _merge_corners([*(curvature for _, _, curvature, _ in laws), limits], last)
-    total = bundle.conduit_stiffness * knots
+    moment_sum = bundle.conduit_stiffness * knots
     for number, moment, curvature, slopes in laws:
-        beyond = np.maximum(knots - curvature[-1], 0.0) / slopes[-1]
-        total += number * (np.interp(knots, curvature, moment) + beyond)
-    total += np.minimum(knots[:, None], limits) @ stiffnesses
-    return make_polygon_law(knots, total)
+        extrapolated = np.maximum(knots - curvature[-1], 0.0) / slopes[-1]
+        moment_sum += number * (np.interp(knots, curvature, moment) + extrapolated)
+    moment_sum += np.minimum(knots[:, None], limits) @ stiffnesses
+    return make_polygon_law(knots, moment_sum)
 
 
 def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:

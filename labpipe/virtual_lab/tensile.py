@@ -1,4 +1,4 @@
-"""Virtual tensile tests: settings, samples, force over time, record, and true values.
+"""Simulate tensile tests: settings, samples, force over time, record, and true values.
 
 Everything is SI. Displacement is that of the crosshead from its position before the test; force is
 the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at which
@@ -10,9 +10,9 @@ of the dissertation. Forces that it does not state are plausible values.
 The path is continuous and without noise. The crosshead starts at time zero.
 
 A tension test of a metal has an extensometer. Its first loading follows Ramberg and Osgood:
-strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. From the
-uniform strain on the specimen necks: its force falls as the square of the further strain, until it
-breaks.
+strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. Beyond the
+uniform strain the specimen necks: the force decreases with the square of the additional strain,
+until the specimen breaks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from labpipe.virtual_lab.instruments import ExportLayout, FrameRecord, Setting, 
 from labpipe.virtual_lab.specimens import read_catalog
 
 _TABLE_POINTS = 200_001
-"""Points of the table for specimen and machine in series, whose error is below 1e-7 N."""
+"""Number of points of the table for specimen and machine in series; its error is below 1e-7 N."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,10 @@ class BilinearLaw:
         F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where r is
         `compute_ramp`. Outside toe and knee these are exactly the two straight lines.
         """
-        taut = distance - self.foot
-        bend = self.stiffness_second - self.stiffness_first
-        first: Floats = self.stiffness_first * compute_ramp(taut, self.toe)
-        return first + bend * compute_ramp(taut - self.break_point, self.knee)
+        stretched = distance - self.foot
+        slope_change = self.stiffness_second - self.stiffness_first
+        first: Floats = self.stiffness_first * compute_ramp(stretched, self.toe)
+        return first + slope_change * compute_ramp(stretched - self.break_point, self.knee)
 
     def force_in_series(self, displacement: Floats, compliance: float) -> Floats:
         """Compute the force of specimen and machine in series at first loading, N, without slips.
@@ -120,8 +120,8 @@ def compute_ramp(distance: Floats, width: float) -> Floats:
     ramp = np.maximum(distance, 0.0)
     if width == 0.0:
         return ramp
-    within = (distance + 0.5 * width) ** 2 / (2.0 * width)
-    return np.where(np.abs(distance) < 0.5 * width, within, ramp)
+    rounded = (distance + 0.5 * width) ** 2 / (2.0 * width)
+    return np.where(np.abs(distance) < 0.5 * width, rounded, ramp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class GripSlip:
     Parameters
     ----------
     position : m, displacement at which the force begins to fall
-    drop : N, by which the force is lower from then on
+    drop : N, by which the force is lower after the slip
     duration : s, of the drop
     """
 
@@ -148,8 +148,8 @@ class Failure:
     ----------
     displacement : m, at which the force begins to drop
     duration : s, of the drop
-    residue : share of the force that a few fibres still carry
-    tail : s, time constant with which these fibres fail
+    residue : share of the force that the remaining fibres carry
+    tail : s, time constant of the failure of these fibres
     """
 
     displacement: float
@@ -269,11 +269,11 @@ class TensileScenario:
     frame : of the machine
     instruments : of the machine
     slips : in order of position, before the end of the test
-    failure : within the stroke of the frame; None if the specimen outlasts the test
+    failure : within the stroke of the frame; None if the specimen does not fail
     export : layout
     section : m, dimensions of the section that differ from the protocol, by name
     date : ISO date for the test sheet and the exports
-    labels, observed : words of the test sheet on the specimen and on the tested sample, by name
+    labels, observed : texts of the test sheet on the specimen and on the tested sample, by name
     """
 
     name: str
@@ -306,31 +306,31 @@ class TensileScenario:
     @property
     def end(self) -> float:
         """Return the time at which the machine stops recording, s."""
-        back = self.frame.stroke / self.frame.speed if self.frame.unloads else 0.0
-        return self.last_time + self.frame.overrun + back
+        return_time = self.frame.stroke / self.frame.speed if self.frame.unloads else 0.0
+        return self.last_time + self.frame.overrun + return_time
 
     def displacement(self, time: Floats) -> Floats:
         """Return the displacement of the crosshead, m, at times, s."""
         frame = self.frame
         if self.failure is not None:
             return frame.speed * np.clip(time, 0.0, self.end)
-        turn = self.last_time + frame.overrun
-        driven_back = frame.speed * np.maximum(time - turn, 0.0) * frame.unloads
-        driven = frame.speed * np.clip(time, 0.0, self.last_time)
-        return np.maximum(driven - driven_back, 0.0)
+        reversal_time = self.last_time + frame.overrun
+        returned = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
+        outward = frame.speed * np.clip(time, 0.0, self.last_time)
+        return np.maximum(outward - returned, 0.0)
 
     def force(self, time: Floats) -> Floats:
         """Return the tension in the specimen, N, at times, s."""
         force = self._load(np.minimum(time, self.last_time))
         if self.failure is not None:
             failure, elapsed = self.failure, np.maximum(time - self.last_time, 0.0)
-            intact = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
-            fibres = np.exp(-elapsed / failure.tail)
-            return force * ((1.0 - failure.residue) * intact + failure.residue * fibres)
+            intact_share = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
+            fibre_share = np.exp(-elapsed / failure.tail)
+            return force * ((1.0 - failure.residue) * intact_share + failure.residue * fibre_share)
         if not self.frame.unloads:
             return force
-        turned = time > self.last_time + self.frame.overrun
-        return np.where(turned, self._unload(self.displacement(time)), force)
+        is_returning = time > self.last_time + self.frame.overrun
+        return np.where(is_returning, self._unload(self.displacement(time)), force)
 
     def _load(self, time: Floats) -> Floats:
         force = self.law.force_in_series(self.displacement(time), self.frame.compliance)
@@ -342,15 +342,15 @@ class TensileScenario:
     def _unload(self, displacement: Floats) -> Floats:
         """Return the force on unloading by Masing's rule, until the specimen is slack again.
 
-        The unloading curve is the taut part of the loading curve, inverted and twice as large:
-        F = F_peak - 2 S((d_peak - d) / 2).
+        The unloading curve is the loading curve without slack and toe, inverted and enlarged by a
+        factor of two: F = F_peak - 2 S((d_peak - d) / 2).
         """
         peak = float(self._load(np.array([self.last_time]))[0])
-        relief = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
-        released = 2.0 * replace(self.law, slack=0.0, toe=0.0).force(0.5 * relief)
-        driven_back = relief + self.frame.compliance * released
-        lost = np.interp(self.frame.stroke - displacement, driven_back, released)
-        return np.maximum(peak - lost, 0.0)
+        retraction = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
+        force_decrease = 2.0 * replace(self.law, slack=0.0, toe=0.0).force(0.5 * retraction)
+        crosshead_return = retraction + self.frame.compliance * force_decrease
+        decrease = np.interp(self.frame.stroke - displacement, crosshead_return, force_decrease)
+        return np.maximum(peak - decrease, 0.0)
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
         """Return the record of the load frame, by role, and the true values."""
@@ -382,13 +382,13 @@ class TensileScenario:
         failure.
         """
         law, compliance = self.law, self.frame.compliance
-        fine = np.linspace(0.0, self.last_time, 100_001)
-        travelled, pulled = self.displacement(fine), self.force(fine)
-        top = int(np.argmax(pulled))
+        fine_time = np.linspace(0.0, self.last_time, 100_001)
+        fine_displacement, fine_force = self.displacement(fine_time), self.force(fine_time)
+        peak = int(np.argmax(fine_force))
         break_force = law.stiffness_first * law.break_point
         from_foot = law.break_point + compliance * break_force
-        bends = law.foot + from_foot < self.last_displacement
-        failed = self.failure is not None
+        reaches_break_point = law.foot + from_foot < self.last_displacement
+        has_failure = self.failure is not None
         first, second = (
             stiffness / (1.0 + stiffness * compliance)
             for stiffness in (law.stiffness_first, law.stiffness_second)
@@ -402,14 +402,16 @@ class TensileScenario:
             "stiffness_second": second,
             "specimen_stiffness_first": law.stiffness_first,
             "specimen_stiffness_second": law.stiffness_second,
-            "break_point": law.foot + from_foot if bends else None,
-            "break_point_from_foot": from_foot if bends else None,
-            "break_force": break_force if bends else None,
-            "peak_force": float(pulled[top]),
-            "peak_displacement": float(travelled[top]),
-            "failure_displacement": self.last_displacement if failed else None,
-            "failure_force": float(pulled[-1]) if failed else None,
-            "energy_to_break": float(np.trapezoid(pulled, travelled)) if failed else None,
+            "break_point": law.foot + from_foot if reaches_break_point else None,
+            "break_point_from_foot": from_foot if reaches_break_point else None,
+            "break_force": break_force if reaches_break_point else None,
+            "peak_force": float(fine_force[peak]),
+            "peak_displacement": float(fine_displacement[peak]),
+            "failure_displacement": self.last_displacement if has_failure else None,
+            "failure_force": float(fine_force[-1]) if has_failure else None,
+            "energy_to_break": float(np.trapezoid(fine_force, fine_displacement))
+            if has_failure
+            else None,
             "slips": [asdict(slip) for slip in self.slips],
         }
 
@@ -449,7 +451,7 @@ _PARTS = {
 
 
 def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> TensileScenario:
-    """Return a test of the catalog with values of its own."""
+    """Return a test of the catalog, with `values` in place of those of the catalog."""
     table = read_catalog()["tensile"][protocol]
     parts = {key: _PARTS[key](**table[key]) for key in _PARTS if key in table}
     scenario = TensileScenario(**({"protocol": protocol} | table | parts | values))
@@ -507,8 +509,8 @@ def build_twist_tube(
         break_point=break_point * (1.0 - compliance * first * peak_force),
         slack=slack,
     )
-    tears_at = law.foot + break_point + (1.0 - first * break_point) / second
-    return _fail_at(replace(tube, law=law), tears_at)
+    failure_displacement = law.foot + break_point + (1.0 - first * break_point) / second
+    return _fail_at(replace(tube, law=law), failure_displacement)
 
 
 def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
@@ -518,21 +520,25 @@ def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
 
 
 def build_pet_tape(
-    sample: str, *, factor: float = 1.0, fails_at: float = 60e-3, gain_error: float = 0.0
+    sample: str,
+    *,
+    factor: float = 1.0,
+    failure_displacement: float = 60e-3,
+    gain_error: float = 0.0,
 ) -> TensileScenario:
-    """Build a test of a PET tape, pulled to failure, of which a few fibres remain.
+    """Build a test of a PET tape to failure, after which a few fibres remain.
 
     Parameters
     ----------
     sample : number over both spools: 1 to 3 are of the first, 4 and 5 of the second
     factor : on the forces
-    fails_at : m, displacement
+    failure_displacement : m
     gain_error : of the load cell
     """
     spool = "pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2"
     names = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
     tape = _read_scenario("pet-tape", gain_error=gain_error, **names)
-    return _fail_at(replace(tape, law=tape.law.scaled(factor)), fails_at)
+    return _fail_at(replace(tape, law=tape.law.scaled(factor)), failure_displacement)
 
 
 def build_crimp_pull(
@@ -551,7 +557,7 @@ def build_crimp_pull(
     specimen_type, sample : for the test sheet
     strength : N, largest force, 2.3 mm after the start
     conductor : its section, as the test sheet states it
-    separation : kind of separation; of a slip the force falls over 3 mm
+    separation : kind of separation; in a slip the force decreases over 3 mm
     gain_error : of the load cell
     """
     names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
@@ -585,10 +591,10 @@ class MetalTension:
     hardening : exponent n
     diameter, gauge_length : m, of the specimen and of the extensometer
     uniform_strain, last_strain : at the largest force, and at the break
-    last_share : force at the break, of the largest one
+    last_share : force at the break over the largest force
     extensometer_off : strain at which the extensometer is taken off; None if it stays on
     rate : Hz
-    strain_rates : 1/s, up to 0.4 % of strain, and from there on
+    strain_rates : 1/s, up to a strain of 0.4 %, and above
     force_noise, extension_noise : N and m, white
     frame_compliance : m/N, of machine and grips
     preload : N, at the start
@@ -630,13 +636,13 @@ class MetalTension:
     def force(self, strain: Floats) -> Floats:
         """Return the force, N, at strains of any shape."""
         uniform = self.area * self.stress(np.minimum(strain, self.uniform_strain))
-        further = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
-        return uniform * (1.0 - (1.0 - self.last_share) * np.maximum(further, 0.0) ** 2)
+        necking_share = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
+        return uniform * (1.0 - (1.0 - self.last_share) * np.maximum(necking_share, 0.0) ** 2)
 
     def truth(self) -> dict[str, float]:
         """Return the true values of the results of the protocol ``iso-6892``, SI."""
         strength = float(self.stress(np.array(self.uniform_strain)))
-        last = self.last_share * strength
+        last_stress = self.last_share * strength
         return {
             "elastic_modulus": self.modulus,
             "proof_stress_0_2": self.proof_stress,
@@ -645,7 +651,7 @@ class MetalTension:
             "elongation_at_maximum_force": self.uniform_strain,
             "plastic_elongation_at_maximum_force": self.uniform_strain - strength / self.modulus,
             "elongation_at_break": self.last_strain,
-            "plastic_elongation_at_break": self.last_strain - last / self.modulus,
+            "plastic_elongation_at_break": self.last_strain - last_stress / self.modulus,
         }
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
@@ -653,17 +659,22 @@ class MetalTension:
         random = np.random.default_rng([seed, 68])
         slow, fast = self.strain_rates
         start = self.preload / (self.area * self.modulus)
-        knee = 0.004  # strain up to which the test is slow
-        turn = (knee - start) / slow
-        time = np.arange(int((turn + (self.last_strain - knee) / fast) * self.rate)) / self.rate
-        strain = start + slow * np.minimum(time, turn) + fast * np.maximum(time - turn, 0.0)
+        speed_change_strain = 0.004  # strain up to which the test is slow
+        speed_change_time = (speed_change_strain - start) / slow
+        end = speed_change_time + (self.last_strain - speed_change_strain) / fast
+        time = np.arange(int(end * self.rate)) / self.rate
+        slow_time = np.minimum(time, speed_change_time)
+        fast_time = np.maximum(time - speed_change_time, 0.0)
+        strain = start + slow * slow_time + fast * fast_time
         force, extension = self.force(strain), self.gauge_length * (strain - start)
         travel = 1.2 * extension + self.frame_compliance * force
-        noisy = extension + random.normal(0.0, self.extension_noise, len(time))
+        measured_extension = extension + random.normal(0.0, self.extension_noise, len(time))
         if self.extensometer_off is not None:
-            noisy = np.where(strain > self.extensometer_off, np.nan, noisy)
+            measured_extension = np.where(
+                strain > self.extensometer_off, np.nan, measured_extension
+            )
         force = force + random.normal(0.0, self.force_noise, len(time))
-        return {"frame": TensionRecord(time, force, travel, noisy)}, self.truth()
+        return {"frame": TensionRecord(time, force, travel, measured_extension)}, self.truth()
 
     def describe_specimen(self) -> dict[str, object]:
         """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
@@ -671,5 +682,5 @@ class MetalTension:
         return {"gauge_length": self.gauge_length, "section": section}
 
     def list_settings(self) -> list[Setting]:
-        """Return no values: the machine is set as in the protocol."""
+        """Return no settings: those of the machine are the ones of the protocol."""
         return []

@@ -1,4 +1,4 @@
-"""Virtual three-point bending of a bundle in a conduit: settings, path, records, true values.
+"""Simulate three-point bending of a bundle in a conduit: settings, path, records, true values.
 
 Everything is SI. In the specimen frame x is along the bundle, to the right as seen by the cameras,
 y is up, z is towards the cameras, and the origin is at mid-span at rest. Displacement is that of
@@ -77,7 +77,7 @@ class ThreePointTest:
 
     Parameters
     ----------
-    bundle : whose law is solved
+    bundle : specimen with its law
     span : m, between the centres of the lower rollers
     overhang : m, of the bundle beyond each lower roller
     roller_radius : m
@@ -266,13 +266,13 @@ class ConduitScenario:
         """Return the take of marker lines on a cylinder that bends and twists."""
         layout, progress = self.markers, plan.progress_at(plan.frame_times)
         sections, angles = layout.places()
-        x, y, turn = path.points(progress, sections)
+        x, y, angle = path.points(progress, sections)
         rolled_angles = angles - self._compute_twist(path, progress)[:, None]
-        up = layout.centre_offset * np.sin(rolled_angles)
-        out = layout.centre_offset * np.cos(rolled_angles)
+        height = layout.centre_offset * np.sin(rolled_angles)
+        depth = layout.centre_offset * np.cos(rolled_angles)
         return film(
             "Bundle",
-            np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2),
+            np.stack([x - height * np.sin(angle), y + height * np.cos(angle), depth], axis=2),
             plan,
             random,
             pose=self.pose,
@@ -284,13 +284,13 @@ class ConduitScenario:
 
     def _compute_twist(self, path: ThreePointPath, progress: Floats) -> Floats:
         """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-        turned: Floats = self.markers.twist * path.middle(progress)[0] / path.test.stroke
-        return turned
+        twist: Floats = self.markers.twist * path.middle(progress)[0] / path.test.stroke
+        return twist
 
     def _record_crosshead(
         self, path: ThreePointPath, plan: Schedule, random: np.random.Generator
     ) -> FrameRecord:
-        """Return the frame's own record, with a coarse force, from half a sampling interval on."""
+        """Return the frame's own record, which starts after half a sampling interval."""
         step, frame = 1.0 / self.clocks.frame_rate, self.frame
         time: Floats = np.arange(0.5 * step, plan.end, step)
         progress = plan.progress_at(time)
@@ -459,10 +459,10 @@ class ThreePointPath:
         x, y, angle, each of shape (n, m): x to the right from mid-span, y upwards from the
         axis at rest, m, rad.
         """
-        side, where = np.sign(arc_length), np.abs(arc_length)
+        side, distance = np.sign(arc_length), np.abs(arc_length)
         halves = np.array([np.concatenate([h.x, h.y, h.angle]) for h in self._halves])
-        along = halves.reshape(len(halves), 3, -1)
-        rows = CubicSpline(self.arc_length, along, axis=2)(where).reshape(len(halves), -1)
+        shapes = halves.reshape(len(halves), 3, -1)
+        rows = CubicSpline(self.arc_length, shapes, axis=2)(distance).reshape(len(halves), -1)
         x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
         travel, _, _ = self.middle(progress)
         return side * x, y - travel[:, None], side * angle
@@ -472,17 +472,17 @@ class ThreePointPath:
         return self.loading + self.unloading
 
     def _look_up(self, progress: Floats, rows: object) -> Floats:
-        """Interpolate along both branches; the shape is constant after the force is zero."""
+        """Interpolate along both branches; the shape is constant after the return to zero force."""
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
         down = CubicSpline([h.displacement for h in self.loading], columns[:n])
         up = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
-        until = 2.0 * stroke - self.residual
+        release_progress = 2.0 * stroke - self.residual
         is_down = (progress <= stroke)[:, None]
         values: Floats = np.where(
             is_down,
             down(np.clip(progress, 0.0, stroke)),
-            up(np.clip(progress, stroke, until)),
+            up(np.clip(progress, stroke, release_progress)),
         )
         return values
 
@@ -513,21 +513,23 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
 
 
 def _solve_branch(
-    half: HalfBundle, begin: HalfShape, goal: float, *, is_unloading: bool
+    half: HalfBundle, start_shape: HalfShape, goal: float, *, is_unloading: bool
 ) -> Iterator[HalfShape]:
-    """Solve up to a displacement; on unloading stop at zero force."""
-    test, state = half.test, begin
+    """Solve up to a displacement; unloading stops at zero force."""
+    test, state = half.test, start_shape
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for displacement in (begin.displacement + share * (goal - begin.displacement)).tolist():
+    for displacement in (
+        start_shape.displacement + share * (goal - start_shape.displacement)
+    ).tolist():
         if is_unloading:
-            released = half.release(state.plays)
-            if released.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
-                yield released
+            unloaded_shape = half.release(state.plays)
+            if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
+                yield unloaded_shape
                 return
         step = displacement
         while state.displacement != displacement:  # halved steps where Newton's method fails
-            friction = half.friction(step - begin.displacement, is_unloading)
-            solved = half.settle(state, step, friction)
+            friction = half.friction(step - start_shape.displacement, is_unloading)
+            solved = half.solve_equilibrium(state, step, friction)
             if solved is not None:
                 state, step = solved, displacement
                 continue
@@ -586,14 +588,14 @@ class HalfBundle:
 
     def friction(self, travel: float, is_unloading: bool) -> float:
         """Return the signed coefficient of friction at a travel after the start or the reversal."""
-        built = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
-        return self.test.friction * (1.0 - 2.0 * built if is_unloading else built)
+        build_up_share = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
+        return self.test.friction * (1.0 - 2.0 * build_up_share if is_unloading else build_up_share)
 
     def release(self, plays: Floats) -> HalfShape:
-        """Return the shape without force of a bundle with this history."""
-        nothing = np.zeros(self.test.n_stations)
-        answer = self.law.respond(nothing, plays)
-        shape = self._compute_shape(answer.curvature)
+        """Return the shape of an unloaded bundle with a history of plays."""
+        zero_moment = np.zeros(self.test.n_stations)
+        response = self.law.respond(zero_moment, plays)
+        shape = self._compute_shape(response.curvature)
 
         def gaps(contact: float) -> Floats:
             return self._compute_gaps(self._interpolate(shape, np.float64(contact)))
@@ -601,11 +603,11 @@ class HalfBundle:
         last = float(self.arc_length[-1])
         contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
         travel = float(gaps(contact)[1])
-        curvature, plays = answer.curvature, answer.plays
+        curvature, plays = response.curvature, response.plays
         x, y, angle = shape
-        return HalfShape(travel, 0.0, contact, x, y, angle, nothing, curvature, plays)
+        return HalfShape(travel, 0.0, contact, x, y, angle, zero_moment, curvature, plays)
 
-    def settle(
+    def solve_equilibrium(
         self, state: HalfShape, goal_displacement: float, friction: float
     ) -> HalfShape | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
@@ -615,19 +617,19 @@ class HalfBundle:
         unknowns = np.append(state.moment, [0.5 * state.force, state.contact])
         steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
-            answer = self.law.respond(unknowns[:-2], state.plays)
-            curvatures = answer.curvature + answer.compliance * steps[:, :-2]
+            response = self.law.respond(unknowns[:-2], state.plays)
+            curvatures = response.curvature + response.compliance * steps[:, :-2]
             equations = self._compute_residuals(
                 unknowns + steps, curvatures, goal_displacement, friction
             )
-            change = -np.linalg.solve(equations.imag.T / 1e-30, equations[-1].real)
-            largest = float(np.max(np.abs(self._integrate(answer.compliance * change[:-2]))))
-            change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
-            unknowns = unknowns + change
+            correction = -np.linalg.solve(equations.imag.T / 1e-30, equations[-1].real)
+            largest = float(np.max(np.abs(self._integrate(response.compliance * correction[:-2]))))
+            correction *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
+            unknowns = unknowns + correction
             if not (0.0 < unknowns[-1] < self.arc_length[-1]) or not np.isfinite(largest):
                 return None
             moment = unknowns[:-2]
-            if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
+            if np.max(np.abs(correction[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
                 return self._build_shape(unknowns, state.plays, goal_displacement, friction)
         return None
 
@@ -635,11 +637,11 @@ class HalfBundle:
         self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
     ) -> HalfShape:
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
-        answer = self.law.respond(moment, plays)
-        shape = self._compute_shape(answer.curvature)
+        response = self.law.respond(moment, plays)
+        shape = self._compute_shape(response.curvature)
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
         force, (x, y, angle) = 2.0 * normal * float(fy), shape
-        curvature, history = answer.curvature, answer.plays
+        curvature, history = response.curvature, response.plays
         return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, history)
 
     def _integrate(self, values: Floats) -> Floats:
@@ -657,14 +659,14 @@ class HalfBundle:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
-        here: Floats = shape[..., below] + (stations - below) * (
+        interpolated: Floats = shape[..., below] + (stations - below) * (
             shape[..., below + 1] - shape[..., below]
         )
-        return here
+        return interpolated
 
-    def _compute_gaps(self, touch: Floats) -> Floats:
-        """Return the distance of the roller from its place, and the displacement, m, (2, ...)."""
-        x, y, angle = touch
+    def _compute_gaps(self, contact_point: Floats) -> Floats:
+        """Return the horizontal offset of the roller and the displacement, m, shape (2, ...)."""
+        x, y, angle = contact_point
         reach = self.test.reach
         gap = x + reach * np.sin(angle) - 0.5 * self.test.span
         return np.stack([gap, y + reach * (1.0 - np.cos(angle))])
@@ -686,20 +688,20 @@ class HalfBundle:
         """
         moment, normal, contact = unknowns[:, :-2], unknowns[:, -2], unknowns[:, -1]
         shape = self._compute_shape(curvature)
-        touch = self._interpolate(shape, contact)
-        fx, fy = _compute_direction(touch[2], friction)
-        lever_x, lever_y, _ = touch[:, :, None] - shape
+        contact_point = self._interpolate(shape, contact)
+        fx, fy = _compute_direction(contact_point[2], friction)
+        lever_x, lever_y, _ = contact_point[:, :, None] - shape
         lever = lever_x * fy[:, None] - lever_y * fx[:, None]
-        inside = (contact[:, None] - self.arc_length) / self.arc_length[1]
-        unit = np.where(inside.real > 0.0, lever, 0.0)
-        unit += self.test.outer_radius * friction * np.clip(inside, 0.0, 1.0)
-        gap, displacement = self._compute_gaps(touch)
-        lacks = [
-            moment - normal[:, None] * unit,
+        stations_to_contact = (contact[:, None] - self.arc_length) / self.arc_length[1]
+        unit_moment = np.where(stations_to_contact.real > 0.0, lever, 0.0)
+        unit_moment += self.test.outer_radius * friction * np.clip(stations_to_contact, 0.0, 1.0)
+        gap, displacement = self._compute_gaps(contact_point)
+        residuals = [
+            moment - normal[:, None] * unit_moment,
             gap[:, None],
             displacement[:, None] - goal_displacement,
         ]
-        return np.concatenate(lacks, axis=1)
+        return np.concatenate(residuals, axis=1)
 
 
 def _compute_direction(angle: Floats, friction: float) -> tuple[Floats, Floats]:

@@ -155,6 +155,8 @@ def content_of(kept: KeptCampaign) -> dict[str, list[Any]]:
     catalog = open_catalog(kept.processed, [])
     try:
         tables = ("tests", "results", "inputs")
-        return {name: sorted(catalog._all(f"select * from {name}"), key=repr) for name in tables}
+        return {
+            name: sorted(catalog._fetch_all(f"select * from {name}"), key=repr) for name in tables
+        }
     finally:
         catalog.close()

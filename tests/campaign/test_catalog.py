@@ -27,8 +27,8 @@ from labpipe.campaign.catalog import (
     SCHEMA,
     Catalog,
     is_alive,
-    new_catalog,
-    new_claim,
+    make_catalog,
+    make_claim,
     sqlite_errors,
 )
 from labpipe.campaign.catalog_rows import OK, STALE, Entry, FileState, ResultRow, TestRow
@@ -48,7 +48,7 @@ ENTRY = Entry(
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    made = new_catalog(tmp_path)
+    made = make_catalog(tmp_path)
     yield made
     made.close()
 
@@ -59,7 +59,7 @@ def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
     assert catalog.read_results("T1") == (RESULT,)
-    assert catalog._all("select role, file, sha256 from inputs") == [("force", "a", "1")]
+    assert catalog._fetch_all("select role, file, sha256 from inputs") == [("force", "a", "1")]
     before = catalog.read_file_states()
     assert before == {"T1": ENTRY.file_state}
     newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
@@ -80,7 +80,7 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
     assert catalog.claim("T1")
     assert catalog.read_claims() == {}
-    assert catalog._all("select * from running") == []
+    assert catalog._fetch_all("select * from running") == []
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,8 @@ def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
     found = list_raw(campaign)
     assert len(found.problems) == 1
     assert found.problems[0].endswith(
-        "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it is left out."
+        "\\udcff: expected a name in UTF-8, found a name with other bytes. Rename it; until then"
+        " it is left out."
     )
 
 
@@ -206,16 +207,16 @@ def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
 def test_claim_ends_with_its_process() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    claim = new_claim()._replace(pid=ended.pid, process="")
+    claim = make_claim()._replace(pid=ended.pid, process="")
     assert not is_alive(claim)
     ended.wait()
     assert not is_alive(claim)
-    assert is_alive(new_claim())
-    assert not is_alive(new_claim()._replace(process="another boot 1"))
+    assert is_alive(make_claim())
+    assert not is_alive(make_claim()._replace(process="another boot 1"))
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:
-    other = new_claim()._replace(host="elsewhere", pid=1)
+    other = make_claim()._replace(host="elsewhere", pid=1)
     assert is_alive(other)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
         assert not is_alive(other._replace(since=time.time() - age))

@@ -17,7 +17,7 @@ from labpipe.campaign.decisions import (
     import_decision_file,
     import_decisions,
     read_decisions,
-    read_decisions_on,
+    read_decisions_by_file,
 )
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
@@ -72,7 +72,7 @@ def test_changed_rejected_test_needs_a_new_decision(kept: KeptCampaign) -> None:
     overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == REJECTED
     assert "slipped in the grip (needs a new decision: " in overview.rows["T1"].why
-    ((left, why),) = overview.unapplied
+    ((left, why),) = overview.unapplied_decisions
     assert left.because == "slipped in the grip"
     assert why.startswith("exports, sheet, protocol or labpipe changed")
     decide(kept.folders, "T1", replace(REJECT, decision="accept"))
@@ -83,7 +83,9 @@ def test_changed_rejected_test_needs_a_new_decision(kept: KeptCampaign) -> None:
 
 
 def test_decision_on_unknown_or_unprocessed_test_is_refused(kept: KeptCampaign) -> None:
-    with pytest.raises(UsageError, match=r"T9: expected a test of 'C', found none of that name\."):
+    with pytest.raises(
+        UsageError, match=r"T9: expected a test of 'C', found none with that name\."
+    ):
         decide(kept.folders, "T9", REJECT)
     kept.add("new")
     with pytest.raises(UsageError, match="expected a processed test, found one that is not"):
@@ -111,7 +113,7 @@ def test_unreadable_decisions_are_reported_and_not_changed(kept: KeptCampaign, t
         decide(kept.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        read_decisions_on([kept.processed / "T1" / "result.h5"])
+        read_decisions_by_file([kept.processed / "T1" / "result.h5"])
 
 
 def test_invalid_decisions_are_reported_and_stay_in_the_file(kept: KeptCampaign) -> None:
@@ -164,7 +166,7 @@ def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Pa
     file = saved(tmp_path / "decisions (1).json", mine, accepted, accepted, other, stray)
     taken = import_decision_file(processed, "c", file)
     assert taken.added == [accepted]
-    assert taken.n_known == 1
+    assert taken.n_stored_before == 1
     assert [(each.test, why.split(":")[0]) for each, why in taken.not_imported] == [
         ("T-1", "exports, sheet, protocol or labpipe changed since the decision"),
         ("../c/T-1", "there is no such test"),
@@ -184,7 +186,7 @@ def test_import_uses_the_nearest_decision_file(processed: Path) -> None:
     assert read_decisions(inner).decisions == (replace(said, test="T-3"),)
     assert not (processed / "decisions.json").exists()
     later = replace(said, test="T-3", when="2026-03-11")  # as the page names it from now on
-    assert import_decisions(processed, "c", [said, later]).n_known == 1
+    assert import_decisions(processed, "c", [said, later]).n_stored_before == 1
     assert len(read_decisions(inner).decisions) == 2
 
 

@@ -25,7 +25,7 @@ from labpipe.campaign.executors import (
     process_task,
     process_tests,
 )
-from labpipe.campaign.watching import import_all, process_in
+from labpipe.campaign.watching import import_modules, process_in_pool
 from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Task, draw_figures, process_test
@@ -92,7 +92,7 @@ def test_death_of_a_process_fails_its_call_only() -> None:
         died = future.exception()
         assert isinstance(died, ProcessingError)
         assert died.code == "process_died"
-        assert f"found a process that was ended {how}. " in str(died)
+        assert f"found one that was ended {how}. " in str(died)
     assert workers._describe_exit(-63) == "by the signal 63"
 
 
@@ -122,11 +122,11 @@ def test_time_limit_fails_its_call_only() -> None:
 def test_process_that_dies_between_calls_is_replaced() -> None:
     worker = WorkerProcess()
     try:
-        assert worker.call(partial(int, "1"), about="x") == 1
+        assert worker.call(partial(int, "1"), subject="x") == 1
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert [worker.call(partial(int, text), about="x") for text in ("2", "3")] == [2, 3]
+        assert [worker.call(partial(int, text), subject="x") for text in ("2", "3")] == [2, 3]
     finally:
         worker.close()
 
@@ -176,7 +176,9 @@ def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
 
 def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    error = ProcessingError.about("campaign.process_died", task.sheet, how="by the signal SIGTERM")
+    error = ProcessingError.about(
+        "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
+    )
     died = await_outcome(task, raising(error))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
     late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
@@ -201,12 +203,12 @@ def raising(error: Exception) -> Callable[[], Outcome]:
 def pool() -> Iterator[Pool]:
     """The one process of a watch."""
     with Pool(1, limit=600.0) as made:
-        made.submit(import_all, about="labpipe")
+        made.submit(import_modules, subject="labpipe")
         yield made
 
 
 def call(pool: Pool, work: Callable[[], object]) -> object:
-    return pool.submit(work, about="x").result()
+    return pool.submit(work, subject="x").result()
 
 
 def refuse() -> None:
@@ -216,12 +218,12 @@ def refuse() -> None:
 
 @pytest.mark.slow
 def test_warm_worker_draws_figures_after_processing(pool: Pool, lab: Lab) -> None:
-    (outcome,) = process_in(pool, [Task(lab.sheet, lab.processed)])
+    (outcome,) = process_in_pool(pool, [Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
     assert not (lab.processed / "figures").exists()
     before = lab.result.read_bytes()
 
-    pool.submit(partial(draw_figures, lab.processed), about="x")
+    pool.submit(partial(draw_figures, lab.processed), subject="x")
     call(pool, os.getpid)  # waits for them
 
     drawn = {path.name: path.read_bytes() for path in (lab.processed / "figures").iterdir()}
@@ -244,7 +246,7 @@ def test_death_of_the_warm_worker_is_an_outcome(
     pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.watching.process_task", die)
-    (outcome,) = process_in(pool, [Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
+    (outcome,) = process_in_pool(pool, [Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.catalog import Catalog, new_catalog
+from labpipe.campaign.catalog import Catalog, make_catalog
 from labpipe.campaign.catalog_rows import OK, Entry, FileState, ResultRow, TestRow, as_json
 from labpipe.campaign.queries import (
     QueryResult,
     escape_controls,
     query_results,
-    write_answer,
+    write_query_result,
     write_workbook,
 )
 from labpipe.errors import UsageError
@@ -41,7 +41,7 @@ test_row.__test__ = False  # type: ignore[attr-defined]
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    made = new_catalog(tmp_path)
+    made = make_catalog(tmp_path)
     peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
                                                   reason="it has no end"))  # fmt: skip
     one = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
@@ -93,7 +93,7 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
         ("(select count(*) from pragma_table_info('tests')) > 0", "A condition can only read"),
         (f"{'(' * 5000}1{')' * 5000}", "found "),
         ("'\ud800' = name", "found "),
-        (f"{ENDLESS} > 0", r"found one that takes too long\. Limit its recursive part"),
+        (f"{ENDLESS} > 0", r"found a condition that takes too long\. Limit its recursive part"),
     ],
 )
 def test_invalid_conditions_are_refused(
@@ -110,7 +110,7 @@ def test_invalid_conditions_are_refused(
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
     out = io.StringIO()
-    write_answer(query_results(catalog, where), form, out)
+    write_query_result(query_results(catalog, where), form, out)
     return out.getvalue()
 
 
@@ -132,7 +132,7 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 def test_formulas_in_csv_are_quoted(cell: str) -> None:
     """A quote stands before what a spreadsheet would take for a formula."""
     out, text = io.StringIO(), cell.removeprefix("'")
-    write_answer(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
+    write_query_result(QueryResult((text, "value"), [(text, -1.5)]), "csv", out)
     rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
     assert rows == [[cell, "value"], [cell, "-1.5"]]
 

@@ -14,7 +14,7 @@ from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
 from labpipe.campaign.reporting import (
     OPTIONS_FILE,
     ReportOptions,
-    add_sizes,
+    add_dimensions,
     classify_results,
     make_campaign,
     make_sample,
@@ -168,7 +168,7 @@ def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
     (tmp_path / OPTIONS_FILE).write_text(made.text(tmp_path), encoding="utf-8")
     assert ReportOptions.read(tmp_path) == made
     typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
-    again = typed.or_earlier(ReportOptions.read(tmp_path))
+    again = typed.fill_from(ReportOptions.read(tmp_path))
     facts = (("Customer", "a"), ("Order", "4712"))
     assert again == replace(made, title="Other", letterhead=Letterhead(facts, "data:x"))
     assert ReportOptions.read(results) == ReportOptions()
@@ -243,10 +243,10 @@ def test_repaired_slip_differs_from_the_measured_force(done: Path) -> None:
 def test_add_sizes_prefers_the_test_sheet() -> None:
     section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
     said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
-    specimen = add_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
+    specimen = add_dimensions(Specimen("tape", "s1", "1", {"length": 0.25}), said)
     assert specimen.dimensions == {"length": 0.25, "width": 0.0188}
     bare = Specimen("tape", "s1", "1")
-    assert add_sizes(bare, SpecimenBlock()) == bare
+    assert add_dimensions(bare, SpecimenBlock()) == bare
 
 
 @pytest.mark.parametrize(

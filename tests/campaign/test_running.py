@@ -118,7 +118,7 @@ def test_newer_results_are_kept_until_cleared(kept: KeptCampaign) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "schema": 99}), "utf-8")
     row = read_overview(kept.folders).rows["T1"]
     assert (row.state, row.code) == (FAILED, "newer_result")
-    assert "expected 2 or less, found 99. A newer labpipe made it" in row.reason
+    assert "expected version 2 or less, found version 99. A newer labpipe made it" in row.reason
     kept.run()
     assert kept.stand_in.processed == []
     kept.run(forced=clear_failures(kept.folders, "newer_result"))
@@ -154,7 +154,9 @@ def test_two_simultaneous_runs_share_the_tests(kept: KeptCampaign) -> None:
     second = []
 
     def meanwhile(name: str) -> None:
-        with pytest.raises(StoreError, match="expected no process at work, found process"):
+        with pytest.raises(
+            StoreError, match="expected no process that works on the campaign, found process"
+        ):
             rebuild(kept.folders)
         second.append(other.run())
 
@@ -280,7 +282,7 @@ class Accidents:
 
     def happen(self) -> None:
         happening = self.chance.choice(
-            [self.run, self.run, self.export, self.no_export, self.sheet, self.odd_sheet,
+            [self.run, self.run, self.export, self.no_export, self.sheet, self.irregular_sheet,
              self.no_sheet, self.no_results, self.half_results, self.decision, self.replay,
              self.again]
         )  # fmt: skip
@@ -302,7 +304,7 @@ class Accidents:
     def sheet(self, name: str) -> None:
         self._write(name, lambda text: f"{text}# {self.chance.random()}\n")
 
-    def odd_sheet(self, name: str) -> None:
+    def irregular_sheet(self, name: str) -> None:
         odd = ["test: [", "protocol: corrugated-tube", "\x00"]
         self._write(name, lambda _: self.chance.choice(odd))
 
@@ -402,7 +404,7 @@ def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
     failed = outcome(one_test)
     row = failed.row
     assert (row.state, row.code, row.reason) == (FAILED, "process_died", "it was ended")
-    assert (row.run, row.failed_run, row.attempt) == (before.row.run, "f" * 64, "f" * 64)
+    assert (row.run, row.failed_run, row.attempt_key) == (before.row.run, "f" * 64, "f" * 64)
     assert (row.sheet, row.resolved, failed.inputs) == ("5e", "", ())
     assert failed.results == before.results
     for text in ("", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'):

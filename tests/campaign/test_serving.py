@@ -263,7 +263,7 @@ def test_decision_with_invalid_time_is_not_saved(client: Client, when: str) -> N
     entry = asdict(decision_on(client.site.results_folder, "T-1")) | {"when": when}
     answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
     assert answer.json["decisions"] == []
-    assert f"T-1: not saved: its time '{when[:40]}' is not in the form 20" in answer.json["message"]
+    assert f"T-1: not saved: its time '{when[:40]}' is not of the form 20" in answer.json["message"]
     assert not (client.site.results_folder / "decisions.json").exists()
 
 

@@ -58,7 +58,7 @@ class Campaign(WatchedCampaign):
     def raw(self) -> Path:
         return self.home / "raw" / "c"
 
-    def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
+    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         return [sheet for sheet in sheets if sheet.parent.name not in self.done]
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
@@ -104,10 +104,10 @@ class Bench:
         )
 
     def go(self, seconds: float, step: float = 0.5) -> str:
-        """Look every half second; what was said meanwhile."""
+        """Scan every half second; return the messages of that time."""
         before, end = len(self.said), self.now + seconds
         while self.now < end:
-            while self.watcher.look():
+            while self.watcher.scan():
                 pass
             self.now += step
         return "\n".join(self.said[before:])
@@ -142,7 +142,7 @@ def test_watch_pairs_processes_and_judges_a_test_once(
     said = bench.go(3).splitlines()
     assert said[0] == "A2-085-1: wrote A2-085-1/test.yaml"
     assert said[-3:] == [
-        "A2-085-1: WELL, 1 ok",
+        "A2-085-1: OK, 1 ok",
         "  peak_force.1 1 N; first of its group",
         "  nothing to check: the specimen can be dismounted",
     ]
@@ -166,7 +166,7 @@ def test_unreadable_file_is_reported_and_read_later(
     )
     assert bench.go(3600, step=30) == ""
     (folder / "force.mat").write_bytes(exports["force.mat"])
-    assert "WELL" in bench.go(3)
+    assert "OK" in bench.go(3)
 
 
 def test_locked_file_is_reported_and_awaited(
@@ -180,7 +180,7 @@ def test_locked_file_is_reported_and_awaited(
             "A2-085-1: force.mat cannot be opened, another program uses it; waiting for it"
         )
         assert bench.go(3600, step=30) == ""
-    assert "WELL" in bench.go(3)
+    assert "OK" in bench.go(3)
 
 
 def test_files_are_awaited_while_they_change(bench: Bench, exports: dict[str, bytes]) -> None:
@@ -195,7 +195,7 @@ def test_files_are_awaited_while_they_change(bench: Bench, exports: dict[str, by
     assert bench.go(10) == "A2-085-1: waits for markers"
     put(bench, "A2-085-1", exports)
     assert bench.go(0.9, step=0.1) == ""
-    assert "A2-085-1: WELL" in bench.go(1.0, step=0.1)
+    assert "A2-085-1: OK" in bench.go(1.0, step=0.1)
     assert bench.campaign.asked == ["A2-085-1"]
 
 
@@ -209,7 +209,7 @@ def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[st
     put(bench, "A2-085-2", exports)
     said = bench.go(6)
     assert said.startswith(f"{bench.campaign.raw}: available again\n")
-    assert "A2-085-2: WELL" in said
+    assert "A2-085-2: OK" in said
     assert bench.campaign.asked == ["A2-085-1", "A2-085-2"]
 
 
@@ -221,18 +221,18 @@ def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, byte
     sheet = put(bench, "A2-085-1", exports) / "test.yaml"
     message = bench.go(20)
     assert message.startswith("campaign.yaml was read again")
-    assert message.splitlines()[-1] == "  to fill in: spool; it is processed then"
+    assert message.splitlines()[-1] == "  to fill in: spool; the test is then processed"
     assert bench.campaign.asked == []
     text = sheet.read_text("utf-8").replace("spool:   # to be filled in", "spool: s")
     sheet.write_text(text, "utf-8")
     assert bench.go(20).splitlines()[-3:] == [
         "A2-085-1: FAILED (cannot_process)",
         "  x.mat: expected a. Do.",
-        "  while it is mounted: correct the test sheet; it is processed as soon as you have",
+        "  while it is mounted: correct the test sheet; the test is then processed",
     ]
     bench.campaign.fails = {}
     sheet.write_text(text + "# corrected\n", "utf-8")
-    assert "A2-085-1: WELL" in bench.go(4)
+    assert "A2-085-1: OK" in bench.go(4)
 
 
 def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]) -> None:
@@ -244,7 +244,7 @@ def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]
     bench.watcher = bench.begin()
     bench.go(10)
     assert sorted(bench.campaign.asked) == ["A2-085-1", "A2-085-2", "A2-085-3"]
-    verdicts = [sentence for sentence in bench.said[before:] if "WELL" in sentence]
+    verdicts = [sentence for sentence in bench.said[before:] if "OK" in sentence]
     assert len(verdicts) == 1
 
 
@@ -299,7 +299,7 @@ def test_from_the_end_of_a_recording_to_figures(lab: Lab, watch: subprocess.Pope
     wait_for(watch, "; press Ctrl+C to stop")
     (lab.home / "exports").rename(campaign / "T7")
     wait_for(watch, "T7: wrote T7/test.yaml")
-    assert "WELL" in wait_for(watch, "T7: ")
+    assert "OK" in wait_for(watch, "T7: ")
     assert wait_for(watch, "peak_force.1 ").endswith("; first of its group")
     wait_for(watch, "  nothing to check: the specimen can be dismounted")
     figures = lab.home / "processed" / "c" / "T7" / "figures"
@@ -338,7 +338,7 @@ def lines(said: Summary, peaks: Sequence[float] = ()) -> list[str]:
 def test_result_outside_its_group_is_reported() -> None:
     before = [1.0 + 0.01 * i for i in range(-3, 4)]
     head, numbers, last = lines(summary(1.2), before)
-    assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
+    assert head == "T: CHECK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
     assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
     assert numbers.endswith("; n = 7 so far")

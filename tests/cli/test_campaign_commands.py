@@ -17,7 +17,7 @@ import pytest
 
 from labpipe.campaign.reporting import WrittenReport
 from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
-from labpipe.cli.demo import CAMPAIGNS, FIRST_LOOK, SHEET_SECTION
+from labpipe.cli.demo import CAMPAIGNS, DEMO_TESTS, WIRE_SECTION
 from labpipe.cli.report import print_left_out
 from labpipe.records.group import Campaign
 from labpipe.virtual_lab import Campaign as VirtualCampaign
@@ -152,7 +152,7 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         shutil.copytree(pulls(tmp_path / "pulls"), raw, dirs_exist_ok=True)
         return sorted(raw.glob("*/"))
 
-    monkeypatch.setattr("labpipe.cli.demo.FIRST_LOOK", (None,))
+    monkeypatch.setattr("labpipe.cli.demo.DEMO_TESTS", (None,))
     monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", simulated)
 
 
@@ -181,7 +181,7 @@ def test_demo_has_a_test_of_each_kind() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
         return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
-    first = kinds(FIRST_LOOK)
+    first = kinds(DEMO_TESTS)
     assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))
     assert set(first.values()) == {1}
 
@@ -189,7 +189,7 @@ def test_demo_has_a_test_of_each_kind() -> None:
 def test_demo_calibrates_the_wire_of_an_example() -> None:
     texts = [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("harness-*.yaml")]
     assert len(texts) == 4
-    assert sum(SHEET_SECTION in text for text in texts) == 1
+    assert sum(WIRE_SECTION in text for text in texts) == 1
 
 
 @pytest.mark.slow

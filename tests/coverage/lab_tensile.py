@@ -102,7 +102,7 @@ def _tape(random: np.random.Generator, gain_error: float) -> TensileScenario:
     tape = build_pet_tape(
         "1",
         factor=float(np.exp(0.02 * random.standard_normal())),
-        fails_at=float(random.uniform(45e-3, 65e-3)),
+        failure_displacement=float(random.uniform(45e-3, 65e-3)),
         gain_error=gain_error,
     )
     return replace(tape, law=replace(tape.law, slack=float(random.uniform(0.4e-3, 0.8e-3))))

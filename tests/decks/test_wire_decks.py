@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from labpipe import __version__
-from labpipe.mechanics.decks import DECKS, deck_texts, write_decks
+from labpipe.mechanics.decks import DECKS, make_deck_texts, write_decks
 from labpipe.mechanics.decks import deck_law as deck_facts
 from labpipe.mechanics.decks.beam_sections import (
     MAX_POINTS,
@@ -41,7 +41,7 @@ from labpipe.mechanics.decks.lookup import (
     write_sliders_csv,
     write_sliders_json,
 )
-from labpipe.mechanics.decks.unloading import find_bends, make_table_strands
+from labpipe.mechanics.decks.unloading import choose_bends, make_table_strands
 from labpipe.mechanics.law.loss_card import (
     compute_turn_loss,
     fit_equivalent_material,
@@ -293,7 +293,7 @@ def test_numbers_out_of_range(approved: Approve) -> None:
         lambda: write_calculix_deck(table, n_steps=0),
         lambda: write_calculix_deck(table, n_bricks_along=0),
         lambda: mesh_half_bar(RADIUS, LENGTH, n_bricks_along=0),
-        lambda: deck_texts(replace(table, moment=table.moment[::-1])),
+        lambda: make_deck_texts(replace(table, moment=table.moment[::-1])),
     ]
     messages = []
     for call in calls:
@@ -527,9 +527,9 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
 
 
 def test_bends_that_a_table_does_not_reach() -> None:
-    assert find_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
-    assert find_bends(table_of([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
-    assert find_bends(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
+    assert choose_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
+    assert choose_bends(table_of([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
+    assert choose_bends(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
 
 
 def test_the_growing_slider_of_the_json() -> None:

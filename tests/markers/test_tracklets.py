@@ -9,7 +9,7 @@ from labpipe.markers.marker_names import Naming, is_unlabelled, name_chains
 from labpipe.markers.tracklets import (
     Links,
     Tracklets,
-    _distances,
+    _compute_distances,
     cut_tracklets,
     find_frozen_samples,
     is_in_sight,
@@ -110,7 +110,7 @@ def test_how_far_a_start_is_from_where_an_end_was_heading() -> None:
     path = np.zeros((30, 1, 3))
     path[:, 0, 1] = time**3
     pieces = Tracklets(np.zeros(2, np.int64), np.array([0, 12]), np.array([10, 30]))
-    apart = _distances(pieces, path, time, np.array([0]), np.array([1]))
+    apart = _compute_distances(pieces, path, time, np.array([0]), np.array([1]))
     assert apart == pytest.approx([3.0 * (133.0 + 637.0) / 2.0 - 999.0])
 
 

@@ -108,7 +108,7 @@ def _quantities() -> Iterator[QuantityText]:
 def test_a_quantity_written_reads_back_as_the_same_float(
     quantity: QuantityText, number: float, is_shown: bool
 ) -> None:
-    unit = quantity.quantity.shown if is_shown else quantity.quantity.unit
+    unit = quantity.quantity.display_unit if is_shown else quantity.quantity.unit
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:

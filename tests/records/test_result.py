@@ -29,8 +29,8 @@ from labpipe.records.result import Contribution, Result, Specimen, Status
         (None, Status.OK, [Reason("gap", "x")], "a result is failed exactly when it has no"),
         (None, Status.DOUBTFUL, [Reason("gap", "x")], "a result is failed exactly when it has no"),
         (1.0, Status.FAILED, [Reason("gap", "x")], "a result is failed exactly when it has no"),
-        (None, Status.FAILED, [], "a failed result must say why"),
-        (1.0, Status.DOUBTFUL, [], "a doubtful result must say why"),
+        (None, Status.FAILED, [], "a failed result must have a reason"),
+        (1.0, Status.DOUBTFUL, [], "a doubtful result must have a reason"),
     ],
 )
 def test_results_that_contradict_themselves(

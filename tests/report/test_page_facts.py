@@ -45,11 +45,11 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     out = samples[2]
     campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
     tests = PageTests(campaign, ["a", "b"])
-    assert [(test.number, test.stem, test.state) for test in tests.every] == [
+    assert [(test.number, test.stem, test.state) for test in tests.all_tests] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
-    assert [test.why for test in tests.rejected("a")] == ["bent"]
+    assert [test.rejection for test in tests.rejected("a")] == ["bent"]
     assert tests.by_name[samples[4].test].number == 3
 
 
@@ -107,9 +107,13 @@ def test_decided_and_rejected() -> None:
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    open_ones = find_open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
-    assert {decision.cause.heading for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
-    assert describe_campaign(campaign, open_ones).endswith(" 3 to decide")
+    open_decisions = find_open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
+    assert {decision.cause.heading for decision in open_decisions} == {
+        "Failed",
+        "Doubtful",
+        "Outlier",
+    }
+    assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
     first = campaign.groups[0]
     decided = tuple(replace(sample, decision="fine (me)") for sample in first.samples)
     settled = replace(campaign, groups=(replace(first, samples=decided),))

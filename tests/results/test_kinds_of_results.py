@@ -18,7 +18,7 @@ from labpipe.results.kinds import ClockResult, FailurePoint, Kind, Outcome, Part
 
 class ByLine(Kind):
     result = "stiffness"
-    outputs = (Output("stiffness", "N/m", rests_on=("force", "displacement")),)
+    outputs = (Output("stiffness", "N/m", depends_on=("force", "displacement")),)
     method = "by a line"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:

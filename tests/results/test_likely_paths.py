@@ -305,7 +305,7 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     test = plateau(0, 100.0, 7.0)
     (given,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
     trace = curves(test).smooth
-    assert given.law == "uniform"
+    assert given.distribution == "uniform"
     more = given.perturb(trace, 1.0).force - trace.force
     assert more == pytest.approx(7.0 / 12.0**0.5)
     for level in (98.0, 101.5, 104.0):
@@ -323,7 +323,7 @@ def test_other_displacements(count: int, rate: float) -> None:
     changed = replace(signal, perturbed={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
     test = replace(test, signals=test.signals.with_filtered("displacement", changed))
     given, trace = inputs(test), curves(test).smooth
-    assert (given[GRIP].law, given[SHAPE].law) == ("normal", "uniform")
+    assert (given[GRIP].distribution, given[SHAPE].distribution) == ("normal", "uniform")
     moved = given[GRIP].perturb(trace, -3.0).displacement - trace.displacement
     assert moved == pytest.approx(-3e-6, abs=1e-12)
     moved = given[SHAPE].perturb(trace, 1.0).displacement
@@ -371,7 +371,7 @@ def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
     """In blocks of three it is a third of one of the grid."""
     test = straight(count)
     given, found = inputs(test)[STEP], curves(test)
-    assert given.law == "step"
+    assert given.distribution == "step"
     assert given.perturb(found.smooth, 1.0).steps_beyond == pytest.approx(step, rel=1e-3)
     assert given.perturb(found.smooth, -0.5).steps_beyond == pytest.approx(-0.5 * step, rel=1e-3)
 

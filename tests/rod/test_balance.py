@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.sliders import make_linear_law
-from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.assembly import (
+    ArtificialDrag,
+    Assembly,
+    ImposedValues,
+    LineHistory,
+    Shape,
+)
 from labpipe.mechanics.rod.banded import Band
 from labpipe.mechanics.rod.bands import Fields, compute_band, respond
 from labpipe.mechanics.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
@@ -53,10 +59,10 @@ class Case:
         strings = (np.array([2]), np.array([0.05]))
         self.assembly = Assembly(self.line, supports, (plane,), strings, n_rings=1, force=1e-4)
         contacts = self.line.positions + 0.02 * random.normal(size=(N + 1, 3))
-        self.memory = LineMemory(
+        self.history = LineHistory(
             0.5 * random.normal(size=(len(supports.nodes), 3, 2)), contacts[None], np.array([4.2])
         )
-        self.demands = Demands(
+        self.imposed = ImposedValues(
             held=self.line.positions[supports.held],
             clamps=multiply(
                 self.line.frames[[0, -1]], from_rotation_vectors(0.1 * random.normal(size=(2, 3)))
@@ -72,17 +78,17 @@ class Case:
 
     def residual(self, change: Floats, drag: ArtificialDrag | None = None) -> Floats:
         shape = self.assembly.changed(self.shape, change)
-        return self.assembly.balance(shape, self.demands, self.memory, drag).residual
+        return self.assembly.balance(shape, self.imposed, self.history, drag).residual
 
     def matrix(self, drag: ArtificialDrag | None = None) -> Floats:
-        values = self.assembly.balance(self.shape, self.demands, self.memory, drag).values
-        total = self.assembly.places.total
+        values = self.assembly.balance(self.shape, self.imposed, self.history, drag).values
+        total = self.assembly.indices.total
         out = np.zeros((total, total))
         np.add.at(out, self.assembly.pattern, values)
         return out
 
     def differences(self, drag: ArtificialDrag | None = None) -> Floats:
-        total = self.assembly.places.total
+        total = self.assembly.indices.total
         scale = self.assembly.band.scale / np.max(self.assembly.band.scale)
         columns = []
         for k in range(total):
@@ -94,9 +100,9 @@ class Case:
 
     def without_skew(self, matrix: Floats, drag: ArtificialDrag | None = None) -> Floats:
         """Take off the part of a gradient's derivative that vanishes where it is in balance."""
-        residual = self.residual(np.zeros(self.assembly.places.total), drag)
+        residual = self.residual(np.zeros(self.assembly.indices.total), drag)
         out = matrix.copy()
-        for first in self.assembly.places.turns:
+        for first in self.assembly.indices.turns:
             at = slice(first, first + 3)
             out[at, at] -= 0.5 * skew(residual[at])
         return out
@@ -114,7 +120,7 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     drag = None
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
-        before = case.assembly.turns(case.shape, case.demands) - 0.02
+        before = case.assembly.turns(case.shape, case.imposed) - 0.02
         drag = ArtificialDrag(10.0, place, before)
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free

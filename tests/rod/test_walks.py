@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.sliders import make_linear_law
-from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.boundaries import (
     Boundary,
     Gravity,
@@ -229,10 +229,12 @@ def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Bal
     forces, none = np.zeros((N + 1, 3)), np.zeros((0, 3))
     forces[-1, 0] = -load
     clamps = LINE.frames[-np.arange(len(supports.clamps))]
-    asked = Demands(LINE.positions[supports.held], clamps, forces, none, none)
-    memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
+    asked = ImposedValues(LINE.positions[supports.held], clamps, forces, none, none)
+    history = LineHistory(
+        np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0)
+    )
     shape = Shape(LINE.positions, LINE.frames, np.zeros(N), np.tile([-load, 0.0, 0.0], (N, 1)))
-    return StabilityCheck(assembly), assembly.balance(shape, asked, memory), shape
+    return StabilityCheck(assembly), assembly.balance(shape, asked, history), shape
 
 
 FREE: tuple[Grip, ...] = ((0, True),)
@@ -304,7 +306,7 @@ def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -
 
 
 def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[object, ...]]:
-    """Sentence of the only reason of a walk; its status, number of states, code, step and node."""
+    """Sentence of the only reason of a path; its status, number of states, code, step and node."""
     path = follow(line, boundaries, steps=steps)
     (reason,) = path.reasons
     step = int(reason.message.removeprefix("step ").partition(":")[0])

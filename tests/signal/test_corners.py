@@ -18,12 +18,12 @@ def test_exact_without_noise() -> None:
     time = np.arange(0.0, 8.0, 1e-3)
     past = time - TURN
     up, down = 0.05 * past, -0.12 * past
-    corner = fit_corner(time, HEIGHT + np.where(past < 0, up, down), near=4.2, window=2.0)
+    corner = fit_corner(time, HEIGHT + np.where(past < 0, up, down), guess=4.2, window=2.0)
     assert corner is not None
     assert corner.time == pytest.approx(TURN, abs=1e-5)
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
     few = np.arange(0.0, 0.1, 0.02)
-    assert fit_corner(few, few, near=0.04, window=0.05) is None
+    assert fit_corner(few, few, guess=0.04, window=0.05) is None
 
 
 def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
@@ -35,7 +35,7 @@ def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
 
 def test_a_stop_without_noise_is_exact() -> None:
     time, motion = stopped(0, 3.0, 0.0)
-    corners = fit_stop(time, motion, near=(20.1, 22.9), window=2.0)
+    corners = fit_stop(time, motion, guesses=(20.1, 22.9), window=2.0)
     assert corners is not None
     assert [corner.time for corner in corners] == pytest.approx([20.0, 23.0], abs=1e-9)
     assert [corner.value for corner in corners] == pytest.approx([20e-3, 20e-3], abs=1e-12)
@@ -46,7 +46,7 @@ def test_a_stop_without_noise_is_exact() -> None:
 def test_a_stop_and_a_start_hold_in_their_errors(dwell: float) -> None:
     pulls = []
     for seed in range(30):
-        ends = fit_stop(*stopped(seed, dwell, 1e-5), near=(19.9, 20.1), window=15.0)
+        ends = fit_stop(*stopped(seed, dwell, 1e-5), guesses=(19.9, 20.1), window=15.0)
         assert ends is not None
         for corner, true in zip(ends, (20.0, 20.0 + dwell), strict=True):
             pulls.append((corner.time - true) / corner.time_error)
@@ -62,9 +62,9 @@ def test_no_stop() -> None:
         even = np.arange(0.0, 40.0, apart) + 0.5 * apart  # two samples stand level at the corner
         records.append((even, -1e-3 * np.abs(even - 20.0)))
     for record in records:
-        assert fit_stop(*record, near=(19.9, 20.1), window=15.0) is None
+        assert fit_stop(*record, guesses=(19.9, 20.1), window=15.0) is None
     for count in (1, 8):
-        assert fit_stop(time[:count], time[:count], near=(0.05, 0.1), window=1.0) is None
+        assert fit_stop(time[:count], time[:count], guesses=(0.05, 0.1), window=1.0) is None
 
 
 @pytest.mark.parametrize(("near", "is_enough"), [(0.025, False), (0.035, True)])
@@ -72,7 +72,7 @@ def test_four_samples_before_a_corner_are_enough_for_two_lines(
     near: float, *, is_enough: bool
 ) -> None:
     time = np.arange(0.0, 2.0, 0.01)
-    corner = fit_corner(time, -np.abs(time - 0.03), near=near, window=1.0)
+    corner = fit_corner(time, -np.abs(time - 0.03), guess=near, window=1.0)
     assert (corner is not None) is is_enough
 
 
@@ -97,7 +97,7 @@ def turned(
 
 
 def reversal_of(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
-    reversal = fit_reversal(*turned(seed, sticks=sticks, noise=noise), near=3.97, window=1.0)
+    reversal = fit_reversal(*turned(seed, sticks=sticks, noise=noise), guess=3.97, window=1.0)
     assert reversal is not None
     return reversal
 
@@ -109,7 +109,7 @@ def test_reversals_are_near_the_truth_and_as_they_were_approved(approved: Approv
         *((0.1, 0.5, 4e-3), (0.3, 0.5, 0.015), (9.0, 0.5, 2e-3), (0.1, 1.0, 0.02)),
     ):
         time, force = turned(5, sticks=sticks, dwell=dwell, relaxes=relaxes)
-        found = fit_reversal(time, force, near=3.97, window=1.0, dwell=dwell)
+        found = fit_reversal(time, force, guess=3.97, window=1.0, dwell=dwell)
         assert found is not None
         corner = found.corner
         assert corner.time == pytest.approx(REVERSAL, abs=3.0 * corner.time_error)
@@ -140,10 +140,10 @@ def test_reversal_is_exact_without_noise() -> None:
 
 def test_no_corner() -> None:
     time = np.arange(2.0, 6.0, 5e-3)
-    assert fit_reversal(time, np.ones_like(time), near=4.0, window=1.0) is None
-    assert fit_reversal(time[:20], 1.0 - time[:20], near=2.05, window=0.02) is None
+    assert fit_reversal(time, np.ones_like(time), guess=4.0, window=1.0) is None
+    assert fit_reversal(time[:20], 1.0 - time[:20], guess=2.05, window=0.02) is None
     rising = time + np.random.default_rng(3).normal(0.0, 1e-3, len(time))
-    reversal = fit_reversal(time, rising, near=4.0, window=1.0)
+    reversal = fit_reversal(time, rising, guess=4.0, window=1.0)
     assert reversal is None or reversal.corner.time_error > 0.05
 
 
@@ -153,7 +153,7 @@ def test_the_ends_of_the_window_belong_to_it() -> None:
     force = TOP - 0.02 * np.abs(time - 4.0)
     force += np.random.default_rng(2).normal(0.0, 5e-4, len(time))
     for dwell, samples in ((0.0, 513), (0.5, 641)):
-        reversal = fit_reversal(time, force, near=4.0, window=1.0, dwell=dwell)
+        reversal = fit_reversal(time, force, guess=4.0, window=1.0, dwell=dwell)
         assert reversal is not None
         assert reversal.corner.n == samples
 
@@ -162,7 +162,7 @@ def test_the_unit_of_the_force_does_not_matter() -> None:
     time, force = turned(3, sticks=0.3)
     corners = []
     for factor in (1.0, 1e-6):
-        reversal = fit_reversal(time, factor * force, near=3.97, window=1.0)
+        reversal = fit_reversal(time, factor * force, guess=3.97, window=1.0)
         assert reversal is not None
         corners.append(reversal.corner)
     plain, scaled = corners

@@ -133,20 +133,21 @@ def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: floa
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell
 
-    turn = find_turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
+    turn = find_turn_near(time, force, middle=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
     assert turn == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_record_too_short_for_a_turn_with_a_wait() -> None:
     time = np.arange(0.0, 3.0, 0.01)
     assert (
-        find_turn_near(time, -np.abs(time - 1.5), near=1.5, reach=1.0, width=2.0, dwell=0.0) is None
-    )
-    assert (
-        find_turn_near(time, np.full(300, np.nan), near=1.5, reach=1.0, width=0.2, dwell=0.1)
+        find_turn_near(time, -np.abs(time - 1.5), middle=1.5, reach=1.0, width=2.0, dwell=0.0)
         is None
     )
-    assert find_turn_near(time, time, near=1.5, reach=1.0, width=0.5, dwell=9.0) is None
+    assert (
+        find_turn_near(time, np.full(300, np.nan), middle=1.5, reach=1.0, width=0.2, dwell=0.1)
+        is None
+    )
+    assert find_turn_near(time, time, middle=1.5, reach=1.0, width=0.5, dwell=9.0) is None
 
 
 TIME = np.arange(0.0, 5.0, 0.02)

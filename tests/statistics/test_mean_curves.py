@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.statistics.mean_curves import (
-    _gaps,
+    _describe_gaps,
     compute_band,
     compute_simultaneous_quantile,
     interpolate_curves,
@@ -98,8 +98,8 @@ def test_three_curves_have_intervals_at_three_displacements() -> None:
 
 def test_one_missing_point_of_a_grid_is_a_gap() -> None:
     grid = 1e-3 * np.array([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
-    assert _gaps(grid) == ["2 mm to 4 mm", "5 mm to 8 mm"]
-    assert _gaps(grid[:3]) == _gaps(grid[:1]) == []
+    assert _describe_gaps(grid) == ["2 mm to 4 mm", "5 mm to 8 mm"]
+    assert _describe_gaps(grid[:3]) == _describe_gaps(grid[:1]) == []
 
 
 def test_scaled_band_without_a_peak_force() -> None:

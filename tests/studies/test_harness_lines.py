@@ -194,7 +194,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert wire.limit == pytest.approx(table.doubtful_curvature)
     assert wire.limit_source == "the straight line of its insulation"
     assert wire.best == {"isotropic_share": 0.675}
-    assert wire.knows_only_share
+    assert wire.varies_only_share
     assert [file.role for file in wire.files] == ["wires"]
     other = tmp_path / "other.csv"
     other.write_text(
@@ -213,7 +213,9 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert deck.best == wire.best
     for share in (0.35, 0.675, 1.0):
         laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]
-        kept, expected = (release(law, np.array([5.0, 12.0, 23.5])).kept for law in laws)
+        kept, expected = (
+            release(law, np.array([5.0, 12.0, 23.5])).residual_curvature for law in laws
+        )
         assert kept == pytest.approx(expected, rel=1e-6)
     stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))
     (tmp_path / "known.json").write_text(write_sliders_json(stated), encoding="utf-8")

@@ -30,7 +30,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     find_sharpest_bend,
     list_releases,
 )
-from labpipe.mechanics.studies.harness_solution import FollowedHarness
+from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import (
     build_drawn_harness,
     compute_columns,
@@ -332,7 +332,7 @@ def test_the_vtk_is_a_line_for_each_step() -> None:
     assert not any(word in line for line in lines[48:] for word in ("inf", "nan"))
 
 
-def done(folder: Path, text: str) -> FollowedHarness:
+def done(folder: Path, text: str) -> HarnessSolution:
     return follow_harness(written(folder, text), out=folder / "out", figures=False)
 
 

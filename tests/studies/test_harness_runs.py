@@ -17,8 +17,8 @@ from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import Inputs, prepare_line, read_material
 from labpipe.mechanics.studies.harness_solution import (
-    FollowedHarness,
     HarnessBands,
+    HarnessSolution,
     predict_bands,
     solve_harness,
     solve_sweep_length,
@@ -162,7 +162,7 @@ def test_results_go_beside_other_results_unless_told(
     assert (shape.band, shape.radius_band) == (None, None)
 
 
-def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
+def run(folder: Path, text: str, limit: float | None = None) -> HarnessSolution:
     file = written(folder, text)
     harness = load_harness(file)
     material = read_material(harness, file)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from openpyxl import load_workbook
 
 from labpipe.errors import ProcessingError, ReadError, StoreError
-from labpipe.mechanics.decks import deck_texts
+from labpipe.mechanics.decks import make_deck_texts
 from labpipe.mechanics.studies import wire_models as modelling
 from labpipe.mechanics.studies.wire_models import make_tables, model_wires
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
@@ -49,7 +49,7 @@ def test_what_cannot_be_modelled_is_told_by_two_processes_as_by_one(
     modelled, refused = make_tables(specs, SHEET, names.append)
     assert names == ["C", "X1", "B", "A2", "D"]
     assert [wire.table.name for wire in modelled] == ["C", "A2", "D"]
-    assert modelled[1].decks == deck_texts(modelled[1].table)
+    assert modelled[1].decks == make_deck_texts(modelled[1].table)
     approved(refused.values())
     with ProcessPoolExecutor(2) as pool:
         shared, refused_too = make_tables(specs, SHEET, pool=pool)

@@ -13,8 +13,8 @@ from scipy import linalg, signal
 from labpipe.records.arrays import Flags, Floats
 from labpipe.uncertainty.noise_model import (
     NoiseModel,
+    _compute_whitened_squares,
     _processes,
-    _whitened_squares,
     cut_into_polynomials,
     estimate_noise,
 )
@@ -67,10 +67,10 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
-    steep = _processes(noise.longest, noise.count).steep[: len(noise.chances)]
-    depends_on_history = np.where(steep > 0.0, 0.0, noise.chances)
+    steep = _processes(noise.longest, noise.count).flicker_power[: len(noise.probabilities)]
+    depends_on_history = np.where(steep > 0.0, 0.0, noise.probabilities)
     assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
-    drawn = replace(noise, chances=depends_on_history / depends_on_history.sum()).draw(
+    drawn = replace(noise, probabilities=depends_on_history / depends_on_history.sum()).draw(
         20_000, 400, RNG(1)
     )
     for at in (slice(0, 200), slice(10_000, 10_200), slice(-200, None)):
@@ -174,13 +174,13 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
         *[(before[:270], 1), (behind[40:], 3)][: 2 * at_rest],
     ]
     processes = _processes(2000, 3000)
-    steep, crossing = processes.steep, processes.crossing
+    steep, crossing = processes.flicker_power, processes.crossing
     is_crossed = (crossing > np.pi * 12 / 166) & (crossing < np.pi * 48 / 166) | (crossing == np.pi)
     is_possible = at_rest | (steep == 0.0) | (is_crossed & (steep < 1.3))
     chances, squares, freedom = judged_by_contrasts(parts, noise, is_possible)
     assert noise.freedom == freedom
     np.testing.assert_allclose(noise.squares, squares, rtol=1e-9)
-    np.testing.assert_allclose(noise.chances, chances, rtol=1e-7)
+    np.testing.assert_allclose(noise.probabilities, chances, rtol=1e-7)
     # Faster waves have the power of the record, in bands of 16 of the longer branch.
     power = (cosines(2000, 2000) @ long) ** 2 + np.repeat(cosines(1000, 1000) @ short, 2) ** 2 / 2.0
     edges = np.arange(256, 1984, 16)
@@ -194,7 +194,7 @@ def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
     spectrum = RNG(3).uniform(0.1, 3.0, 20)
     weight = spectrum[:, None] ** -0.5
     left = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
-    np.testing.assert_allclose(_whitened_squares(spectrum, waves, columns), left, rtol=1e-9)
+    np.testing.assert_allclose(_compute_whitened_squares(spectrum, waves, columns), left, rtol=1e-9)
 
 
 def test_correlation_times_are_those_of_the_spectra() -> None:
@@ -202,7 +202,7 @@ def test_correlation_times_are_those_of_the_spectra() -> None:
     processes = _processes(2000, 8000)
     angle: Floats = np.pi * (np.arange(5000.0) + 0.5) / 5000.0
     means = np.where(
-        (processes.is_mirrored == 1.0) | (processes.steep > 0.0),
+        (processes.is_mirrored == 1.0) | (processes.flicker_power > 0.0),
         1.0,
         processes.spectra(angle).mean(axis=1),
     )

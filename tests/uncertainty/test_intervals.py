@@ -113,7 +113,7 @@ def test_a_rectangular_input() -> None:
 
     A step lies on one side: the truth within a step of 4 N behind 50 N, anywhere.
     """
-    (found,) = measured(trace_of(FORCE), mean, Input(ZERO_OF_FORCE, raised, law="uniform"))
+    (found,) = measured(trace_of(FORCE), mean, Input(ZERO_OF_FORCE, raised, distribution="uniform"))
     half = 0.95 * 3.0**0.5 * 0.3
     ends = found.interval.lower, found.interval.upper
     assert ends == pytest.approx((50.0 - half, 50.0 + half), abs=0.01)
@@ -123,7 +123,10 @@ def test_a_rectangular_input() -> None:
         return (trace.force[..., -1] + 4.0 * trace.steps_beyond,)
 
     later = Input(
-        STEP, lambda trace, x: replace(trace, steps_beyond=x), law="step", moves_curve=False
+        STEP,
+        lambda trace, x: replace(trace, steps_beyond=x),
+        distribution="step",
+        moves_curve=False,
     )
     (found,) = measured(trace_of(FORCE), end, later)
     assert found.interval.lower == 50.0  # the value itself
@@ -290,9 +293,9 @@ def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
 def test_noise_as_slow_as_the_record(share: float) -> None:
     """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
     made = replicates_of(trace_of(slow(20.0, 3000)))
-    chances = np.zeros(len(made.noises["force"].chances))
+    chances = np.zeros(len(made.noises["force"].probabilities))
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
-    noise = replace(made.noises["force"], chances=chances)
+    noise = replace(made.noises["force"], probabilities=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
     found = return_failure(measure_numbers)(
         replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000)
@@ -358,7 +361,7 @@ def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
             return replace(trace, force=trace.force + shares[name] * x)
 
         cause = (ZERO_OF_FORCE, GRIP, SECTION)[name]
-        return Input(cause, by, law=("normal", "uniform", "normal")[name])
+        return Input(cause, by, distribution=("normal", "uniform", "normal")[name])
 
     record = rng.normal(0.0, 3.0, 40) + 50.0
     (found,) = measured(trace_of(record), mean, *(moved(name) for name in range(3)))

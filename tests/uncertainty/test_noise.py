@@ -21,7 +21,7 @@ from labpipe.uncertainty.autocorrelation import (
     estimate_long_run_variance,
     scale_limit_by_noise,
 )
-from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormalise
+from labpipe.uncertainty.linear_fits import _compute_half_widths, fit_linear, orthonormalise
 
 
 def test_long_run_variance() -> None:
@@ -96,11 +96,11 @@ def test_probable_spectra_and_their_covariances() -> None:
         logs = np.log(spectrum).sum() + np.linalg.slogdet(products[:4, :4])[1]
         beyond = spectrum[-1] * (np.eye(4) - waves[:4] @ waves[:4].T)
         plain = (waves[:4] * spectrum) @ waves[:4].T + beyond
-        assert stretch.unit[number] == pytest.approx(unit)
+        assert stretch.unit_covariance[number] == pytest.approx(unit)
         assert stretch.shifts[number, 0] == pytest.approx(shifts)
         assert stretch.squares[number] == pytest.approx(products[4, 4] - products[4, :4] @ shifts)
         assert stretch.likelihood[number] == pytest.approx(-0.5 * logs)
-        assert stretch.plain_covariance()[number] == pytest.approx(plain)
+        assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
     other = SpectrumLikelihood.from_values(
         build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
@@ -111,7 +111,7 @@ def test_probable_spectra_and_their_covariances() -> None:
     )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
-    np.testing.assert_allclose(both.chances, chances / chances.sum(), rtol=1e-9)
+    np.testing.assert_allclose(both.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(both.variances, squares / 112.0)
     assert both.freedom == 112
 
@@ -130,7 +130,7 @@ def test_too_few_samples() -> None:
     with pytest.raises(ValueError, match="expected at least 6 samples for 2 coefficients, found 5"):
         fit_linear(np.ones((5, 2)), np.ones(5))
     with pytest.raises(ValueError, match="expected at least 3 samples for 2 coefficients, found 2"):
-        fit_linear(np.eye(2), np.ones(2), beside=[np.arange(100.0)])
+        fit_linear(np.eye(2), np.ones(2), other_stretches=[np.arange(100.0)])
 
 
 @pytest.mark.parametrize(("freedom", "offset"), [(2, 2.0), (40, 0.0)])
@@ -138,9 +138,9 @@ def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -
     """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
     noise = SpectrumPosterior(np.array([0.6, 0.4]), np.ones(2), freedom)
     deviations, offsets = np.array([1.0, 3.0]), np.array([0.0, offset])
-    (half,) = _half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
+    (half,) = _compute_half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
     between = [stats.t.cdf((end * half - offsets) / deviations, freedom) for end in (-1.0, 1.0)]
-    assert noise.chances @ (between[1] - between[0]) == pytest.approx(0.95, abs=1e-6)
+    assert noise.probabilities @ (between[1] - between[0]) == pytest.approx(0.95, abs=1e-6)
 
 
 def test_the_residual_deviation_is_that_of_the_textbook() -> None:

@@ -13,8 +13,8 @@ from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     N_REPLICATES,
+    Distribution,
     Input,
-    Law,
     draw_replicates,
     fit_smooth_curve,
 )
@@ -68,9 +68,9 @@ def unmoved(trace: Trace, x: float) -> Trace:
     ("law", "low", "high"),
     [("normal", -9.0, 9.0), ("uniform", -1.7321, 1.7321), ("step", -1.0, 0.0)],
 )
-def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
+def test_draws_of_an_input(law: Distribution, low: float, high: float) -> None:
     """Few of a normal one are beyond 1.96, none of a rectangle."""
-    given = Input("zero of the force", unmoved, law=law)
+    given = Input("zero of the force", unmoved, distribution=law)
     drawn = replicates_of(trace_of(TIME)).draw_input(given)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
@@ -144,7 +144,7 @@ def test_a_break_stays() -> None:
     """The force is lost within four samples, the last ones; before them it rose by 0.1 a step."""
     time = SAMPLES[:304]
     true = np.where(time < 300.0, 0.1 * time, 29.9 - 6.0 * (time - 299.0))
-    found = fit_smooth_curve(time, true, [300], 12, broken=300)
+    found = fit_smooth_curve(time, true, [300], 12, jump=300)
     assert found[299] == pytest.approx(29.9, abs=1e-6)
     assert fit_smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
 
@@ -225,7 +225,7 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     assert [(branch.start, branch.stop) for branch in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
     assert trace.refine(1) is trace
-    assert (trace.steps, finer.steps, finer.refine(3).steps) == (1, 2, 6)
+    assert (trace.parts_per_step, finer.parts_per_step, finer.refine(3).parts_per_step) == (1, 2, 6)
 
 
 def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:

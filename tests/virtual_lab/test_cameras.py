@@ -10,7 +10,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MarkerLayout
-from labpipe.virtual_lab.instruments import NO_MISHAPS, Stretch
+from labpipe.virtual_lab.instruments import NO_MISHAPS, MarkerInterval
 from labpipe.virtual_lab.lab_files import Observation
 
 EXACT = MarkerLayout(noise=0.0, pivot_noise=0.0, turn_noise=0.0)
@@ -76,8 +76,8 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
     names = [clean.names.index(label) for label in clean.labels]
     for mishaps in (
         replace(NO_MISHAPS, n_gaps=6, long_gap=1.2),
-        replace(NO_MISHAPS, switch=Stretch(2, 0.4, 0.6)),
-        replace(NO_MISHAPS, switch=Stretch(2, 0.4, 1.0)),
+        replace(NO_MISHAPS, switch=MarkerInterval(2, 0.4, 0.6)),
+        replace(NO_MISHAPS, switch=MarkerInterval(2, 0.4, 1.0)),
     ):
         take = observe(replace(quick, mishaps=mishaps), 5).records["markers"]
         expected = clean.positions.copy()

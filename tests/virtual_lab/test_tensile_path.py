@@ -34,7 +34,7 @@ def test_slip_goes_on_parallel_and_lower() -> None:
 
 
 def test_failure_takes_its_time_and_leaves_fibres() -> None:
-    path = build_pet_tape("1", fails_at=60e-3)
+    path = build_pet_tape("1", failure_displacement=60e-3)
     before, after, late = path.force(path.last_time + np.array([-1e-9, 0.15, 2.3]))
     at_failure = path.force(np.array([path.last_time]))[0]
     assert before == pytest.approx(at_failure, rel=1e-6)

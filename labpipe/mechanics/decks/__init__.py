@@ -1,4 +1,7 @@
-"""Decks: the law of a wire as input of simulation programs, each with its range."""
+"""Input files of simulation programs ("decks") for the law of a wire: which there are, and where.
+
+Each deck states the range of curvature in which it is valid.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +36,10 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "sliders.csv": write_sliders_csv,
     "sliders.json": write_sliders_json,
 }
-"""Ending of the file, and the function that returns its text."""
+"""File ending -> function that returns the text of the deck."""
 
 
-def deck_texts(table: WireTable) -> tuple[str, ...]:
+def make_deck_texts(table: WireTable) -> tuple[str, ...]:
     """Return the texts of the decks of a wire, in the order of `DECKS`.
 
     Parameters
@@ -64,7 +67,7 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
     Parameters
     ----------
     tables : laws of the wires
-    folder : of the results, which must be there
+    folder : folder of the results, which must exist
 
     Returns
     -------
@@ -73,9 +76,9 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
     Raises
     ------
     ValueError
-        As `deck_texts`.
+        As `make_deck_texts`.
     """
-    return write_texts({table.name: deck_texts(table) for table in tables}, folder)
+    return write_texts({table.name: make_deck_texts(table) for table in tables}, folder)
 
 
 def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
@@ -83,8 +86,8 @@ def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    texts : name of each wire -> `deck_texts`
-    folder : of the results, which must be there
+    texts : name of each wire -> `make_deck_texts`
+    folder : folder of the results, which must exist
 
     Returns
     -------
@@ -92,20 +95,20 @@ def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
     """
     (folder / FOLDER).mkdir(exist_ok=True)
     written = []
-    for name, of_wire in texts.items():
-        paths = deck_paths(name, folder)
-        for path, text in zip(paths, of_wire, strict=True):
+    for name, deck_texts in texts.items():
+        paths = list_deck_paths(name, folder)
+        for path, text in zip(paths, deck_texts, strict=True):
             path.write_text(text, encoding="utf-8", newline="\n")
         written += paths
     return written
 
 
-def deck_paths(name: str, folder: Path) -> list[Path]:
+def list_deck_paths(name: str, folder: Path) -> list[Path]:
     """Return the files of the decks of a wire, in the order of `DECKS`.
 
     Parameters
     ----------
     name : of the wire
-    folder : of the results
+    folder : folder of the results
     """
     return [folder / FOLDER / f"{make_file_stem(name)}.{ending}" for ending in DECKS]

@@ -1,20 +1,17 @@
-"""Beam sections of a wire for Abaqus and Ansys: include files.
+"""Write the beam section of a wire as an include file for Abaqus and for Ansys.
 
-Abaqus: ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL`` as an include file.
+Abaqus: ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL``. Abaqus Keywords Guide, keywords
+``*BEAM GENERAL SECTION``, ``*AXIAL``, ``*M1``, ``*M2``, ``*TORQUE``: data lines give force or
+moment first, strain or curvature second; with ``LINEAR`` the stiffness alone; without ``LINEAR``
+and ``ELASTIC`` the response is elastic-plastic, with the first slope as the elastic one (Analysis
+User's Guide 29.3.7). Such a law is given for positive strains, from the origin.
 
-Abaqus Keywords Guide, ``*BEAM GENERAL SECTION``, ``*AXIAL``, ``*M1``, ``*M2``, ``*TORQUE``: data
-lines give force or moment first, strain or curvature second; with ``LINEAR`` the stiffness alone;
-without ``LINEAR`` and ``ELASTIC`` the response is elastic-plastic, with the first slope as the
-elastic one (Analysis User's Guide 29.3.7). Such a law is given on the positive side from the
-origin.
-
-A wire for Ansys Mechanical APDL: ``SECTYPE,,GENB,PLASTIC`` with its tables.
-
+Ansys Mechanical APDL: ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and BEAM189.
 Mechanical APDL Structural Analysis Guide, "Using Nonlinear General Beam Sections": strain first,
-force second, the origin understood; at most 20 points for each component, each later slope below
-the first; a plastic section wants all six components with two points or more; beyond the last
-strain the stiffness vanishes. ``GENB`` is a type of its own, beside ``BEAM``, and its subtype is
-``ELASTIC`` or ``PLASTIC`` (Command Reference, ``SECTYPE``). For BEAM188 and BEAM189.
+force second, the origin is implied; at most 20 points for each component, each later slope below
+the first; a plastic section requires all six components with two points or more; beyond the last
+strain the stiffness is zero. ``GENB`` is a section type like ``BEAM``, and its subtype is
+``ELASTIC`` or ``PLASTIC`` (Command Reference, ``SECTYPE``).
 """
 
 from __future__ import annotations
@@ -37,7 +34,7 @@ from labpipe.mechanics.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 MAX_POINTS = 20
-"""Points of a table of Ansys without the origin."""
+"""Largest number of points in a table of Ansys, without the origin."""
 
 
 def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str:
@@ -46,7 +43,7 @@ def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) 
     Parameters
     ----------
     table : law of the wire
-    max_table_points : of the law, zero and the end included; None for all of its corners
+    max_table_points : largest number of points of the law, with zero and the end; None for all
 
     Returns
     -------
@@ -79,11 +76,15 @@ def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) 
     )
 
 
-def _describe_losses(table: WireTable, law: Thinned, rule: str, wide: int = 120) -> tuple[str, ...]:
+def _describe_losses(
+    table: WireTable, law: Thinned, unloading_rule: str, line_width: int = 120
+) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
-    loss = describe_turn_loss(table, law.error, "isotropic", rule)
-    form = release_elastically(table, float(law.moment[1] / law.curvature[1]))
-    return describe_deck_losses(table, loss, "with its first slope", form, wide=wide)
+    deck_loss = describe_turn_loss(table, law.error, "isotropic", unloading_rule)
+    deck_release = release_elastically(table, float(law.moment[1] / law.curvature[1]))
+    return describe_deck_losses(
+        table, deck_loss, "with its first slope", deck_release, line_width=line_width
+    )
 
 
 def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
@@ -111,7 +112,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     """
     require("section", section, "a whole number >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
-    line_width = 76  # lines of the deck end at 80 characters, those of comments begin with "! "
+    comment_width = 76  # lines of the deck end at 80 characters; "! " begins a comment
     return fill_template(
         "ansys.inp",
         table=table,
@@ -119,7 +120,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
         law=law,
         points=list(zip(law.curvature[1:], law.moment[1:], strict=True)),
         max_points=MAX_POINTS,
-        losses=_describe_losses(table, law, "isotropic hardening", line_width),
+        losses=_describe_losses(table, law, "isotropic hardening", comment_width),
         skew=compute_skew_bending_error(table),
         section=section,
         name=make_ansys_name(table.name),
@@ -129,9 +130,8 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
 
 
 def compute_shear_stiffness(table: WireTable) -> float:
-    """Return a transverse shear stiffness, N, that adds little (see `write_ansys_deck`)."""
-    # shortest free length, in wire diameters
-    min_length_in_diameters = 10.0
-    max_shear_share = 1e-3  # of the tip deflection
+    """Return a transverse shear stiffness, N, with little effect (see `write_ansys_deck`)."""
+    min_length_in_diameters = 10.0  # free length over wire diameter
+    max_shear_share = 1e-3  # shear deflection over tip deflection
     length = min_length_in_diameters * 2.0 * table.layout.wire_radius
     return 3.0 * table.stick_stiffness / (max_shear_share * length**2)

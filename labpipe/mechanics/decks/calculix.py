@@ -1,11 +1,11 @@
 """Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
 CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter and
-of the elastic-plastic material of `law.loss_card`. One end is clamped; the other is
-displaced sideways. Beam elements of CalculiX are not accurate enough: the program expands each into
-one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element"), whose
-four integration points sample only one strain on each side of the neutral plane. A circular beam is
-2.4 % too flexible even while it is elastic.
+of the elastic-plastic material of `law.loss_card`. One end is clamped; the other is displaced
+laterally. Beam elements of CalculiX are not accurate enough: the program expands each into one
+brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element"). The four
+integration points of the brick sample only one strain on each side of the neutral plane. A circular
+beam is 2.4 % too flexible even while it is elastic.
 
 The mesh is one half of the bar, cut along the plane of bending, of twenty-node bricks. x runs along
 the bar and y lies in the plane of bending. In the section, two bricks form a rectangle at the axis,
@@ -225,19 +225,21 @@ def write_calculix_deck(
     deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
     hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
-    loss = (
+    deck_loss = (
         f"This deck: error on first loading up to {hardening} of the moment from "
         f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
     )
     # the fibres of the bar do not yield again before zero moment
-    form = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
+    deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
     cuts = (note.message for note in table.notes if note.code == "cantilever_cut")
     facts = {
         "table": table,
         "head": list_facts(table, 60),
         "material": material,
         "accuracy": list(_describe_accuracy(material)),
-        "losses": describe_deck_losses(table, loss, "a bar with its first slope", form),
+        "losses": describe_deck_losses(
+            table, deck_loss, "a bar with its first slope", deck_release
+        ),
         "deflection": deflection,
     }
     if deflection == 0.0:

@@ -1,4 +1,4 @@
-"""Templates of decks, and facts, range and names of a wire for the head of every deck."""
+"""Fill the templates of decks: facts, valid range, errors and names of a wire for every deck."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def fill_template(name: str, /, **facts: object) -> str:
 
     Parameters
     ----------
-    name : of the file in ``templates``
-    facts : values of all names in the template
+    name : name of the file in ``templates``
+    facts : values of all variables of the template
     """
     return _load_templates().get_template(name).render(facts)
 
@@ -82,18 +82,18 @@ def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
     Parameters
     ----------
     table : law of the wire
-    max_length : characters of the name of the wire
+    max_length : largest number of characters of the wire's name
     """
     end = float(table.curvature[-1])
-    limit = table.doubtful_curvature
+    doubtful_curvature = table.doubtful_curvature
     strain = 100.0 * table.spec.insulation_strain
-    doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
+    doubt = f"Doubtful beyond {doubtful_curvature:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
         f"Wire {shorten_name(table.name, max_length)}, made by labpipe {__version__}.",
         "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
         f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
         "The deck is not valid beyond this range.",
-        *((doubt,) if limit < end else ()),
+        *((doubt,) if doubtful_curvature < end else ()),
         FIRST_LOADING_TEXT,
     )
 
@@ -103,12 +103,12 @@ def find_mass(table: WireTable) -> float:
 
     Parameters
     ----------
-    table : of the wire
+    table : law of the wire
 
     Raises
     ------
     ValueError
-        If it is not a positive number.
+        If the mass per length is not a positive number.
     """
     require_positive("mass_per_length", table.mass_per_length)
     return table.mass_per_length
@@ -119,10 +119,10 @@ def compute_first_frequency(stiffness: float, mass_per_length: float, length: fl
 
     Parameters
     ----------
-    stiffness : of bending, N m^2
+    stiffness : bending stiffness, N m^2
     mass_per_length, length : kg/m, m
     """
-    first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
+    first_root = 1.8751040687119611  # cos x cosh x = -1: first mode of a cantilever
     return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
 
 
@@ -136,30 +136,30 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
     Returns
     -------
-    From and to, 1/m: the first stretch on which the two are within 5 % of the wire's moment of each
-    other. None if there is none within the table.
+    Lower and upper end, 1/m, of the first interval in which the linear moment is within 5 % of the
+    wire's moment. None if the table has no such interval.
 
     Notes
     -----
-    Between two points the moment is on a straight line a + b kappa, so that stiffness kappa =
-    (1 -+ 0.05) (a + b kappa) is solved there.
+    Between two points the moment is a straight line a + b kappa. The ends of the interval solve
+    stiffness kappa = (1 -+ 0.05) (a + b kappa).
     """
     max_moment_error = 0.05  # relative
-    limits = (1.0 - max_moment_error, 1.0 + max_moment_error)
-    crossings = [_crossings(table, stiffness, limit) for limit in limits]
+    moment_ratios = (1.0 - max_moment_error, 1.0 + max_moment_error)
+    crossings = [_find_crossings(table, stiffness, ratio) for ratio in moment_ratios]
     knots = np.unique(np.concatenate([table.curvature, *crossings]))
     middle = 0.5 * (knots[1:] + knots[:-1])
     moment = np.interp(middle, table.curvature, table.moment)
-    inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error
-    if not inside.any():
+    is_inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error
+    if not is_inside.any():
         return None
-    first = int(np.argmax(inside))
-    leaves = np.flatnonzero(~inside[first:])
-    last = first + int(leaves[0]) if len(leaves) else len(inside)
+    first = int(np.argmax(is_inside))
+    outside = np.flatnonzero(~is_inside[first:])
+    last = first + int(outside[0]) if len(outside) else len(is_inside)
     return float(knots[first]), float(knots[last])
 
 
-def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
+def _find_crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
     """Find curvatures between the points where linear moment over law moment is `ratio`."""
     first, second = table.curvature[:-1], table.curvature[1:]
     slope = np.diff(table.moment) / np.diff(table.curvature)
@@ -170,7 +170,7 @@ def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
 
 
 def compute_skew_bending_error(table: WireTable) -> float:
-    """Return how much too stiff skew bending is where the two axes are uncoupled.
+    """Return the relative excess of the moment in skew bending if the two axes are uncoupled.
 
     Parameters
     ----------
@@ -178,12 +178,12 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
     Returns
     -------
-    The largest share, over the range, by which the moment of two laws at 45 degrees is above that
-    of one: sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1.
+    Largest value over the range of sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1: two uncoupled laws
+    in bending at 45 degrees to both axes, over one law.
     """
     kappa = table.curvature[1:]
-    part = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
-    return float(np.max(np.sqrt(2.0) * part / table.moment[1:] - 1.0))
+    component = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
+    return float(np.max(np.sqrt(2.0) * component / table.moment[1:] - 1.0))
 
 
 def compute_solid_area(table: WireTable) -> float:
@@ -194,7 +194,7 @@ def compute_solid_area(table: WireTable) -> float:
 
 
 def compute_second_moment(table: WireTable) -> float:
-    """Return the second moment of that area, m^4: the mean over all axes through the centre."""
+    """Return the second moment of the solid area, m^4: mean over all axes through the centre."""
     layout = table.layout
     tube = np.pi / 4.0 * (layout.wire_radius**4 - layout.bore_radius**4)
     area = np.pi / 4.0 * layout.diameter**2
@@ -203,15 +203,15 @@ def compute_second_moment(table: WireTable) -> float:
 
 
 def make_abaqus_label(name: str) -> str:
-    """Return the label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
+    """Return the label of an element set: a letter, then letters, digits, ``_`` and ``-``.
 
     Parameters
     ----------
-    name : of the wire, any text
+    name : name of the wire, any text
 
     Returns
     -------
-    The name if it is a label already. Otherwise its allowed characters with a checksum of the name,
+    The name if it is a valid label. Otherwise its allowed characters with a checksum of the name,
     so that different names have different labels.
 
     Notes
@@ -223,7 +223,7 @@ def make_abaqus_label(name: str) -> str:
     >>> make_abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
-    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
+    return _make_label(name, allowed="A-Za-z0-9_-", first="A-Za-z", max_length=80)
 
 
 def make_ansys_name(name: str) -> str:
@@ -231,7 +231,7 @@ def make_ansys_name(name: str) -> str:
 
     Parameters
     ----------
-    name : of the wire, any text
+    name : name of the wire, any text
 
     Returns
     -------
@@ -243,7 +243,7 @@ def make_ansys_name(name: str) -> str:
     >>> make_ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
-    remainder = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
+    remainder = re.sub(r"[^A-Za-z0-9]", "", _remove_accents(name))
     return (remainder if remainder[:1].isalpha() else f"W{remainder}")[:8]
 
 
@@ -252,7 +252,7 @@ def make_file_stem(name: str) -> str:
 
     Parameters
     ----------
-    name : of the wire, any text
+    name : name of the wire, any text
 
     Returns
     -------
@@ -264,10 +264,10 @@ def make_file_stem(name: str) -> str:
     'A2'
     """
     max_length = 100
-    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
+    stem = _make_label(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
     is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
     return (
-        _with_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
+        _append_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
     )
 
 
@@ -276,7 +276,7 @@ def shorten_name(name: str, max_length: int = 100) -> str:
 
     Parameters
     ----------
-    name : of the wire, any text
+    name : name of the wire, any text
     max_length : characters, at least 4
 
     Examples
@@ -284,41 +284,42 @@ def shorten_name(name: str, max_length: int = 100) -> str:
     >>> shorten_name("a name that goes on and on", 12)
     'a name th...'
     """
-    line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
+    line = re.sub(r"[^ -~]+", "?", _remove_accents(" ".join(name.split())))
     return line if len(line) <= max_length else line[: max_length - 3] + "..."
 
 
-def _allowed_text(name: str, *, allowed: str, first: str, max_length: int) -> str:
-    label = re.sub(rf"[^{allowed}]+", "_", _without_accents(name))
+def _make_label(name: str, *, allowed: str, first: str, max_length: int) -> str:
+    """Return the allowed characters of a name, with a checksum if they differ from the name."""
+    label = re.sub(rf"[^{allowed}]+", "_", _remove_accents(name))
     if not re.match(f"[{first}]", label):
         label = f"W{label}"
     return (
         label
         if label == name and len(label) <= max_length
-        else _with_checksum(name, label, max_length)
+        else _append_checksum(name, label, max_length)
     )
 
 
-def _with_checksum(name: str, label: str, max_length: int) -> str:
+def _append_checksum(name: str, label: str, max_length: int) -> str:
     digits = 8  # hexadecimal
     checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
     return f"{label[: max_length - digits - 1].rstrip('. ')}_{checksum}"
 
 
-def _without_accents(name: str) -> str:
-    """Replace letters with accents by those without, where there are such."""
+def _remove_accents(name: str) -> str:
+    """Replace each letter with an accent by the plain letter, where there is one."""
     parts = unicodedata.normalize("NFKD", name)
     return "".join(part for part in parts if not unicodedata.combining(part))
 
 
 def describe_losses(card: LossCard) -> str:
-    """Describe in one line the errors of a law in forms that programs can represent.
+    """Describe in one line the errors of simpler laws that programs can represent.
 
     Parameters
     ----------
-    card : of the law
+    card : loss card of the law
     """
-    sliders = ", ".join(f"{number} sliders {format_percent(lost)}" for number, lost in card.sliders)
+    sliders = ", ".join(f"{count} sliders {format_percent(error)}" for count, error in card.sliders)
     return (
         f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
         f"each form at its best: constant stiffness {format_percent(card.constant)}, Dahl "
@@ -327,7 +328,7 @@ def describe_losses(card: LossCard) -> str:
 
 
 def describe_masing_losses(table: WireTable) -> tuple[str, str]:
-    """Describe unloading by Masing's rule, and the errors of forms that programs can represent."""
+    """Describe unloading by Masing's rule, and the errors of simpler laws for programs."""
     return describe_unloading(table, "Masing"), describe_losses(make_table_card(table))
 
 
@@ -340,54 +341,63 @@ def format_percent(share: float) -> str:
 
 
 def describe_turn_loss(
-    table: WireTable, first: float, form: Literal["curve", "isotropic"], why: str
+    table: WireTable,
+    loading_error: float,
+    form: Literal["curve", "isotropic"],
+    unloading_rule: str,
 ) -> str:
-    """Describe in one line the error of the form of law of a deck.
+    """Describe in one line the error of the law of a deck.
 
     Parameters
     ----------
     table : law of the wire
-    first : largest error on first loading, as a share of the moment
-    form : a curve without memory, or isotropic hardening
-    why : what the program does on unloading
+    loading_error : largest error on first loading, as a share of the moment
+    form : of the law of the deck: a curve without memory, or isotropic hardening
+    unloading_rule : what the program does on unloading
     """
-    turn = asdict(compute_table_turn(table))
+    errors = asdict(compute_reversal_errors(table))
     return (
-        f"This deck: error on first loading up to {format_percent(first)} of the moment; on "
-        f"unloading from bends up to half of the range up to {format_percent(turn[form])} of the "
-        f"moment by Masing's rule at the reversal (from {turn[f'{form}_at']:.2g} 1/m): {why}."
+        f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
+        f"on unloading from bends up to half of the range up to {format_percent(errors[form])} of "
+        "the moment by Masing's rule at the reversal "
+        f"(from {errors[f'{form}_at']:.2g} 1/m): {unloading_rule}."
     )
 
 
 def describe_deck_losses(
-    table: WireTable, loss: str, rule: str, form: Release, *, wide: int = 120
+    table: WireTable,
+    deck_loss: str,
+    unloading_rule: str,
+    deck_release: Release,
+    *,
+    line_width: int = 120,
 ) -> tuple[str, ...]:
-    """Return the loss card for the head of a deck: its own error, then those of other forms.
+    """Return the loss card for the head of a deck: the error of the deck, then of other laws.
 
     Parameters
     ----------
-    table : law of the wire; without a fit by sliders, the reason instead
-    loss : error of the deck itself
-    rule, form : of the deck on unloading, see `describe_unloading`
-    wide : characters of a line
+    table : law of the wire; if sliders cannot be fitted to it, the reason replaces other laws
+    deck_loss : sentence on the error of the deck
+    unloading_rule, deck_release : see `describe_unloading`
+    line_width : number of characters
     """
     try:
         other_forms: tuple[str, ...] = (
-            describe_unloading(table, rule, form),
+            describe_unloading(table, unloading_rule, deck_release),
             describe_losses(make_table_card(table)),
         )
     except ValueError as error:
         other_forms = (f"No loss card of other forms: {error}.",)
     return tuple(
         line.replace("~%", " %")  # keeps a number and its per cent sign on one line
-        for sentence in (loss, *other_forms)
-        for line in textwrap.wrap(sentence.replace(" %", "~%"), wide)
+        for sentence in (deck_loss, *other_forms)
+        for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
     )
 
 
 @lru_cache(maxsize=4)
-def compute_table_turn(table: WireTable) -> TurnLoss:
-    """Return the errors on unloading of forms without the memory of a wire, over its table."""
+def compute_reversal_errors(table: WireTable) -> TurnLoss:
+    """Return the errors on unloading of laws without the memory of a wire, over its table."""
     return compute_turn_loss(table.curvature, table.moment)
 
 
@@ -401,19 +411,20 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
 
     Parameters
     ----------
-    table : law of the wire; without a fit by sliders, the reason and the errors on unloading
+    table : law of the wire; if sliders cannot be fitted to it, the card has the reason and the
+        errors on unloading
     """
-    way_back = asdict(compute_table_turn(table))
+    unloading_errors = asdict(compute_reversal_errors(table))
     try:
         card = make_table_card(table)
     except ValueError as error:
-        return {"reason": f"{error}", "way_back": way_back}
+        return {"reason": f"{error}", "way_back": unloading_errors}
     return {
         "curvature": [card.first, card.last],
         "constant": {"stiffness": card.stiffness, "error": card.constant},
         "dahl": card.dahl.error,
-        "sliders": {str(number): lost for number, lost in card.sliders},
-        "directions": {str(number): lost for number, lost in card.directions},
-        "way_back": way_back,
+        "sliders": {str(count): error for count, error in card.sliders},
+        "directions": {str(count): error for count, error in card.directions},
+        "way_back": unloading_errors,
         "unloading": collect_unloading_numbers(table),
     }

@@ -1,4 +1,4 @@
-"""Tables of a wire for programs that read numbers: CSV, and JSON for cable simulators."""
+"""Write the law of a wire as tables: CSV, and JSON for cable simulators."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def write_lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
-    form = release_without_memory(table)
+    deck_loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
+    deck_release = release_without_memory(table)
     numbers = {name: getattr(table, name) for name in COLUMNS}
     numbers["is_doubtful"] = table.is_doubtful.astype(int)
     columns = [map(repr, number.tolist()) for number in numbers.values()]
@@ -56,7 +56,7 @@ def write_lookup_csv(table: WireTable) -> str:
         table=table,
         head=list_facts(table),
         mass=find_mass(table),
-        losses=describe_deck_losses(table, loss, "a curve", form, wide=1000),
+        losses=describe_deck_losses(table, deck_loss, "a curve", deck_release, line_width=1000),
         rows=[heading, *map(",".join, zip(*columns, strict=True))],
     )
 
@@ -100,7 +100,7 @@ def write_lookup_json(table: WireTable) -> str:
 
 
 SLIDERS_SCHEMA = 1
-"""Version of the JSON."""
+"""Version of the JSON file of sliders."""
 
 _MEANING = (
     "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
@@ -111,21 +111,21 @@ _DAHL = "moment = stiffness * curvature + moment * (1 - exp(-curvature / decay))
 
 
 def describe_missing_sliders(error: ValueError) -> str:
-    """Return the sentence of a deck that has no sliders.
+    """Return the reason why a deck has no sliders, as a sentence.
 
     Parameters
     ----------
-    error : of `fit_sliders`
+    error : error raised by `fit_sliders`
     """
     return f"No sliders, and nothing to run: {error}."
 
 
 def write_sliders_csv(table: WireTable) -> str:
-    """Write a row for each slider, the spring first, which never slides.
+    """Write a row for the spring, which never slides, and one for each slider.
 
     Parameters
     ----------
-    table : law of the wire; one that cannot be fitted by sliders gets the reason and no rows
+    table : law of the wire; if sliders cannot be fitted to it, the text has the reason and no rows
     """
     head = list_facts(table)
     try:
@@ -155,16 +155,16 @@ def write_sliders_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; one that cannot be fitted by sliders gets the reason and no numbers
+    table : law of the wire; if sliders cannot be fitted to it, the text has the reason only
     """
-    about = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
+    identity = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
     try:
         law, card = fit_wire_sliders(table), make_table_card(table)
     except ValueError as error:
-        return json.dumps({**about, "reason": describe_missing_sliders(error)}, indent=1) + "\n"
+        return json.dumps({**identity, "reason": describe_missing_sliders(error)}, indent=1) + "\n"
     space = fit_directions(law, N_DIRECTIONS)
     document = {
-        **about,
+        **identity,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "meaning": _MEANING,

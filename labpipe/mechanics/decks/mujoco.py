@@ -1,13 +1,13 @@
-"""A wire for MuJoCo 4: a clamped cable as a standalone MJCF model.
+"""Write a wire for MuJoCo 4 as a clamped cable with one bending stiffness: a complete MJCF model.
 
 MuJoCo 4.0 removed the cable plug-in and composite bodies; a cable is a one-dimensional flex with
 elasticity, a discrete elastic rod (XML Reference, flex/elasticity; Bergou et al. 2008). It has one
 constant bending stiffness E I and one torsional stiffness G J, with I and J of a full circle of the
 flex's radius.
 
-The vertices carry the bending, each that of half an edge on both sides. The first edge, held at
-both ends, therefore begins half a spacing inside the clamp, so that the free length is counted from
-the clamp's face: a load P at the tip then deflects it by P L^3 / 3 EI (1 - 1 / (2 n - 1)^2), n
+Bending occurs at the vertices; each represents half an edge on both sides. The first edge is fixed
+at both ends. It begins half a spacing inside the clamp, so that the free length begins at the face
+of the clamp: a load P at the tip then deflects the tip by P L^3 / 3 EI (1 - 1 / (2 n - 1)^2) with n
 edges.
 
 References
@@ -55,7 +55,7 @@ def write_mujoco_deck(
     stiffness : N m^2; None for the slope of the law at zero: that of a wire whose strands all
         stick, or the first secant of the table where strands slip at once. The deck states which
     length : free length, m; None for that of the wire's cantilever
-    edges : of the cable, at least 3
+    edges : number of edges of the cable, at least 3
 
     Returns
     -------
@@ -73,7 +73,7 @@ def write_mujoco_deck(
     (`find_linear_range`).
     """
     min_edges = 3
-    settling_time = 35.0  # over 1 / (first angular frequency)
+    settling_time = 35.0  # times the first angular frequency
     origin = "as given"
     if stiffness is None:
         stiffness, origin = _find_slope_at_zero(table)
@@ -87,12 +87,14 @@ def write_mujoco_deck(
     step = 0.05 / first_frequency * min(1.0, 40 / edges)
     spacing = length / (edges - 0.5)  # the first edge is half inside the clamp
     validity = "nowhere within 5 % of the wire's law"
-    if (close := find_linear_range(table, stiffness)) is not None:
-        ends = f"{close[0]:.4g} to {close[1]:.4g}"
-        validity = f"within 5 % of the wire's law at curvatures from {ends} 1/m"
+    if (linear_range := find_linear_range(table, stiffness)) is not None:
+        start, stop = linear_range
+        validity = f"within 5 % of the wire's law at curvatures from {start:.4g} to {stop:.4g} 1/m"
     error = format_percent(compute_constant_loss(table, stiffness))
-    loss = f"This deck: error up to {error} of the moment over its range, and no memory of bends."
-    places = ((np.arange(edges + 1) - 0.5) * spacing).tolist()
+    deck_loss = (
+        f"This deck: error up to {error} of the moment over its range, and no memory of bends."
+    )
+    vertex_x = ((np.arange(edges + 1) - 0.5) * spacing).tolist()
     return fill_template(
         "cable.xml",
         table=table,
@@ -101,7 +103,7 @@ def write_mujoco_deck(
         origin=origin,
         validity=validity,
         losses=describe_deck_losses(
-            table, loss, "elastic", release_without_memory(table), wide=1000
+            table, deck_loss, "elastic", release_without_memory(table), line_width=1000
         ),
         length=length,
         edges=edges,
@@ -110,7 +112,7 @@ def write_mujoco_deck(
         step=step,
         cable=CABLE,
         spacing=spacing,
-        points="  ".join(f"{place:.9g} 0 0" for place in places),
+        points="  ".join(f"{x:.9g} 0 0" for x in vertex_x),
         elements="  ".join(f"{edge} {edge + 1}" for edge in range(edges)),
         circle=np.pi / 4.0 * table.layout.wire_radius**4,
         first_frequency=first_frequency,

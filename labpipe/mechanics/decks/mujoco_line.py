@@ -1,7 +1,7 @@
-"""The line of a harness for MuJoCo 4: a chain with hysteresis, and its boundaries.
+"""Write the line of a harness for MuJoCo 4: a chain with hysteresis, its supports and its loads.
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
-mocap body that an equality holds a site of the chain to, or that the chain begins at; its path, a
+mocap body. The chain begins at it, or an equality connects a site of the chain to it. Its path, a
 row of position and quaternion for each step, is a ``numeric`` of the model, so that a program needs
 no other file. Strings are tendons of limited length, loads are actuators.
 """
@@ -32,20 +32,20 @@ _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
 def write_line_deck(
     line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = DEFAULT_NODES
 ) -> str:
-    """Write a line with all that holds, moves and loads it.
+    """Write a line with its supports, strings and loads.
 
     Parameters
     ----------
-    line : at the start
-    boundaries : rings and planes are left out and named in a comment
-    title : of the model
-    nodes : of the chain
+    line : in its state at the start
+    boundaries : supports, strings and loads; rings and planes are omitted and named in a comment
+    title : name of the model
+    nodes : number of nodes of the chain
 
     Returns
     -------
-    MJCF. The model begins as the line lies at the start; ``path_NAME`` of a clip, pin or grip has
-    seven numbers a step, position and quaternion of its mocap body of that name, and
-    ``release_NAME`` the step from which its equality is to be switched off.
+    MJCF. The initial shape of the model is that of the line. ``path_NAME`` of a clip, pin or grip
+    has seven numbers for each step, position and quaternion of the mocap body ``NAME``.
+    ``release_NAME`` is the step from which its equality is to be switched off.
     """
     default_mass = 1e-3  # kg/m, of a line without weight: MuJoCo needs a mass
     section = line.section
@@ -57,13 +57,15 @@ def write_line_deck(
         torsional_stiffness=section.torsional_stiffness,
         nodes=nodes,
     )
-    every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
-    base = next((held for held in every if _is_base(held)), None)
+    supports = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
+    base = next((support for support in supports if _is_base(support)), None)
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
     gravity = np.sum([np.zeros(3), *weight], axis=0)
-    contacts = [b.name for b in boundaries if isinstance(b, rod.Ring | rod.Plane)]
+    contacts = [
+        boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)
+    ]
     return fill_template(
         "line_chain.xml",
         name=title,
@@ -72,11 +74,11 @@ def write_line_deck(
         gravity=" ".join(f"{component:.7g}" for component in gravity.tolist()),
         ramp=RAMP,
         rest=REST,
-        left_out=contacts,
-        bodies=_list_bodies(line, chain, [*every, *strings, *loads], base),
-        every=every,
-        others=[held for held in every if held is not base],
-        poses={held.name: _compute_poses(held) for held in every},
+        omitted_contacts=contacts,
+        bodies=_list_bodies(line, chain, [*supports, *strings, *loads], base),
+        supports=supports,
+        equality_supports=[support for support in supports if support is not base],
+        poses={support.name: _compute_poses(support) for support in supports},
         strings=strings,
         loads=loads,
         gears={
@@ -85,54 +87,54 @@ def write_line_deck(
     )
 
 
-def _is_base(held: rod.Held) -> bool:
-    """Return whether it clamps the start of the line for good, where the chain can begin."""
-    return held.node == 0 and held.frame is not None and held.release is None
+def _is_base(support: rod.Held) -> bool:
+    """Return whether a support clamps the start of the line permanently: the chain begins there."""
+    return support.node == 0 and support.frame is not None and support.release is None
 
 
-def _compute_poses(held: rod.Held) -> Floats:
+def _compute_poses(support: rod.Held) -> Floats:
     """Return position and quaternion of a mocap body, shape (steps + 1, 7)."""
-    count = len(held.position)
-    if held.frame is None:
-        turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    count = len(support.position)
+    if support.frame is None:
+        quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     else:
-        turns = np.broadcast_to(multiply(held.frame, _TO_BODY), (count, 4))
-    return np.hstack([held.position, turns])
+        quaternions = np.broadcast_to(multiply(support.frame, _TO_BODY), (count, 4))
+    return np.hstack([support.position, quaternions])
 
 
 def _list_bodies(
     line: Line,
     chain: Chain,
-    tied: Sequence[rod.Held | rod.String | rod.Load],
+    attachments: Sequence[rod.Held | rod.String | rod.Load],
     base: rod.Held | None,
 ) -> list[dict[str, object]]:
-    """Return the bodies of the chain, on its base or free in space, each in the one before."""
+    """Return the nested bodies of the chain, on its base or free in space."""
     frames = multiply(_find_frames(line, chain), _TO_BODY)
-    prefix = _find_unused_prefix([tie.name for tie in tied])
+    prefix = _find_unused_prefix([attachment.name for attachment in attachments])
     bodies: list[dict[str, object]] = [
         {
             "name": f"{prefix}_0" if base is None else base.name,
             "position": line.positions[0],
-            "turn": frames[0],
+            "quaternion": frames[0],
             "kind": "><freejoint />" if base is None else ' mocap="true">',
         }
     ]
     for node in range(1, chain.nodes + 1):
-        begin = 0.5 * chain.spacing if node == 1 else chain.spacing
-        turn = multiply(conjugate(frames[node - 1]), frames[node])
-        body = {"name": f"{prefix}_{node}", "position": np.array([begin, 0.0, 0.0])}
-        bodies.append({**body, "turn": turn, "kind": ">"})
+        offset = 0.5 * chain.spacing if node == 1 else chain.spacing
+        quaternion = multiply(conjugate(frames[node - 1]), frames[node])
+        body = {"name": f"{prefix}_{node}", "position": np.array([offset, 0.0, 0.0])}
+        bodies.append({**body, "quaternion": quaternion, "kind": ">"})
     sites: list[list[tuple[str, float]]] = [[] for _ in bodies]
-    for tie in tied:  # places on a body, and their distances from its start, m
-        along = float(line.stations[tie.node])
-        node = min(int(along / chain.spacing + 0.5), chain.nodes)
-        begin = (node - 0.5) * chain.spacing if node else 0.0
-        sites[node].append((tie.name, along - begin))
-    return [{**body, "sites": places} for body, places in zip(bodies, sites, strict=True)]
+    for attachment in attachments:  # sites of a body, with their distances from its start, m
+        arc_length = float(line.stations[attachment.node])
+        node = min(int(arc_length / chain.spacing + 0.5), chain.nodes)
+        body_start = (node - 0.5) * chain.spacing if node else 0.0
+        sites[node].append((attachment.name, arc_length - body_start))
+    return [{**body, "sites": body_sites} for body, body_sites in zip(bodies, sites, strict=True)]
 
 
 def _find_unused_prefix(names: Sequence[str]) -> str:
-    """Return a prefix for the bodies of the chain that no name of the file begins with."""
+    """Return a prefix of the names of the chain's bodies that begins no other name of the file."""
     prefix = "node"
     while any(name.startswith(f"{prefix}_") for name in names):
         prefix = f"_{prefix}"
@@ -140,7 +142,7 @@ def _find_unused_prefix(names: Sequence[str]) -> str:
 
 
 def _find_frames(line: Line, chain: Chain) -> Floats:
-    """Return the frames of the bodies at the start, (nodes + 1, 4): those of the elements there."""
+    """Return the initial frame of each body, that of the element at its middle; (nodes + 1, 4)."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)
     steps = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))

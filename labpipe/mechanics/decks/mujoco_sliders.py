@@ -1,20 +1,20 @@
-"""A wire for MuJoCo 4 with the memory of its law: a chain of hinges with springs that yield.
+"""Write a wire with hysteresis for MuJoCo 4: a chain of hinges with springs that yield.
 
-MuJoCo 4.0 has ideal elasto-plastic springs (``springyield`` of joints and tendons: the displacement
-at which the spring's rest begins to follow). A node of the chain has a spring that never yields
-and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_j / h and yield
-h kappa_j, h being the length of wire that the node stands for. Hinge i is at (i + 1/2) h, so that
-the chain is of second order in h.
+MuJoCo 4.0 has ideal elasto-plastic springs: ``springyield`` of joints and tendons is the
+displacement from which plastic displacement begins. A node of the chain has a spring that never
+yields and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_j / h and
+yield h kappa_j, with the length h of wire that the node represents. Hinge i is at (i + 1/2) h, so
+that the error of the chain is of second order in h.
 
-In space a node has two hinges with the tendons of `law.sliders` on sums of their angles,
-in directions that are rotated from one node to the next; a third hinge twists.
+In space a node has two hinges. The tendons of its sliders act on sums of the two angles, in
+directions that are rotated from one node to the next. A third hinge represents twist.
 
-A slider whose limit grows (isotropic hardening) is one more tendon, in a plane. MuJoCo keeps its
-yield constant: a program must raise it at each step by the plastic displacement so far
-(``examples/mujoco_growing.py``).
+In the plane, a slider with isotropic hardening is an additional tendon. MuJoCo keeps its yield
+constant: a program must raise the yield at each step according to the accumulated plastic
+displacement (``examples/mujoco_growing.py``).
 
-Springs that yield keep the effect of an overshoot. Therefore a load must be ramped and the joints
-are damped; the deck states how long both take.
+An overshoot leaves plastic displacement in springs that yield. Therefore loads must be ramped and
+the joints are damped; the deck states the number of steps of the ramp and until rest.
 """
 
 from __future__ import annotations
@@ -50,23 +50,24 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
 DEFAULT_NODES = 30
+"""Number of nodes of a chain."""
 RAMP = 400
-"""Steps of the ramp of a load."""
+"""Number of steps over which a load is ramped."""
 REST = 600
-"""Steps until a load has settled."""
+"""Number of steps until rest after the ramp."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Numbers of the model, SI.
+    """Properties of a chain, SI.
 
     Parameters
     ----------
-    law : of the wire
+    law : sliders of the wire
     length, radius : m
     mass_per_length : kg/m
     torsional_stiffness : N m^2
-    nodes : number
+    nodes : number of nodes
     """
 
     law: SliderLaw
@@ -78,12 +79,12 @@ class Chain:
 
     @property
     def spacing(self) -> float:
-        """Return the length of wire that a node stands for, m."""
+        """Return the length of wire that a node represents, m."""
         return self.length / self.nodes
 
     @property
     def unit_time(self) -> float:
-        """Time step, s: one over the first angular frequency while nothing slides."""
+        """Return the time step, s: one over the first angular frequency while no slider slides."""
         stiffness = self.law.first_stiffness
         return 1.0 / compute_first_frequency(stiffness, self.mass_per_length, self.length)
 
@@ -100,10 +101,10 @@ class Hinges:
     Parameters
     ----------
     axes : name, axis and stiffness (N m^2) of each hinge
-    tendons : shape (turns, directions, hinges), share of each hinge's angle; nodes take one turn
-        after another
+    tendons : shape (rotations, directions, hinges), coefficient of each hinge's angle; successive
+        nodes have successive rotations, in a cycle
     stiffnesses, slip_curvatures : of the sliders in each direction
-    sentences : about them, for the head of a deck
+    sentences : description for the head of a deck
     """
 
     axes: tuple[tuple[str, str, float], ...]
@@ -126,17 +127,17 @@ def write_mujoco_plane_deck(
     Parameters
     ----------
     table : law of the wire
-    sliders : at most
+    sliders : largest number
     length : free length, m; None for that of the wire's cantilever
-    nodes : of the chain, at least 3
+    nodes : number of nodes of the chain, at least 3
     isotropic_share : from 0 (Masing's rule) to 1; above 0 the program that runs the model must
         raise the yield of the tendons ``growing_<node>`` at each step
 
     Returns
     -------
     MJCF. The actuator ``pull_y`` is a force at the tip, in N, of constant direction. With an
-    isotropic share ``growing_yield`` has the yields over ``growing_slid``, the sum of the plastic
-    displacement so far without its sign, both in rad.
+    isotropic share ``growing_yield`` has the yields over ``growing_slid``, the accumulated size
+    of plastic displacement, both in rad.
 
     Raises
     ------
@@ -145,7 +146,7 @@ def write_mujoco_plane_deck(
 
     Notes
     -----
-    A law that cannot be fitted by sliders (`fit_sliders`) gets the reason and nothing to run.
+    If sliders cannot be fitted to the law (`fit_sliders`), the text has the reason and no model.
     """
     in_range = 0.0 <= isotropic_share <= 1.0
     require("isotropic_share", isotropic_share, "from 0 to 1", holds=in_range)
@@ -177,8 +178,8 @@ def write_mujoco_space_deck(
     Parameters
     ----------
     table : law of the wire
-    sliders : of the law that the scalar sliders come close to
-    directions : in which each node has scalar sliders
+    sliders : largest number of sliders of the law to which the scalar sliders are fitted
+    directions : number of directions in which each node has scalar sliders
     length, nodes : as for `write_mujoco_plane_deck`
 
     Returns
@@ -202,38 +203,42 @@ def make_space_hinges(chain: Chain, directions: int = N_DIRECTIONS) -> Hinges:
 
     Parameters
     ----------
-    chain : numbers of the model
-    directions : in which each node has scalar sliders
+    chain : its properties
+    directions : number of directions in which each node has scalar sliders
     """
-    law, few = chain.law, None
-    spring, tendons, sliders = law.stiffness, np.zeros((1, 0, 2)), (np.zeros(0), np.zeros(0))
+    law = chain.law
+    spring_stiffness, tendons, sliders = (
+        law.stiffness,
+        np.zeros((1, 0, 2)),
+        (np.zeros(0), np.zeros(0)),
+    )
     sentence = f"Bending stiffness {law.stiffness:.6g} N m2, constant."
     if len(law.stiffnesses):
-        few = fit_directions(law, directions, max_sliders=8)
-        spring = few.stiffness * directions / 2.0
-        tendons = np.array([few.turned_normals(share) for share in TURNS])
-        sliders = (few.stiffnesses, few.slip_curvatures)
-        mean = turn_directions(law, few)
-        angles = ", ".join(f"{180.0 / directions * share:.4g}" for share in TURNS)
+        scalar_law = fit_directions(law, directions, max_sliders=8)
+        spring_stiffness = scalar_law.stiffness * directions / 2.0
+        tendons = np.array([scalar_law.turned_normals(rotation) for rotation in TURNS])
+        sliders = (scalar_law.stiffnesses, scalar_law.slip_curvatures)
+        cycle_error = turn_directions(law, scalar_law)
+        angles = ", ".join(f"{180.0 / directions * rotation:.4g}" for rotation in TURNS)
         sentence = (
-            f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of "
+            f"{len(scalar_law.stiffnesses)} sliders in each of {directions} directions at each of "
             f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
             f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
-            f"error of {format_percent(mean.error)} and a lateral part of "
-            f"{format_percent(mean.sideways)} (one node: {format_percent(few.error)}, "
-            f"{format_percent(few.sideways)})."
+            f"error of {format_percent(cycle_error.error)} and a lateral part of "
+            f"{format_percent(cycle_error.sideways)} (one node: "
+            f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.sideways)})."
         )
     twist = f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear."
     axes = (
-        ("z", "0 0 1", spring),
-        ("y", "0 -1 0", spring),
+        ("z", "0 0 1", spring_stiffness),
+        ("y", "0 -1 0", spring_stiffness),
         ("x", "1 0 0", chain.torsional_stiffness),
     )
     return Hinges(axes, tendons, *sliders, (sentence, twist))
 
 
 def _fit_law(table: WireTable, sliders: int) -> SliderLaw | str:
-    """Return the sliders of a wire, or a deck with the reason why there are none."""
+    """Return the sliders of a wire, or a deck with the reason why they cannot be fitted."""
     allowed = f"from 1 to {MAX_SLIDERS}"
     require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
     try:
@@ -254,7 +259,7 @@ def _make_chain(table: WireTable, law: SliderLaw, length: float | None, nodes: i
 
 
 def _write_chain(
-    table: WireTable, chain: Chain, hinges: Hinges, pulls: str, isotropic_share: float = 0.0
+    table: WireTable, chain: Chain, hinges: Hinges, pull_axes: str, isotropic_share: float = 0.0
 ) -> str:
     """Return the whole text of a clamped wire."""
     gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
@@ -270,20 +275,20 @@ def _write_chain(
         rest=REST,
         check=_compute_check(chain.law, chain.length),
         isotropic_share=isotropic_share,
-        pulls={axis: gears[axis] for axis in pulls},
+        pulls={axis: gears[axis] for axis in pull_axes},
     )
 
 
-@lru_cache(maxsize=4)  # a law is known by its identity
+@lru_cache(maxsize=4)  # laws are hashed by identity
 def _compute_check(law: SliderLaw, length: float) -> dict[str, float] | None:
     """Return a load and its tip deflection, to detect an engine that ignores springyield."""
-    max_halvings = 6  # of the deflection, for a law that ends before
+    max_halvings = 6  # of the deflection, while it is beyond the range of the law
     plays = convert_to_plays(law)
     for halvings in range(max_halvings):
         deflection = 0.3 * 0.5**halvings * length
         path = compute_end_load_path(plays, length, np.array([deflection]))
         if len(path.load):
             load = float(path.load[0])
-            stuck = load * length**3 / (3.0 * law.first_stiffness)
-            return {"load": load, "deflection": deflection, "stuck": stuck}
+            elastic = load * length**3 / (3.0 * law.first_stiffness)
+            return {"load": load, "deflection": deflection, "elastic_deflection": elastic}
     return None

@@ -1,8 +1,9 @@
-"""Unloading of decks: what remains of a bend that is released, against the wire itself.
+"""Compute residual curvature and dissipated work after unloading, for a deck and for its wire.
 
-Copper hardens isotropically in part (PHYSICS 13), which most programs cannot represent. A deck
-states for a few bends the curvature that it keeps and the work that it loses when it is released to
-zero moment, and both of the wire, as intervals over its isotropic share.
+The hardening of copper is partly isotropic (PHYSICS 13), which most programs cannot represent. For
+a few bends that are released to zero moment, a deck states the residual curvature and the
+dissipated work of its own law and of the wire; those of the wire are intervals over its isotropic
+share.
 """
 
 from __future__ import annotations
@@ -33,23 +34,24 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
 BENDS = (5.0, 12.0, 23.5)
-"""Curvatures from which decks are released, 1/m, as far as the table reaches."""
+"""Curvatures from which decks are released, 1/m, within the range of the table."""
 
-_POINTS = 201
+_BRANCH_POINTS = 201
+"""Number of curvatures on a branch of bending or of release."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Release:
-    """What remains of bends that are released to zero moment.
+    """Result of releasing bends to zero moment.
 
     Parameters
     ----------
-    kept : shape (bends,), curvature that remains, as a share of the bend
-    lost : shape (bends,), work that is lost, as a share of the work of bending
+    residual_curvature : shape (bends,), as a share of the bend
+    dissipated_work : shape (bends,), as a share of the work of bending
     """
 
-    kept: Floats
-    lost: Floats
+    residual_curvature: Floats
+    dissipated_work: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +85,7 @@ def make_table_strands(table: WireTable, sliders: int = SLIDERS) -> GrowingSlide
     Parameters
     ----------
     table : law of the wire
-    sliders : at most, as of `fit_wire_sliders`
+    sliders : largest number, see `fit_wire_sliders`
 
     Raises
     ------
@@ -97,7 +99,7 @@ def make_table_strands(table: WireTable, sliders: int = SLIDERS) -> GrowingSlide
 
 @lru_cache(maxsize=8)
 def compute_unloading(table: WireTable) -> Unloading:
-    """Compute the release of a wire from `BENDS` within its table, or from its end.
+    """Compute the release of a wire from the bends that `choose_bends` returns.
 
     Parameters
     ----------
@@ -109,63 +111,65 @@ def compute_unloading(table: WireTable) -> Unloading:
         As `fit_sliders`.
     """
     law, strands = fit_wire_sliders(table), make_table_strands(table)
-    bends = find_bends(table)
+    bends = choose_bends(table)
     shares = find_shares(table)
     low, high = (release(share_hardening(law, strands, share), bends) for share in shares)
     return Unloading(bends, shares, (low, high), release(law, bends))
 
 
-def find_bends(table: WireTable) -> Floats:
-    """Return `BENDS` within a table, 1/m; its end if there is none."""
+def choose_bends(table: WireTable) -> Floats:
+    """Return the `BENDS` within the range of a table, 1/m; its end if there is none."""
     end = float(table.curvature[-1])
     return np.array([bend for bend in BENDS if bend <= end] or [end])
 
 
 def release(law: SliderLaw, bends: Floats) -> Release:
-    """Compute what remains of bends of a wire that was never bent before.
+    """Compute the release of a wire from its first bend.
 
     Parameters
     ----------
-    law : of the wire
+    law : sliders of the wire
     bends : shape (n,), 1/m, positive
     """
     bent = slide(law, bends, make_unbent_rests(law, len(bends)))
-    kept, _ = bend_to_moment(law, np.zeros(len(bends)), bends, bent.rests)
-    parts = np.linspace(0.0, 1.0, _POINTS)[:, None]
-    rests = np.tile(bent.rests, (_POINTS, 1))
-    done, returned = parts * bends, bends + parts * (kept - bends)
-    unbent = make_unbent_rests(law, done.size)
-    work = np.trapezoid(slide(law, done.ravel(), unbent).moment.reshape(done.shape), done, axis=0)
-    back = slide(law, returned.ravel(), rests).moment.reshape(done.shape)
-    returns = np.asarray(np.trapezoid(back, returned, axis=0))
-    return Release(kept / bends, 1.0 + returns / work)
+    residual, _ = bend_to_moment(law, np.zeros(len(bends)), bends, bent.rests)
+    shares = np.linspace(0.0, 1.0, _BRANCH_POINTS)[:, None]
+    loading, unloading = shares * bends, bends + shares * (residual - bends)
+    unbent = make_unbent_rests(law, loading.size)
+    loading_moment = slide(law, loading.ravel(), unbent).moment.reshape(loading.shape)
+    bent_rests = np.tile(bent.rests, (_BRANCH_POINTS, 1))
+    unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
+    loading_work = np.trapezoid(loading_moment, loading, axis=0)
+    unloading_work = np.asarray(np.trapezoid(unloading_moment, unloading, axis=0))
+    return Release(residual / bends, 1.0 + unloading_work / loading_work)
 
 
 def release_elastically(table: WireTable, stiffness: float) -> Release:
-    """Compute what remains of bends within the table of a form that unloads linearly.
+    """Compute the release of a law that unloads linearly.
 
     Parameters
     ----------
     table : law of the wire, as first loading
     stiffness : of unloading, N m^2
     """
-    kept, lost = [], []
-    for bend in find_bends(table):
-        done = np.linspace(0.0, bend, _POINTS)
-        moment = np.interp(done, table.curvature, table.moment)
-        kept.append(1.0 - moment[-1] / (stiffness * bend))
-        lost.append(1.0 - 0.5 * moment[-1] ** 2 / stiffness / np.trapezoid(moment, done))
-    return Release(np.array(kept), np.array(lost))
+    residual, dissipated = [], []
+    for bend in choose_bends(table):
+        curvature = np.linspace(0.0, bend, _BRANCH_POINTS)
+        moment = np.interp(curvature, table.curvature, table.moment)
+        work = np.trapezoid(moment, curvature)
+        residual.append(1.0 - moment[-1] / (stiffness * bend))
+        dissipated.append(1.0 - 0.5 * moment[-1] ** 2 / stiffness / work)
+    return Release(np.array(residual), np.array(dissipated))
 
 
 def release_without_memory(table: WireTable) -> Release:
-    """Return the release of a form that keeps and loses nothing."""
-    nothing = np.zeros(len(find_bends(table)))
-    return Release(nothing, nothing)
+    """Return the release of an elastic law: zero residual curvature and zero dissipated work."""
+    zeros = np.zeros(len(choose_bends(table)))
+    return Release(zeros, zeros)
 
 
 def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
-    """Return the growing slider of a wire for a JSON deck, with the sliders beside it.
+    """Return the growing slider of a wire for a JSON deck, with the spring and sliders beside it.
 
     Parameters
     ----------
@@ -199,14 +203,16 @@ def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
     }
 
 
-def describe_unloading(table: WireTable, rule: str, form: Release | None = None) -> str:
-    """Describe in one line what a deck and the wire keep of a bend.
+def describe_unloading(
+    table: WireTable, unloading_rule: str, deck_release: Release | None = None
+) -> str:
+    """Describe in one line the release of a deck and of its wire.
 
     Parameters
     ----------
     table : law of the wire
-    rule : of the deck on unloading
-    form : release of the deck; by Masing's rule if None
+    unloading_rule : that of the deck, in a few words
+    deck_release : None for that of Masing's rule
 
     Raises
     ------
@@ -214,35 +220,37 @@ def describe_unloading(table: WireTable, rule: str, form: Release | None = None)
         As `fit_sliders`.
     """
     unloading = compute_unloading(table)
-    form = unloading.masing if form is None else form
+    deck_release = unloading.masing if deck_release is None else deck_release
     low, high = unloading.wire
     first, last = unloading.shares
     share = f"{first:g}" if first == last else f"{first:g} to {last:g}"
     return format_sentence(
         "mechanics.decks.unloading",
         bends=", ".join(f"{bend:.3g}" for bend in unloading.bends),
-        rule=rule,
-        kept=_join_percents(form.kept),
-        lost=_join_percents(form.lost),
-        wire_kept=_join_intervals(low.kept, high.kept),
-        wire_lost=_join_intervals(low.lost, high.lost),
+        rule=unloading_rule,
+        kept=_join_percents(deck_release.residual_curvature),
+        lost=_join_percents(deck_release.dissipated_work),
+        wire_kept=_join_intervals(low.residual_curvature, high.residual_curvature),
+        wire_lost=_join_intervals(low.dissipated_work, high.dissipated_work),
         share=f"isotropic share {share}",
     )
 
 
 def _join_percents(shares: Sequence[float] | Floats) -> str:
+    """Write shares in per cent without digits, separated by commas."""
     return ", ".join(f"{100.0 * share + 0.0:.0f}" for share in shares)
 
 
-def _join_intervals(low: Floats, high: Floats) -> str:
+def _join_intervals(lower: Floats, upper: Floats) -> str:
+    """Write intervals of shares in per cent, separated by commas."""
     return ", ".join(
-        f"{100.0 * least:.0f}" if least == most else f"{100.0 * least:.0f} to {100.0 * most:.0f}"
-        for least, most in zip(low, high, strict=True)
+        f"{100.0 * low:.0f}" if low == high else f"{100.0 * low:.0f} to {100.0 * high:.0f}"
+        for low, high in zip(lower, upper, strict=True)
     )
 
 
 def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
-    """Return the release of the wire and of forms of decks for a JSON deck.
+    """Return the release of the wire and of the laws of decks for a JSON deck.
 
     Parameters
     ----------
@@ -256,12 +264,22 @@ def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
     unloading = compute_unloading(table)
     first_slope = float(table.moment[1] / table.curvature[1])
     low, high = unloading.wire
-    forms = {"masing": unloading.masing, "isotropic": release_elastically(table, first_slope)}
+    deck_releases = {
+        "masing": unloading.masing,
+        "isotropic": release_elastically(table, first_slope),
+    }
     return {
         "released_from": unloading.bends.tolist(),
         "isotropic_share": list(unloading.shares),
         "wire": {
-            "kept": np.column_stack([low.kept, high.kept]).tolist(),
-            "lost": np.column_stack([low.lost, high.lost]).tolist(),
+            "kept": np.column_stack([low.residual_curvature, high.residual_curvature]).tolist(),
+            "lost": np.column_stack([low.dissipated_work, high.dissipated_work]).tolist(),
         },
-    } | {name: {"kept": f.kept.tolist(), "lost": f.lost.tolist()} for name, f in forms.items()}
+        **{
+            name: {
+                "kept": deck_release.residual_curvature.tolist(),
+                "lost": deck_release.dissipated_work.tolist(),
+            }
+            for name, deck_release in deck_releases.items()
+        },
+    }

@@ -270,12 +270,6 @@ def make_table_card(table: WireTable) -> LossCard:
     )
 
 
-N_KNOTS = 24
-"""Points of the stress-strain curve."""
-ELASTIC_SHARE = 0.002
-"""End of the elastic range, as a share of the largest curvature."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class EquivalentMaterial(ArrayRecord):
     """Stress against strain on first loading, of a material that hardens isotropically.
@@ -329,8 +323,8 @@ def fit_equivalent_material(
     moment: Floats,
     diameter: float,
     *,
-    elastic_share: float = ELASTIC_SHARE,
-    n_knots: int = N_KNOTS,
+    elastic_share: float = 0.002,
+    n_knots: int = 24,
 ) -> EquivalentMaterial:
     """Find the material of a round bar whose moment-curvature law is that of a wire.
 

@@ -23,7 +23,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from scipy.interpolate import PPoly
 
-from labpipe.records.arrays import ArrayRecord, Floats
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,14 +144,14 @@ def is_within(law: PlayLaw, moment: float) -> bool:
     return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
 
-def require_within(law: PlayLaw, moment: Floats, what: str) -> None:
+def require_within(law: PlayLaw, moment: Floats, place: str) -> None:
     """Refuse moments beyond the end of a law.
 
     Parameters
     ----------
     law : the law
     moment : shape (n,), N m
-    what : place, for the message
+    place : place, for the message
 
     Raises
     ------
@@ -163,7 +163,7 @@ def require_within(law: PlayLaw, moment: Floats, what: str) -> None:
         return
     curvature, last = compute_first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
-        f"{what}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
+        f"{place}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
         f"found {curvature:.4g} 1/m"
     )
     raise ValueError(message)
@@ -423,9 +423,6 @@ class LoadingTable:
         return changes
 
     @staticmethod
-    def _reverses(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _reverses(rest: Floats, moment: Floats) -> Flags:
         change = moment - rest
-        turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (change * rest < 0.0) & (
-            np.abs(change) < 2.0 * np.abs(rest)
-        )
-        return turned
+        return np.asarray((change * rest < 0.0) & (np.abs(change) < 2.0 * np.abs(rest)))

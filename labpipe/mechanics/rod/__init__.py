@@ -1,1 +1,1 @@
-"""The quasi-static, geometrically exact rod: a line between clips, grips and loads (PHYSICS 7)."""
+"""Solve a quasi-static, geometrically exact rod under clips, grips and loads (PHYSICS 7)."""

@@ -1,4 +1,4 @@
-"""Residual and tangent of the equilibrium of a line, for Newton's method.
+"""Assemble the residual and tangent of the equilibrium of a line, for Newton's method.
 
 With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
 (the half elements on both sides of a node) of length h with the energy W of bending and twist, and
@@ -19,7 +19,7 @@ import numpy as np
 
 from labpipe.mechanics.rod.banded import (
     Band,
-    Places,
+    UnknownIndices,
     join_unknowns,
     list_block_entries,
     number_unknowns,
@@ -74,7 +74,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LineMemory:
+class LineHistory:
     """History of the line and its supports.
 
     Parameters
@@ -90,8 +90,8 @@ class LineMemory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Demands:
-    """Positions and forces that the boundaries impose at a time.
+class ImposedValues:
+    """Positions and forces imposed by the boundaries at a time.
 
     Parameters
     ----------
@@ -113,9 +113,9 @@ class Demands:
 class ArtificialDrag:
     """Artificial drag that resists changes from an earlier shape.
 
-    The cells resist bending and twist in proportion to their stiffness, as with internal damping.
-    Each relaxes by its own moment, and none is bent by the motion of others. Motion without bending
-    is resisted by a drag that is a hundred times smaller.
+    Each cell resists bending and twist in proportion to its stiffness, as with internal damping, so
+    that it relaxes by its own moment and is not bent by the motion of other cells. The drag against
+    motion without bending is a hundred times smaller.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Balance:
     symmetric_values : entries of the tangent without friction that increases with pressure
     cells : of the line
     directions : of the elements
-    memory : history after the step
+    history : after the step
     plane_contacts : of the planes
     tensions : shape (strings, 3), N
     ring_contacts : of the rings
@@ -149,11 +149,11 @@ class Balance:
 
     residual: Floats
     values: Floats
-    inputs: tuple[LineMemory, ArtificialDrag | None]
+    inputs: tuple[LineHistory, ArtificialDrag | None]
     symmetric_values: Floats
     cells: BentCells
     directions: Directions
-    memory: LineMemory
+    history: LineHistory
     plane_contacts: tuple[ContactForces, ...]
     tensions: Floats
     ring_contacts: tuple[RingContact, ...]
@@ -196,7 +196,7 @@ class Assembly:
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
-        self.places: Places = number_unknowns(self.n)
+        self.indices: UnknownIndices = number_unknowns(self.n)
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
@@ -208,9 +208,9 @@ class Assembly:
         self._inner = np.flatnonzero(self._free[0] & self._free[1])
         self._shares = self._coupling_shares()
         self._shortest = float(np.min(line.lengths))
-        self._stiff = force / (contact_yield * self._shortest)
+        self._contact_stiffness = force / (contact_yield * self._shortest)
         has_contacts = bool(planes or len(strings[0]) or n_rings)
-        self.rounding = position_rounding * self._stiff * line.length * has_contacts
+        self.rounding = position_rounding * self._contact_stiffness * line.length * has_contacts
         shares = line.lengths / line.length
         at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
         self._node_drag = at_nodes[:, None] * np.full(3, force / line.length)
@@ -220,17 +220,21 @@ class Assembly:
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
         self._joined = np.repeat([-1.0, 1.0], 3 * self.n)
-        self._give = np.repeat(-min_stretch / force * line.lengths, 3)
+        self._compliance = np.repeat(-min_stretch / force * line.lengths, 3)
 
     def balance(
-        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None = None
+        self,
+        shape: Shape,
+        imposed: ImposedValues,
+        history: LineHistory,
+        drag: ArtificialDrag | None = None,
     ) -> Balance:
         """Compute residual and tangent.
 
         Parameters
         ----------
-        shape, demands : the line and its boundaries
-        memory : before the step
+        shape, imposed : the line and its boundaries
+        history : before the step
         drag : artificial drag
         """
         min_drag = (
@@ -238,21 +242,21 @@ class Assembly:
         )
         translation_drag = 1e-2  # share of the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
-        cells = self._cells(shape, demands, memory, drag)
+        cells = self._cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        clamp_pairs = compute_clamp_directions(self.supports, demands.clamps)
+        clamp_pairs = compute_clamp_directions(self.supports, imposed.clamps)
         directions = compute_directions(self.supports, rotations, clamp_pairs, pulls)
         turns, by_turn = self._turns(cells, directions)
-        nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, demands, memory)
+        nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, imposed, history)
         ring_contacts = tuple(
-            hold_in_ring(shape.positions, ring, float(place), self._stiff)
-            for ring, place in zip(demands.rings, memory.places, strict=True)
+            hold_in_ring(shape.positions, ring, float(place), self._contact_stiffness)
+            for ring, place in zip(imposed.rings, history.places, strict=True)
         )
-        ring_tangents = self._threading(ring_contacts, nodes, by_position)
+        ring_tangents = self._add_ring_forces(ring_contacts, nodes, by_position)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.along
-        stretch, by_stretch, by_force = self._stretching(shape, directions, cells)
+        stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
         residual = join_unknowns(nodes, stretch, turns, gaps)
         drags = min_drag if drag is None else translation_drag * drag.size
         by_turn[:, _AXES, _AXES] += drags * self._turn_drag
@@ -268,14 +272,18 @@ class Assembly:
             *self._coupled_values(cells),
             *ring_tangents,
         ]
-        own = [self._give, by_stretch, by_turn.ravel(), by_position.ravel()]
-        values = symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
+        diagonal_blocks = [self._compliance, by_stretch, by_turn.ravel(), by_position.ravel()]
+        values = symmetric_values = np.concatenate(
+            [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
+        )
         if any(plane.friction > 0.0 for plane in self.planes):
-            own[-1] = (
+            diagonal_blocks[-1] = (
                 by_position - sum(touch.friction_coupling for touch in plane_contacts)
             ).ravel()
-            symmetric_values = np.concatenate([*mirrored_blocks, *mirrored_blocks, *own])
-        after = LineMemory(
+            symmetric_values = np.concatenate(
+                [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
+            )
+        new_history = LineHistory(
             cells.rests,
             np.array([t.contacts for t in plane_contacts]).reshape(-1, self.n + 1, 3),
             np.array([t.place for t in ring_contacts]),
@@ -283,21 +291,21 @@ class Assembly:
         return Balance(
             residual,
             values,
-            (memory, drag),
+            (history, drag),
             symmetric_values,
             cells,
             directions,
-            after,
+            new_history,
             plane_contacts,
             tensions,
             ring_contacts,
         )
 
-    def moved(self, before: Shape, behind: Shape) -> Floats:
+    def moved(self, start: Shape, end: Shape) -> Floats:
         """Return the changes of the unknowns between two shapes, without forces."""
-        turned = to_rotation_vectors(multiply(conjugate(before.frames), behind.frames))
+        turned = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
         none = np.zeros(self.n)
-        return join_unknowns(behind.positions - before.positions, none, turned, 0.0 * turned)
+        return join_unknowns(end.positions - start.positions, none, turned, 0.0 * turned)
 
     def changed(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
@@ -310,69 +318,78 @@ class Assembly:
         )
 
     def right_side(
-        self, balance: Balance, shape: Shape, demands: Demands, held: Floats, clamps: Floats
+        self,
+        balance: Balance,
+        shape: Shape,
+        imposed: ImposedValues,
+        held_moves: Floats,
+        clamp_turns: Floats,
     ) -> Floats:
         """Return the right side of a Newton step in which held nodes and clamps move as well.
 
         Parameters
         ----------
-        balance, shape, demands : before the step
-        held : shape (grips, 3), m, moves of the held nodes
-        clamps : shape (clamps, 3), rad, turns of the clamps, in the body frame
+        balance, shape, imposed : before the step
+        held_moves : shape (grips, 3), m, moves of the held nodes
+        clamp_turns : shape (clamps, 3), rad, turns of the clamps, in the body frame
         """
-        p, s = self.places, self.supports
+        p, s = self.indices, self.supports
         right = -balance.residual
-        right[p.positions[s.held][:, None] + _AXES] = held
+        right[p.positions[s.held][:, None] + _AXES] = held_moves
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
-        if np.any(clamps):
+        if np.any(clamp_turns):
             across = balance.cells.across
-            self._push(right, s.behind, s.before, across, clamps)
-            self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
+            self._push(right, s.behind, s.before, across, clamp_turns)
+            self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamp_turns)
             row, clamp = s.clamp_pairs.T
-            turns = np.matvec(to_matrices(demands.clamps), clamps)
+            turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)
             tilted = np.zeros((len(s.ends), 3))
-            np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, demands.clamps)))
+            np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, imposed.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
             right[p.forces[s.ends][:, None] + _AXES] += lengths[:, None] * change
         return right
 
     def _push(
-        self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
+        self, right: Floats, elements: Ints, neighbours: Ints, across: Floats, clamp_turns: Floats
     ) -> None:
         """Subtract the effect of the turns of clamps on adjacent elements."""
-        clamped = np.flatnonzero(others < 0)
-        push = np.matvec(across[clamped], clamps[-1 - others[clamped]])
-        np.subtract.at(right, self.places.turns[elements[clamped]][:, None] + _AXES, push)
+        clamped = np.flatnonzero(neighbours < 0)
+        push = np.matvec(across[clamped], clamp_turns[-1 - neighbours[clamped]])
+        np.subtract.at(right, self.indices.turns[elements[clamped]][:, None] + _AXES, push)
 
-    def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
+    def reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
         """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
-        turned = to_matrices(demands.clamps)
+        turned = to_matrices(imposed.clamps)
         for elements, moments_on_frame in ((s.before, cells.before), (s.behind, cells.behind)):
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
             np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
-        return balance.residual[self.places.positions[s.held][:, None] + _AXES], moments
+        return balance.residual[self.indices.positions[s.held][:, None] + _AXES], moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
         """Return the coupling energy of stretch and twist, J."""
         stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
         return float(stretches @ cells.curvatures[:, 2])
 
-    def turns(self, shape: Shape, demands: Demands) -> Floats:
+    def turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
         """Return rotation vectors from frames before to behind the cells, rad, (cells, 3)."""
-        before, behind = self._frames(shape, demands)
+        before, behind = self._frames(shape, imposed)
         return to_rotation_vectors(multiply(conjugate(before), behind))
 
-    def _frames(self, shape: Shape, demands: Demands) -> tuple[Floats, Floats]:
-        frames = np.concatenate([shape.frames, demands.clamps[::-1]])
+    def _frames(self, shape: Shape, imposed: ImposedValues) -> tuple[Floats, Floats]:
+        frames = np.concatenate([shape.frames, imposed.clamps[::-1]])
         return frames[self.supports.before], frames[self.supports.behind]
 
     def _cells(
-        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None
+        self,
+        shape: Shape,
+        imposed: ImposedValues,
+        history: LineHistory,
+        drag: ArtificialDrag | None,
     ) -> BentCells:
         s = self.supports
         torques = np.zeros(len(s.nodes))
@@ -380,10 +397,10 @@ class Assembly:
             torques = np.sum(self._shares * shape.stretches[self._sides], axis=1) / s.lengths
         return bend_cells(
             self.line.section,
-            self._frames(shape, demands),
+            self._frames(shape, imposed),
             s.lengths,
             s.rest_curvature,
-            rests=memory.rests,
+            rests=history.rests,
             torques=torques,
             drag=None if drag is None else (drag.size, drag.turns),
         )
@@ -399,52 +416,56 @@ class Assembly:
         return residual, tangent
 
     def _at_nodes(
-        self, shape: Shape, demands: Demands, memory: LineMemory
+        self, shape: Shape, imposed: ImposedValues, history: LineHistory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
         """Return the residuals of the positions, diagonal tangents, planes and strings."""
         touch_share = 1e-9  # of an element's length
-        residual = -demands.forces
+        residual = -imposed.forces
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
         plane_contacts = tuple(
             touch_plane(
-                plane, self._stiff, shape.positions, contacts, close=touch_share * self._shortest
+                plane,
+                self._contact_stiffness,
+                shape.positions,
+                contacts,
+                close=touch_share * self._shortest,
             )
-            for plane, contacts in zip(self.planes, memory.contacts, strict=True)
+            for plane, contacts in zip(self.planes, history.contacts, strict=True)
         )
-        for touch in plane_contacts:
-            residual -= touch.forces
-            tangent += touch.stiffness
+        for contact in plane_contacts:
+            residual -= contact.forces
+            tangent += contact.stiffness
         nodes, lengths = self.strings
         tensions = np.zeros((len(nodes), 3))
         if len(nodes):
             tensions, stiffness = pull_strings(
-                demands.anchors, lengths, self._stiff, shape.positions[nodes]
+                imposed.anchors, lengths, self._contact_stiffness, shape.positions[nodes]
             )
             np.subtract.at(residual, nodes, tensions)
             np.add.at(tangent, nodes, stiffness)
         return residual, tangent, plane_contacts, tensions
 
-    def _threading(
+    def _add_ring_forces(
         self, ring_contacts: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
         """Add the forces of rings to the nodes; return the tangents between different nodes."""
         if not self._has_rings:
             return []
         ring_tangents = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
-        for threaded in ring_contacts:
-            places = slice(threaded.first, threaded.first + 3)
-            residual[places] -= threaded.weights[:, None] * threaded.force
+        for contact in ring_contacts:
+            nodes = slice(contact.first, contact.first + 3)
+            residual[nodes] -= contact.weights[:, None] * contact.force
             for i in range(3):
-                tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
+                tangent[contact.first + i] += contact.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
-                    ring_tangents[step - 1][threaded.first + i] += threaded.stiffness[
+                    ring_tangents[step - 1][contact.first + i] += contact.stiffness[
                         i, :, i + step, :
                     ]
         return [blocks.ravel() for blocks in ring_tangents]
 
-    def _stretching(
+    def _compute_stretch_residuals(
         self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
         """Return the residuals of the stretches, and their tangents by stretch and force."""
@@ -468,11 +489,11 @@ class Assembly:
             for stretch, turn, coupled in self._coupled
         ]
 
-    # ---- where the unknowns are, and their sizes ----------------------------------------------
+    # ---- indices and magnitudes of the unknowns -----------------------------------------------
 
     def _pattern(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
-        p, s = self.places, self.supports
+        p, s = self.indices, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
         mirrored_blocks = [
             _identity_entries(p.positions[:-1], p.forces),
@@ -483,22 +504,26 @@ class Assembly:
             list_block_entries(b, 3, a, 3),
         ]
         for stretch, turn, coupled in self._coupled:
-            first = p.stretches[self._sides[coupled, stretch]]
+            stretch_rows = p.stretches[self._sides[coupled, stretch]]
             mirrored_blocks.append(
-                list_block_entries(first, 1, p.turns[self._sides[coupled, turn]], 3)
+                list_block_entries(stretch_rows, 1, p.turns[self._sides[coupled, turn]], 3)
             )
         for step in (1, 2) if self._has_rings else ():
             mirrored_blocks.append(
                 list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
             )
-        own = [
+        diagonal_blocks = [
             _identity_entries(p.forces, p.forces),
             list_block_entries(p.stretches, 1, p.stretches, 1),
             list_block_entries(p.turns, 3, p.turns, 3),
             list_block_entries(p.positions, 3, p.positions, 3),
         ]
-        blocks = [*mirrored_blocks, *((columns, rows) for rows, columns in mirrored_blocks), *own]
-        rows, columns = (np.concatenate(part) for part in zip(*blocks, strict=True))
+        blocks = [
+            *mirrored_blocks,
+            *((columns, rows) for rows, columns in mirrored_blocks),
+            *diagonal_blocks,
+        ]
+        rows, columns = (np.concatenate(entries) for entries in zip(*blocks, strict=True))
         return rows, columns
 
     def _scale(self) -> Floats:
@@ -510,9 +535,9 @@ class Assembly:
         return np.asarray(scale * np.sqrt(mean / stiffness))
 
     def _fixed(self) -> Flags:
-        fixed = np.zeros(self.places.total, dtype=np.bool_)
-        fixed[self.places.positions[self.supports.held][:, None] + _AXES] = True
-        fixed[self.places.stretches] = self.is_rigid
+        fixed = np.zeros(self.indices.total, dtype=np.bool_)
+        fixed[self.indices.positions[self.supports.held][:, None] + _AXES] = True
+        fixed[self.indices.stretches] = self.is_rigid
         return fixed
 
     def _coupling_shares(self) -> Floats:

@@ -20,7 +20,7 @@ STRETCH, TURN, FORCE = 3, 4, 7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class UnknownIndices:
     """First indices of the unknowns of a line of n elements.
 
     Parameters
@@ -40,10 +40,10 @@ class Places:
         return int(self.positions[-1]) + 3
 
 
-def number_unknowns(n: int) -> Places:
+def number_unknowns(n: int) -> UnknownIndices:
     """Number the unknowns of a line of n elements."""
     first = PER_ELEMENT * np.arange(n + 1)
-    return Places(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
+    return UnknownIndices(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
 
 
 def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: Floats) -> Floats:

@@ -59,16 +59,16 @@ class Response:
     def drawn(self, name: str) -> Floats:
         """Return draws of a field, shape (draws, ...)."""
         value = self.value[name]
-        changes = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
-        return np.asarray(value + changes.reshape(len(changes), *value.shape))
+        changes_by_draw = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
+        return np.asarray(value + changes_by_draw.reshape(len(changes_by_draw), *value.shape))
 
-    def _moved(self, name: str, which: Flags) -> Floats:
+    def _moved(self, name: str, selected: Flags) -> Floats:
         """Return the change of a field by some of the causes, shape (draws, numbers)."""
-        amounts, max_amounts = self.distribution.amounts[:, which], self.reach[which]
+        amounts, max_amounts = self.distribution.amounts[:, selected], self.reach[selected]
         within = np.clip(amounts, -max_amounts, max_amounts)
         squares = within * (2.0 * amounts - within)  # linear beyond the reach
         flat = (len(self.distribution.causes), self.value[name].size)
-        slopes, bends = (slope[name].reshape(flat)[which] for slope in (self.slopes, self.bends))
+        slopes, bends = (slope[name].reshape(flat)[selected] for slope in (self.slopes, self.bends))
         return np.asarray(amounts @ slopes + squares @ bends)
 
     def shares(self, name: str) -> dict[str, float]:
@@ -116,9 +116,9 @@ def respond(
     slopes, bends = {}, {}
     for name, best in value.items():
         slopes[name], bends[name] = (np.zeros((len(reach), *best.shape)) for _ in range(2))
-        for cause, ((ahead, behind), distance) in enumerate(zip(pairs, reach, strict=True)):
-            sides = [] if ahead is None else [ahead[name] - best]
-            sides += [] if behind is None else [best - behind[name]]
+        for cause, ((plus, minus), distance) in enumerate(zip(pairs, reach, strict=True)):
+            sides = [] if plus is None else [plus[name] - best]
+            sides += [] if minus is None else [best - minus[name]]
             if sides:  # with one side alone the parabola is a straight line
                 slopes[name][cause] = 0.5 * (sides[0] + sides[-1]) / distance
                 bends[name][cause] = 0.5 * (sides[0] - sides[-1]) / distance**2
@@ -219,7 +219,7 @@ class LineBands:
     ----------
     path : of the best inputs of the best distribution
     states : of the requested steps
-    notes : what makes the bands doubtful
+    notes : reasons why the bands are doubtful
     responses : one for each distribution
     """
 
@@ -330,17 +330,17 @@ def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
     )
 
 
-def _note_range(path: RodPath, tested: float) -> Iterator[QualityNote]:
+def _note_range(path: RodPath, tested_curvature: float) -> Iterator[QualityNote]:
     bendings = np.array([state.bendings for state in path.states])
     step, node = divmod(int(np.argmax(bendings)), bendings.shape[1])
-    if bendings[step, node] > tested:
+    if bendings[step, node] > tested_curvature:
         yield QualityNote.of(
             "mechanics.rod.beyond_tested",
             f"step {step}, node {node}",
             step=step,
             node=node,
             curvature=bendings[step, node],
-            tested=tested,
+            tested=tested_curvature,
         )
 
 
@@ -360,5 +360,5 @@ def _note_jumps(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
     jumps = [[[step for step in path.snapped if step > 0] for path in group] for group in paths]
     differing = [steps for group in jumps for steps in group if steps != group[0]]
     if differing:
-        best, other = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], differing[0]))
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other)
+        best, other_steps = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], differing[0]))
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other_steps)

@@ -4,9 +4,9 @@ A path has a row for the start and one for each step, shape (steps + 1, ...). A 
 vector, is constant. Between two steps positions and forces are interpolated linearly, and frames
 turn at a constant rate. Forces keep their direction in space.
 
-Planes and strings are stiff springs, which yield by a tiny length so that Newton's method has a
-solution. Friction has a history, as sliders have: a stiff spring connects a node to a point of the
-plane, at which it sticks; when its force exceeds the friction, the point moves with the node.
+Planes and strings are stiff springs, which deform slightly so that Newton's method has a solution.
+Friction depends on the history, as in sliders: a stiff spring connects a node to the point of the
+plane at which it sticks; when its force exceeds the friction, the point moves with the node.
 
 A ring acts on a smooth curve in place of the elements, so that the line slides smoothly past nodes.
 The curve is the quadratic spline that is tangent to every element at its middle. Its parameter u is
@@ -55,8 +55,8 @@ def _check_path(name: str, values: object, width: int) -> Floats:
 def _check_direction(name: str, values: object) -> Floats:
     vector = _check_path(name, values, 3)
     size = float(np.linalg.norm(vector[0]))
-    is_one = len(vector) == 1 and size > 0.0
-    require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_one)
+    is_direction = len(vector) == 1 and size > 0.0
+    require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_direction)
     unit: Floats = vector[0] / size
     unit.flags.writeable = False
     return unit
@@ -77,7 +77,7 @@ class Held:
     position : path, m, shape (steps + 1, 3)
     frame : path, unit quaternions, shape (steps + 1, 4), of the frame to which the elements at the
         node are clamped, with d3 along the line; None for a pin, which lets the line turn
-    release : the first step without it; None if it never releases. Its reaction is removed at once
+    release : first step without it; None if it never releases. Its reaction is removed in one step
     name : for messages
 
     Raises
@@ -259,29 +259,36 @@ def touch_plane(
     normal = plane.normal
     depth = -(positions - plane.point) @ normal
     press = stiffness * np.maximum(depth, 0.0)
-    is_in = depth >= -close
-    tangent = np.where(is_in, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
+    is_touching = depth >= -close
+    tangent = np.where(is_touching, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = press[:, None] * normal
-    flat = _EYE - np.outer(normal, normal)
-    offset = (positions - contacts) @ flat
-    size = np.linalg.norm(offset, axis=1)
-    largest = plane.friction * press / stiffness
-    is_sliding = size > largest
-    held_share = np.where(is_sliding, largest / np.where(size > 0.0, size, 1.0), 1.0)
-    held_share = np.where(is_in, held_share, 0.0)
-    held_offset = held_share[:, None] * offset
+    projection = _EYE - np.outer(normal, normal)
+    offset = (positions - contacts) @ projection
+    distance = np.linalg.norm(offset, axis=1)
+    max_offset = plane.friction * press / stiffness
+    is_sliding = distance > max_offset
+    sticking_share = np.where(is_sliding, max_offset / np.where(distance > 0.0, distance, 1.0), 1.0)
+    sticking_share = np.where(is_touching, sticking_share, 0.0)
+    sticking_offset = sticking_share[:, None] * offset
     friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
-        forces = forces - stiffness * held_offset
-        turning = is_sliding & is_in
-        heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * offset
-        across = flat - heading[:, :, None] * heading[:, None, :]
-        tangent = tangent + stiffness * held_share[:, None, None] * across
-        friction_coupling = -stiffness * plane.friction * heading[:, :, None] * normal
+        forces = forces - stiffness * sticking_offset
+        is_slipping_contact = is_sliding & is_touching
+        slip_direction = (
+            np.where(is_slipping_contact, 1.0 / np.where(distance > 0.0, distance, 1.0), 0.0)[
+                :, None
+            ]
+            * offset
+        )
+        across = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
+        tangent = tangent + stiffness * sticking_share[:, None, None] * across
+        friction_coupling = -stiffness * plane.friction * slip_direction[:, :, None] * normal
         tangent = tangent + friction_coupling
-    moved = (offset - held_offset) * is_in[:, None]
-    friction_loss = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
-    return ContactForces(forces, tangent, friction_coupling, positions - held_offset, friction_loss)
+    slip = (offset - sticking_offset) * is_touching[:, None]
+    friction_loss = float(np.sum(plane.friction * press * np.linalg.norm(slip, axis=1)))
+    return ContactForces(
+        forces, tangent, friction_coupling, positions - sticking_offset, friction_loss
+    )
 
 
 def pull_strings(
@@ -340,17 +347,19 @@ class RingContact:
     stiffness: Floats
 
 
-def hold_in_ring(positions: Floats, ring: Floats, near: float, stiffness: float) -> RingContact:
+def hold_in_ring(
+    positions: Floats, ring: Floats, previous_place: float, stiffness: float
+) -> RingContact:
     """Find the place at which a line passes through a ring, and the force of the ring.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m, of the nodes; n >= 2
     ring : shape (3,), m
-    near : u, previous place in the ring
+    previous_place : u, previous place in the ring
     stiffness : N/m
     """
-    place = find_nearest_place(positions, ring, near)
+    place = find_nearest_place(positions, ring, previous_place)
     first, b, slopes, bends = _compute_weights(place, len(positions))
     points = positions[first : first + 3]
     offset = b @ points - ring
@@ -384,12 +393,15 @@ def _compute_weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, F
     return node - 1, b, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
 
 
-def find_nearest_place(positions: Floats, ring: Floats, near: float) -> float:
+def find_nearest_place(positions: Floats, ring: Floats, previous_place: float) -> float:
     """Find u of the point nearest to a ring, in the vicinity of the previous place."""
     max_iterations = 30
     search_reach = 1.5  # nodes on both sides of the last place
-    last = float(len(positions) - 1)
-    low, high = max(near - search_reach, 0.0), min(near + search_reach, last)
+    end_place = float(len(positions) - 1)
+    low, high = (
+        max(previous_place - search_reach, 0.0),
+        min(previous_place + search_reach, end_place),
+    )
     candidates = np.linspace(low, high, 25)
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
     place = float(candidates[int(np.argmin(distances))])
@@ -400,7 +412,7 @@ def find_nearest_place(positions: Floats, ring: Floats, near: float) -> float:
         along = slopes @ points
         size = along @ along + max(float(offset @ (bends @ points)), -0.5 * float(along @ along))
         change = float(np.clip(-(offset @ along) / size, -0.1, 0.1))
-        place = float(np.clip(place + change, 0.0, last))
+        place = float(np.clip(place + change, 0.0, end_place))
         if abs(change) < 1e-14:
             break
     return place

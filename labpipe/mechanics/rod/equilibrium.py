@@ -22,8 +22,8 @@ from labpipe.mechanics.rod.assembly import (
     ArtificialDrag,
     Assembly,
     Balance,
-    Demands,
-    LineMemory,
+    ImposedValues,
+    LineHistory,
     Shape,
 )
 from labpipe.mechanics.rod.banded import (
@@ -57,11 +57,11 @@ class Equilibrium:
 def find_equilibrium(
     assembly: Assembly,
     shape: Shape,
-    memory: LineMemory,
-    demands: tuple[Demands, Demands],
+    history: LineHistory,
+    imposed: tuple[ImposedValues, ImposedValues],
     *,
     force: float,
-    guess: LineMemory,
+    guess: LineHistory,
     known_balance: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
@@ -70,8 +70,8 @@ def find_equilibrium(
     Parameters
     ----------
     assembly : the line with its supports
-    shape, memory : present shape and history
-    demands : present and new ones
+    shape, history : present shape and history
+    imposed : present and new values
     force : N, magnitude of the forces on the whole line
     guess : history for the first iteration, either the present one or that before the last step.
         Both give equal forces; with the latter, sliders that slid continue to slide, which is the
@@ -81,45 +81,47 @@ def find_equilibrium(
 
     Returns
     -------
-    The equilibrium; None if Newton's method does not converge to one near by.
+    The equilibrium; None if Newton's method does not converge to one nearby.
     """
     max_iterations = 20
-    max_idle_iterations = 4  # Newton's method may cycle between corners of the law
-    min_step_share = 0.1  # of a step; a direction that must be shortened further is useless
-    now, target = demands
+    max_idle_iterations = 4  # without progress; Newton's method may cycle at corners of the law
+    min_step_share = 0.1  # of an iteration step; shorter steps do not converge
+    present, target = imposed
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
-    present_demands = replace(target, held=now.held, clamps=now.clamps)
+    present_imposed = replace(target, held=present.held, clamps=present.clamps)
     balance = (
-        _update_balance(known_balance, now, target, guess)
+        _update_balance(known_balance, present, target, guess)
         if known_balance and drag is None
         else None
     )
     if balance is None:
-        balance = assembly.balance(shape, present_demands, guess, drag)
-    least_turn, idle = math.inf, 0
+        balance = assembly.balance(shape, present_imposed, guess, drag)
+    smallest_turn, idle_iterations = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         held_shift = target.held - shape.positions[nodes]
         clamps = np.zeros((len(target.clamps), 3))
-        if present_demands is not target:
-            clamps = to_rotation_vectors(multiply(conjugate(present_demands.clamps), target.clamps))
-        right = assembly.right_side(balance, shape, present_demands, held_shift, clamps)
+        if present_imposed is not target:
+            clamps = to_rotation_vectors(multiply(conjugate(present_imposed.clamps), target.clamps))
+        right = assembly.right_side(balance, shape, present_imposed, held_shift, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
         moves, _, turns, _ = split_unknowns(change)
         turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
-        least_turn, idle = (turn, 0) if turn < least_turn else (least_turn, idle + 1)
+        smallest_turn, idle_iterations = (
+            (turn, 0) if turn < smallest_turn else (smallest_turn, idle_iterations + 1)
+        )
         share = _limit_step(turn, move / assembly.line.length)
-        if share < min_step_share or idle == max_idle_iterations:
+        if share < min_step_share or idle_iterations == max_idle_iterations:
             return None
         shape = assembly.changed(shape, share * change)
         if share == 1.0:
-            present_demands = target
+            present_imposed = target
         else:
-            turned = multiply(present_demands.clamps, from_rotation_vectors(share * clamps))
-            present_demands = replace(present_demands, clamps=unit(turned))
-        balance = assembly.balance(shape, present_demands, memory, drag)
+            turned = multiply(present_imposed.clamps, from_rotation_vectors(share * clamps))
+            present_imposed = replace(present_imposed, clamps=unit(turned))
+        balance = assembly.balance(shape, present_imposed, history, drag)
         relative_change = max(turn, move / assembly.line.length)
         if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
             return Equilibrium(shape, balance, iteration)
@@ -127,24 +129,24 @@ def find_equilibrium(
 
 
 def _update_balance(
-    known_balance: Balance, now: Demands, goal: Demands, guess: LineMemory
+    known_balance: Balance, present: ImposedValues, goal: ImposedValues, guess: LineHistory
 ) -> Balance | None:
-    """Return a balance with the forces of new demands; None if it does not apply to them."""
-    memory, drag = known_balance.inputs
-    demand_pairs = ((now.anchors, goal.anchors), (now.rings, goal.rings))
+    """Return a balance updated with new imposed forces; None if other imposed values changed."""
+    history, drag = known_balance.inputs
+    imposed_pairs = ((present.anchors, goal.anchors), (present.rings, goal.rings))
     if (
-        memory is not guess
+        history is not guess
         or drag is not None
-        or not all(np.array_equal(*pair) for pair in demand_pairs)
+        or not all(np.array_equal(*pair) for pair in imposed_pairs)
     ):
         return None
-    none = np.zeros((len(now.forces) - 1, 3))
-    added = join_unknowns(now.forces - goal.forces, none[:, 0], none, none)
+    none = np.zeros((len(present.forces) - 1, 3))
+    added = join_unknowns(present.forces - goal.forces, none[:, 0], none, none)
     return replace(known_balance, residual=known_balance.residual + added)
 
 
 def _limit_step(turn: float, move: float) -> float:
-    """Return the share of a step by which no part of the line turns or moves too far."""
+    """Return the largest share of a step for which no part of the line turns or moves too far."""
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of the line's length, of a node in one iteration
     return 1.0 / max(1.0, turn / max_turn, move / max_move)
@@ -153,7 +155,7 @@ def _limit_step(turn: float, move: float) -> float:
 def _is_balanced(
     assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
 ) -> bool:
-    """Return whether a shape is in balance; `moved` is the size of the last step, relative."""
+    """Return whether a shape is in balance, given the relative change of the last iteration."""
     balance_tolerance = 1e-10  # of force, moment and length of the whole line
     # of the length, or rad: ends the search where rounding limits the balance
     step_tolerance = 1e-11
@@ -167,7 +169,7 @@ def _is_balanced(
     force = max(force, pull)
     residual = np.abs(balance.residual)
     residual[assembly.band.fixed] = 0.0
-    nodes, stretches, turns, gaps = (float(np.max(part)) for part in split_unknowns(residual))
+    nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))
     moments = max(turns, stretches) / (force * length)
     error = max(max(nodes - assembly.rounding, 0.0) / force, moments, gaps / length)
     return error < balance_tolerance or (
@@ -187,9 +189,9 @@ class StabilityCheck:
         self._assembly = assembly
         n, band = assembly.n, assembly.band
         rows, columns = assembly.pattern
-        is_force = np.arange(assembly.places.total) % PER_ELEMENT >= FORCE
+        is_force = np.arange(assembly.indices.total) % PER_ELEMENT >= FORCE
         self._kept = np.flatnonzero(~(is_force[rows] | is_force[columns]))
-        first, second = assembly.places.positions[:-1], assembly.places.positions[1:]
+        first, second = assembly.indices.positions[:-1], assembly.indices.positions[1:]
         pairs = [
             (rows[self._kept], columns[self._kept]),
             list_block_entries(first, FORCE, first, FORCE),
@@ -260,7 +262,7 @@ class StabilityCheck:
                 return None
             mode /= size
         mode, _ = lapack.dpbtrs(factors, mode, lower=True)
-        change = np.zeros(self._assembly.places.total)
+        change = np.zeros(self._assembly.indices.total)
         change[self._free] = mode * self._scale
         return change
 

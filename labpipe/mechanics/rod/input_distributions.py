@@ -1,4 +1,4 @@
-"""Probability distributions of the inputs of a predicted line.
+"""Build probability distributions of the inputs of a predicted line.
 
 A distribution is a set of named inputs and of independent causes that change them linearly. A
 calibration gives a distribution for each of its solutions. The logarithms of its parameters are
@@ -159,29 +159,35 @@ def _build_solution_distribution(
     draws: int,
     random: np.random.Generator,
 ) -> InputDistribution:
-    acts = np.flatnonzero(np.isfinite(solution.values))
+    active = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
     inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
-    uniform = 0.5 + inner_share * (Sobol(3 + len(acts), seed=random).random(draws) - 0.5)
-    last = len(mixture.chance) - 1
-    place = np.minimum(np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last)
+    uniform = 0.5 + inner_share * (Sobol(3 + len(active), seed=random).random(draws) - 0.5)
+    last_component = len(mixture.chance) - 1
+    component = np.minimum(
+        np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last_component
+    )
     student = np.ones(draws)  # divisors that turn normal draws into Student's t
     if np.isfinite(mixture.freedom):
         student = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
     normal = ndtri(uniform[:, 2:])
-    inner = mixture.covariance[:, acts[:, None], acts]
-    values, vectors = np.linalg.eigh(inner)
+    active_covariance = mixture.covariance[:, active[:, None], active]
+    values, vectors = np.linalg.eigh(active_covariance)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    normal_part = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
-    changes = widening * (mixture.shift[place][:, acts] + normal_part / student[:, None])
-    spread = np.einsum("s,sij->ij", mixture.chance, inner)
-    spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, acts]]))
+    normal_part = np.einsum("nij,nj->ni", roots[component], normal[:, 1:])
+    changes = widening * (mixture.shift[component][:, active] + normal_part / student[:, None])
+    spread = np.einsum("s,sij->ij", mixture.chance, active_covariance)
+    spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, active]]))
     steps = _find_steps(spread)
-    names, amounts = [PARAMETERS[number] for number in acts], changes @ np.linalg.pinv(steps).T
+    names, amounts = [PARAMETERS[number] for number in active], changes @ np.linalg.pinv(steps).T
     distribution = InputDistribution(
-        tuple(names), (CALIBRATION,) * steps.shape[1], np.log(solution.values[acts]), steps, amounts
+        tuple(names),
+        (CALIBRATION,) * steps.shape[1],
+        np.log(solution.values[active]),
+        steps,
+        amounts,
     )
-    factor = mixture.scatter[place] * normal[:, 0] / student
+    factor = mixture.scatter[component] * normal[:, 0] / student
     size = float(np.sqrt(mixture.chance @ mixture.scatter**2))
     if specimen is None or size == 0.0:
         return distribution
@@ -198,20 +204,20 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
     Parameters
     ----------
-    distributions : with equal numbers of draws. An input that is in several of them is changed by
-        all of them, and its best value is the sum of their best values
+    distributions : with equal numbers of draws. The changes and best values of an input that is in
+        several of them are added
     """
-    parts = tuple(distributions)
-    names = tuple(dict.fromkeys(name for part in parts for name in part.names))
-    counts = [len(part.causes) for part in parts]
+    members = tuple(distributions)
+    names = tuple(dict.fromkeys(name for member in members for name in member.names))
+    counts = [len(member.causes) for member in members]
     centre, steps = np.zeros(len(names)), np.zeros((len(names), sum(counts)))
-    for part, last in zip(parts, np.cumsum(counts), strict=True):
-        rows = np.array([names.index(name) for name in part.names], dtype=np.int64)
-        centre[rows] += part.centre
-        steps[rows, last - len(part.causes) : last] = part.steps
-    causes = tuple(cause for part in parts for cause in part.causes)
+    for member, end in zip(members, np.cumsum(counts), strict=True):
+        rows = np.array([names.index(name) for name in member.names], dtype=np.int64)
+        centre[rows] += member.centre
+        steps[rows, end - len(member.causes) : end] = member.steps
+    causes = tuple(cause for member in members for cause in member.causes)
     return InputDistribution(
-        names, causes, centre, steps, np.hstack([part.amounts for part in parts])
+        names, causes, centre, steps, np.hstack([member.amounts for member in members])
     )
 
 

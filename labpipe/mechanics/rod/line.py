@@ -186,7 +186,7 @@ def build_line(
 
     Notes
     -----
-    Each frame follows from the one before by the smallest rotation. On a closed curve in
+    Each frame follows from the previous one by the smallest rotation. On a closed curve in
     space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle
     of the curve.
     """

@@ -1,4 +1,4 @@
-"""Quasi-static path of a line as a record: its states at all steps, its status and energies."""
+"""Record of the quasi-static path of a line: its states at all steps, status and energies."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class RodPath(ArrayRecord):
     stored : shape (states,), J, elastic energy of bending, twist and stretch
     lost : shape (states,), J, lost in the sliders
     friction_loss : shape (states,), J, lost by friction on planes
-    jumped : shape (states,), J, lost as motion in jumps
+    jumped : shape (states,), J, lost in the motion of jumps, besides sliders and friction
     lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
     """
 

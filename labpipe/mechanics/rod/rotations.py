@@ -121,19 +121,19 @@ def _from_matrix(matrix: Floats) -> Floats:
     return np.asarray(frame if frame[0] >= 0.0 else -frame)
 
 
-def find_shortest_turns(before: Floats, behind: Floats) -> Floats:
+def find_shortest_turns(start: Floats, end: Floats) -> Floats:
     """Find the quaternions of the smallest rotations between unit vectors, shape (..., 4).
 
     Opposite vectors are rotated about an arbitrary axis normal to them.
     """
-    out = np.empty((*before.shape[:-1], 4))
-    out[..., 0] = 1.0 + np.vecdot(before, behind)
-    out[..., 1:] = cross(before, behind)
+    out = np.empty((*start.shape[:-1], 4))
+    out[..., 0] = 1.0 + np.vecdot(start, end)
+    out[..., 1:] = cross(start, end)
     opposite = out[..., 0] < 1e-12
     if np.any(opposite):
-        axes = np.eye(3)[np.argmin(np.abs(before[opposite]), axis=-1)]
+        axes = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=-1)]
         out[opposite, 0] = 0.0
-        out[opposite, 1:] = cross(before[opposite], axes)
+        out[opposite, 1:] = cross(start[opposite], axes)
     return unit(out)
 
 

@@ -1,4 +1,4 @@
-"""Positions and forces that the boundaries impose on a line at any time.
+"""Compute the positions and forces that the boundaries impose on a line at any time.
 
 Time is measured in steps: k is step k, and k - 1/2 is halfway to it. From -1 to 0 the line moves
 from its shape at rest into its boundaries: held nodes and rings move to row 0 of their paths, and
@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from labpipe.mechanics.rod.assembly import Demands, Shape
+from labpipe.mechanics.rod.assembly import ImposedValues, Shape
 from labpipe.mechanics.rod.boundaries import (
     Boundary,
     Gravity,
@@ -65,18 +65,22 @@ class Schedule:
         self.planes = _select(boundaries, Plane)
         self.rings = _select(boundaries, Ring)
         self.loads = _select(boundaries, Load)
-        nodes = {k: self._from_zero(boundaries[k], "node") for k in (*self.held, *self.strings)}
+        nodes = {
+            k: self._count_from_start(boundaries[k], "node") for k in (*self.held, *self.strings)
+        }
         self.held_nodes = {k: nodes[k] for k in self.held}
         self.string_nodes = np.array([nodes[k] for k in self.strings], dtype=int)
-        self.load_nodes = {k: self._from_zero(load, "node") for k, load in self.loads.items()}
-        self.start_places = np.array([self._ring_start(ring) for ring in self.rings.values()])
-        self._require_one_each()
+        self.load_nodes = {
+            k: self._count_from_start(load, "node") for k, load in self.loads.items()
+        }
+        self.start_places = np.array([self._find_ring_start(ring) for ring in self.rings.values()])
+        self._require_single_holder()
         start_line = replace(line, positions=start.positions, frames=start.frames)
         self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
-    def _from_zero(self, boundary: Boundary, name: str) -> int:
+    def _count_from_start(self, boundary: Boundary, name: str) -> int:
         """Return the node in a field of a boundary, counted from the start."""
         node, n = getattr(boundary, name), self.n
         if not -n - 1 <= node <= n:
@@ -87,21 +91,23 @@ class Schedule:
             raise ValueError(message)
         return int(node % (n + 1))
 
-    def _ring_start(self, ring: Ring) -> float:
+    def _find_ring_start(self, ring: Ring) -> float:
         """Return the place at which the line passes through a ring at the start, in nodes."""
         if self.n < 2:
             name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-        nearest_node = np.argmin(distance) if ring.near is None else self._from_zero(ring, "near")
+        nearest_node = (
+            np.argmin(distance) if ring.near is None else self._count_from_start(ring, "near")
+        )
         return find_nearest_place(self.start.positions, ring.position[0], float(nearest_node))
 
-    def _require_one_each(self) -> None:
+    def _require_single_holder(self) -> None:
         for step in range(self.steps + 1):
             nodes = [self.held_nodes[k] for k in self.grips(step)]
-            held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
-            if held_twice:
-                node = held_twice[0]
+            repeated_nodes = sorted(node for node in set(nodes) if nodes.count(node) > 1)
+            if repeated_nodes:
+                node = repeated_nodes[0]
                 raise ValueError(format_sentence("mechanics.rod.held_twice", step=step, node=node))
 
     def grips(self, step: int) -> tuple[int, ...]:
@@ -119,8 +125,8 @@ class Schedule:
             + sum(_find_largest(load.force) for load in self.loads.values())
         )
 
-    def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
-        """Return the demands at a time.
+    def imposed(self, time: float, grips: tuple[int, ...]) -> ImposedValues:
+        """Return the imposed values at a time.
 
         Parameters
         ----------
@@ -128,7 +134,7 @@ class Schedule:
         grips : indices of the boundaries that hold the line
         """
         share, start = min(1.0, time + 1.0), self.start.positions
-        held = [_interpolate(self.held[k].position, time) for k in grips]
+        held_positions = [_interpolate(self.held[k].position, time) for k in grips]
         rings = [_interpolate(ring.position, time) for ring in self.rings.values()]
         clamps = {
             k: _interpolate(frames, time, is_frame=True)
@@ -143,11 +149,14 @@ class Schedule:
         if share < 1.0:  # from the shape at rest to the start of the paths
             nodes = (start[self.held_nodes[k]] for k in grips)
             places = (evaluate_curve(start, place) for place in self.start_places)
-            held = [share * end + (1.0 - share) * x for x, end in zip(nodes, held, strict=True)]
+            held_positions = [
+                share * end + (1.0 - share) * x
+                for x, end in zip(nodes, held_positions, strict=True)
+            ]
             rings = [share * end + (1.0 - share) * x for x, end in zip(places, rings, strict=True)]
             clamps = {k: _turn(self._start_frames[k], end, share) for k, end in clamps.items()}
-        return Demands(
-            np.array(held).reshape(-1, 3),
+        return ImposedValues(
+            np.array(held_positions).reshape(-1, 3),
             np.array(list(clamps.values())).reshape(-1, 4),
             forces,
             np.array(
@@ -182,9 +191,9 @@ def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats
     return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
 
 
-def _turn(first: Floats, second: Floats, share: float) -> Floats:
-    turn = to_rotation_vectors(multiply(conjugate(first), second))
-    return multiply(first, from_rotation_vectors(share * turn))
+def _turn(start: Floats, end: Floats, share: float) -> Floats:
+    turn = to_rotation_vectors(multiply(conjugate(start), end))
+    return multiply(start, from_rotation_vectors(share * turn))
 
 
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:

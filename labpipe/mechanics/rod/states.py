@@ -1,4 +1,4 @@
-"""States by nodes, energies of a step, and checks that end the path of a line."""
+"""Build states by nodes, compute the energies of a step, and check what ends a path."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.mechanics.law.sliders import present_sliders
-from labpipe.mechanics.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import conjugate, multiply, to_matrices, to_rotation_vectors
 from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
@@ -17,23 +17,23 @@ from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WalkState:
+class SolverState:
     """Equilibrium at a time.
 
     Parameters
     ----------
     time : in steps
-    shape, balance, demands : of the line
-    memory : history after the last part of a step
-    earlier : history before it; None at the start
+    shape, balance, imposed : of the line
+    history : after the last part of a step
+    earlier : history before that part; None at the start
     """
 
     time: float
     shape: Shape
     balance: Balance
-    demands: Demands
-    memory: LineMemory
-    earlier: LineMemory | None
+    imposed: ImposedValues
+    history: LineHistory
+    earlier: LineHistory | None
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
@@ -54,45 +54,45 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
 
 
 def build_state(
-    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: WalkState, step: int
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: SolverState, step: int
 ) -> RodState:
     """Build the state of a step, with all forces and moments in space."""
-    supports, cells = assembly.supports, now.balance.cells
+    supports, cells = assembly.supports, current.balance.cells
     n_nodes = assembly.n + 1
-    forces, clamp_moments = assembly.reactions(now.balance, now.demands)
-    moments = split_sides(supports, _compute_moments(assembly, now))
+    forces, clamp_moments = assembly.reactions(current.balance, current.imposed)
+    moments = split_sides(supports, _compute_moments(assembly, current))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
     for k, load in schedule.loads.items():
         reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
     clamped = [grips[int(row)] for row in supports.clamps]
     reaction_moments[clamped] = clamp_moments
-    for k, touch in zip(schedule.planes, now.balance.plane_contacts, strict=True):
-        reaction_forces[k] = touch.forces.sum(axis=0)
-    reaction_forces[list(schedule.strings)] = now.balance.tensions
+    for k, contact in zip(schedule.planes, current.balance.plane_contacts, strict=True):
+        reaction_forces[k] = contact.forces.sum(axis=0)
+    reaction_forces[list(schedule.strings)] = current.balance.tensions
     ring_stations = np.full(len(schedule.boundaries), np.nan)
     stations = assembly.line.stations
-    for k, thread in zip(schedule.rings, now.balance.ring_contacts, strict=True):
-        reaction_forces[k] = thread.force
-        ring_stations[k] = np.interp(thread.place, np.arange(n_nodes), stations)
-    touched = np.array([touch.forces for touch in now.balance.plane_contacts]).reshape(
+    for k, ring_contact in zip(schedule.rings, current.balance.ring_contacts, strict=True):
+        reaction_forces[k] = ring_contact.force
+        ring_stations[k] = np.interp(ring_contact.place, np.arange(n_nodes), stations)
+    touched = np.array([contact.forces for contact in current.balance.plane_contacts]).reshape(
         -1, n_nodes, 3
     )
     node_curvatures = split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures))
     rest_curvature = assembly.line.rest_curvature_at_nodes[:, None, :2]
     return RodState(
-        positions=now.shape.positions,
-        frames=now.shape.frames,
-        stretches=now.shape.stretches,
-        forces=now.shape.forces,
+        positions=current.shape.positions,
+        frames=current.shape.frames,
+        stretches=current.shape.stretches,
+        forces=current.shape.forces,
         moments=moments,
         curvatures=split_sides(supports, cells.curvatures),
         node_curvatures=node_curvatures,
         curvature_vectors=node_curvatures[:, :, :2] + rest_curvature,
-        rests=split_sides(supports, now.balance.memory.rests),
+        rests=split_sides(supports, current.balance.history.rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
-        contacts=now.balance.memory.contacts,
+        contacts=current.balance.history.contacts,
         contact_forces=touched,
         ring_stations=ring_stations,
     )
@@ -114,17 +114,17 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     return clamps
 
 
-def _compute_moments(assembly: Assembly, now: WalkState) -> Floats:
+def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     """Return the moments of the part behind a cell on the part before it, N m, (cells, 3).
 
     At a clamp it is the moment at the node, not that in the middle of the half cell.
     """
-    supports, cells = assembly.supports, now.balance.cells
-    frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
+    supports, cells = assembly.supports, current.balance.cells
+    frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
     turned = to_matrices(frames[supports.behind])
     moments = np.einsum("nxy,ny->nx", turned, cells.behind)
     for (row, clamp), clamp_pairs in zip(
-        supports.clamp_pairs, now.balance.directions.clamp_moments, strict=True
+        supports.clamp_pairs, current.balance.directions.clamp_moments, strict=True
     ):
         element, mark = supports.ends[row], -1 - clamp
         moments[(supports.before == mark) & (supports.behind == element)] -= clamp_pairs
@@ -136,7 +136,7 @@ def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) ->
     """Return the elastic energy of bending, twist and stretch, J."""
     section, cells = assembly.line.section, balance.cells
     law = section.law
-    sliders = present_sliders(law, balance.memory.rests)
+    sliders = present_sliders(law, balance.history.rests)
     slider_strain = cells.curvatures[:, None, :2] - sliders.rests
     of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), sliders.stiffnesses)
     of_spring = law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
@@ -148,22 +148,22 @@ def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) ->
     return energy
 
 
-def compute_lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
-    """Compute the energy lost in the sliders in a step, J, from the rests before and after it.
+def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
+    """Compute the energy lost in the sliders in a step, J, from the rests at its start and end.
 
     A sliding slider carries the moment K_j kappa_j while its rest moves; a growing one carries the
     mean of its limits.
     """
     law = assembly.line.section.law
-    first, last = (present_sliders(law, rests) for rests in (before, behind))
-    distances = np.linalg.norm(last.rests - first.rests, axis=2)
-    slips = 0.5 * (first.slip_curvatures + last.slip_curvatures)
-    return float(assembly.supports.lengths @ (distances * slips) @ first.stiffnesses)
+    start, end = (present_sliders(law, rests) for rests in (start_rests, end_rests))
+    distances = np.linalg.norm(end.rests - start.rests, axis=2)
+    slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
+    return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
 
 
 def compute_work(
     assembly: Assembly,
-    demands: tuple[Demands, Demands],
+    imposed: tuple[ImposedValues, ImposedValues],
     shapes: tuple[Shape, Shape],
     balances: tuple[Balance, Balance],
 ) -> float:
@@ -172,9 +172,9 @@ def compute_work(
     It uses the mean of the forces at both ends of the step, which is exact for constant forces;
     otherwise the error is of third order in the step.
     """
-    (old, new), (first, last) = demands, shapes
-    pulls = [assembly.reactions(b, d) for b, d in zip(balances, demands, strict=True)]
-    moved = last.positions - first.positions
+    (old, new), (old_shape, new_shape) = imposed, shapes
+    pulls = [assembly.reactions(b, d) for b, d in zip(balances, imposed, strict=True)]
+    moved = new_shape.positions - old_shape.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
     work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
     work += 0.5 * float(
@@ -184,22 +184,22 @@ def compute_work(
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
     if len(new.rings):
-        ring_forces = [np.array([thread.force for thread in b.ring_contacts]) for b in balances]
+        ring_forces = [np.array([contact.force for contact in b.ring_contacts]) for b in balances]
         work += 0.5 * float(np.sum((ring_forces[0] + ring_forces[1]) * (new.rings - old.rings)))
     return work
 
 
-def _compute_turns(before: Floats, behind: Floats) -> Floats:
+def _compute_turns(start: Floats, end: Floats) -> Floats:
     """Return the rotation vectors between frames, rad, in space."""
-    rotation = to_rotation_vectors(multiply(conjugate(before), behind))
-    return np.asarray(np.einsum("nxy,ny->nx", to_matrices(before), rotation))
+    rotation = to_rotation_vectors(multiply(conjugate(start), end))
+    return np.asarray(np.einsum("nxy,ny->nx", to_matrices(start), rotation))
 
 
 _LENGTH_ROUNDING = 1e-9  # relative
 
 
 class NoEquilibriumError(Exception):
-    """The path of a line ends, for a reason."""
+    """The path of a line cannot be continued; `reason` states why."""
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.message)
@@ -212,7 +212,7 @@ class NoEquilibriumError(Exception):
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse held nodes that are too far apart, or that stretch an inextensible line taut.
+    """Raise an error if held nodes are too far apart, or stretch an inextensible line taut.
 
     A taut line has no equilibrium under transverse loads, and its tension is not determined under
     axial loads.
@@ -231,36 +231,38 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     # of a length; with less slack the tension exceeds 600 times the weight, and is mostly rounding
     min_slack = 1e-7
     min_force_share = 1e-9  # of the force on the line
-    demands = schedule.demands(float(step), grips)
+    imposed = schedule.imposed(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
-    distances = np.linalg.norm(np.diff(demands.held[order], axis=0), axis=1)
+    distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
-    pulls = np.linalg.norm(demands.forces, axis=1) > min_force_share * schedule.force_scale()
-    for place, other, distance, length in zip(nodes, nodes[1:], distances, lengths, strict=False):
-        is_pulled = bool(np.any(pulls[place + 1 : other]))
+    pulls = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.force_scale()
+    for node, next_node, distance, length in zip(
+        nodes, nodes[1:], distances, lengths, strict=False
+    ):
+        is_pulled = bool(np.any(pulls[node + 1 : next_node]))
         if distance <= length * (1.0 + _LENGTH_ROUNDING - (min_slack if is_pulled else 0.0)):
             continue
         is_short = distance > length * (1.0 + _LENGTH_ROUNDING)
         raise NoEquilibriumError.of(
             "mechanics.rod.too_short" if is_short else "mechanics.rod.taut",
             step=step,
-            place=schedule.line.describe_place(place),
-            other=schedule.line.describe_place(other),
+            place=schedule.line.describe_place(node),
+            other=schedule.line.describe_place(next_node),
             length=length,
             distance=distance,
         )
 
 
 def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Refuse a grip that holds the axis of the line nearer to a plane than its radius.
+    """Raise an error if a grip holds the axis of the line nearer to a plane than its radius.
 
     Parameters
     ----------
     schedule, grips, step : as in `check_reach`
     """
-    held_positions = schedule.demands(float(step), grips).held
+    held_positions = schedule.imposed(float(step), grips).held
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in schedule.planes.values() if grips else ():
@@ -282,7 +284,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 def check_line(
     assembly: Assembly, shape: Shape, balance: Balance, step: int, *, max_strain: float
 ) -> None:
-    """Refuse a line that is torn or folded.
+    """Raise an error if the line is torn or folded.
 
     Parameters
     ----------
@@ -292,14 +294,14 @@ def check_line(
     """
     max_fold = 3.13  # rad, between two elements
     element = int(np.argmax(shape.stretches))
-    stretch, most = 100.0 * shape.stretches[element], 100.0 * max_strain
-    if stretch > most:
+    stretch, max_stretch = 100.0 * shape.stretches[element], 100.0 * max_strain
+    if stretch > max_stretch:
         raise NoEquilibriumError.of(
             "mechanics.rod.torn",
             step=step,
             place=assembly.line.describe_place(element),
             stretch=stretch,
-            most=most,
+            max_stretch=max_stretch,
         )
     turns = np.linalg.norm(balance.cells.turns, axis=1)
     if float(np.max(turns, initial=0.0)) > max_fold:
@@ -311,7 +313,7 @@ def check_line(
 
 
 def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
-    """Refuse a line that slid out of a ring.
+    """Raise an error if the line slid out of a ring.
 
     Parameters
     ----------

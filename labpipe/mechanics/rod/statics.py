@@ -1,16 +1,16 @@
-"""Quasi-static path of a line: its equilibria at the steps of its boundaries.
+"""Solve the quasi-static path of a line: its equilibria at the steps of its boundaries.
 
 Every step is solved by Newton's method. A step is divided in two if the method does not converge,
 if the line turns too far, or if the new equilibrium is unstable. The history of sliders and
 friction advances with every part of a step. Therefore a line buckles as soon as its straight
 equilibrium is unstable, and not after a whole step.
 
-If an equilibrium is unstable, or if there is none near by because the line snaps or is released,
+If an equilibrium is unstable, or if there is none nearby because the line snaps or is released,
 the line is *relaxed*. It is then solved with an artificial resistance to bending and twist, which
 decreases to zero while the energy decreases, as in the motion of a line with internal damping. Each
-piece relaxes by its own moment. A resistance to motion would instead bend the free end of a falling
-line, and the sliders would retain that bend. An unstable equilibrium is left along its softest
-mode. Steps with relaxation, and steps with a release, are listed as `snapped`.
+cell relaxes by its own moment. A resistance to motion would instead bend the free end of a falling
+line, and the sliders would retain that bend. From an unstable equilibrium the line moves along its
+softest mode. Steps with relaxation, and steps with a release, are listed as `snapped`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.mechanics.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
+from labpipe.mechanics.rod.assembly import (
+    ArtificialDrag,
+    Assembly,
+    ImposedValues,
+    LineHistory,
+    Shape,
+)
 from labpipe.mechanics.rod.banded import join_unknowns, split_unknowns
 from labpipe.mechanics.rod.boundaries import Boundary
 from labpipe.mechanics.rod.equilibrium import Equilibrium, StabilityCheck, find_equilibrium
@@ -30,7 +36,7 @@ from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vec
 from labpipe.mechanics.rod.schedule import Schedule
 from labpipe.mechanics.rod.states import (
     NoEquilibriumError,
-    WalkState,
+    SolverState,
     build_state,
     check_line,
     check_planes,
@@ -95,15 +101,15 @@ def follow(
         If a node is not on the line, a path has a wrong number of rows, two boundaries hold a node
         at the same time, or a line with a ring has a single element.
     """
-    walk = _Walk(line, tuple(boundaries), steps, settings or RodSettings())
+    solver = _PathSolver(line, tuple(boundaries), steps, settings or RodSettings())
     for step in range(steps + 1):
-        if not walk.go_to(step):
+        if not solver.solve_step(step):
             break
         on_step()
-    return walk.path()
+    return solver.path()
 
 
-class _Walk:
+class _PathSolver:
     def __init__(
         self, line: Line, boundaries: tuple[Boundary, ...], steps: int, settings: RodSettings
     ) -> None:
@@ -121,16 +127,16 @@ class _Walk:
         self.failed = False
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
-        memory = LineMemory(rests, contacts, self.schedule.start_places)
-        self._set_up(self.schedule.grips(0), -1.0, shape, memory)
+        history = LineHistory(rests, contacts, self.schedule.start_places)
+        self._set_up(self.schedule.grips(0), -1.0, shape, history)
         self.work = self._stored_energy()
 
     # ---- grips --------------------------------------------------------------------------------
 
     def _set_up(
-        self, grips: tuple[int, ...], time: float, shape: Shape, memory: LineMemory
+        self, grips: tuple[int, ...], time: float, shape: Shape, history: LineHistory
     ) -> None:
-        """Assemble the line with the grips that hold from a time on; `memory.rests` is by nodes."""
+        """Assemble the line with the grips of a time; `history.rests` is by nodes."""
         self.grips, schedule = grips, self.schedule
         held_grips = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
         radius = 0.5 * self.line.section.diameter
@@ -145,23 +151,23 @@ class _Walk:
             force=self.force,
         )
         self.check = StabilityCheck(self.assembly)
-        memory = replace(memory, rests=merge_rests(self.assembly.supports, memory.rests))
-        demands = schedule.demands(time, grips)
-        balance = self.assembly.balance(shape, demands, memory)
-        self.now = WalkState(time, shape, balance, demands, memory, None)
+        history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))
+        imposed = schedule.imposed(time, grips)
+        balance = self.assembly.balance(shape, imposed, history)
+        self.now = SolverState(time, shape, balance, imposed, history, None)
 
     def _release_grips(self, step: int) -> None:
         """Release the grips that end in a step.
 
-        The line moves to an equilibrium near by, or is relaxed if there is none.
+        The line moves to an equilibrium nearby, or is relaxed if there is none.
         """
         grips, now = self.schedule.grips(step), self.now
         if grips == self.grips:
             return
         self.snapped.append(step)
         unaccounted, lost = self._unaccounted_energy(), self.lost
-        rests = split_sides(self.assembly.supports, now.memory.rests)
-        self._set_up(grips, now.time, now.shape, replace(now.memory, rests=rests))
+        rests = split_sides(self.assembly.supports, now.history.rests)
+        self._set_up(grips, now.time, now.shape, replace(now.history, rests=rests))
         jumped, slider_loss_in_jumps = self.jumped, self.slider_loss_in_jumps
         equilibrium = self._find_equilibrium(now.time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
@@ -171,7 +177,7 @@ class _Walk:
 
     # ---- steps --------------------------------------------------------------------------------
 
-    def go_to(self, step: int) -> bool:
+    def solve_step(self, step: int) -> bool:
         """Solve a step and record its state; return whether that succeeds."""
         self.step = step
         try:
@@ -181,7 +187,7 @@ class _Walk:
             check_planes(self.schedule, grips, step)
             if step > 0:
                 self._release_grips(step)
-            self._walk_to(float(step))
+            self._advance_to(float(step))
         except NoEquilibriumError as failure:
             self.reasons.insert(0, failure.reason)
             self.failed = True
@@ -189,21 +195,23 @@ class _Walk:
         self._record_state(step)
         return True
 
-    def _walk_to(self, goal: float) -> None:
+    def _advance_to(self, goal: float) -> None:
         part = 1.0
-        smallest = self.settings.min_step_fraction
+        min_part = self.settings.min_step_fraction
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
-            is_last = part <= smallest
+            is_last = part <= min_part
             equilibrium = self._find_equilibrium(time, tries_sticking=is_last or not was_refused)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
-            was_refused, before = equilibrium is None or is_unstable, was_refused
+            was_refused, was_refused_before = equilibrium is None or is_unstable, was_refused
             if was_refused and not is_last and not (is_unstable and self._accepted_unstable):
                 part *= 0.5
                 continue
             self._move_on(time, equilibrium, is_unstable=is_unstable)
-            if equilibrium is not None and (self._accepted_unstable if is_unstable else not before):
+            if equilibrium is not None and (
+                self._accepted_unstable if is_unstable else not was_refused_before
+            ):
                 part = min(1.0, 2.0 * part)
 
     def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
@@ -226,18 +234,18 @@ class _Walk:
         return self._has_reason("unstable")
 
     def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
-        """Find the equilibrium at a time; None if there is none near by.
+        """Find the equilibrium at a time; None if there is none nearby.
 
-        Newton's method starts with sliders that continue to slide; if `both`, it is tried again
-        with sliders that stick after a reversal.
+        Newton's method starts with sliders that continue to slide; if `tries_sticking`, it is
+        tried again with sliders that stick after a reversal.
         """
         now = self.now
-        target = self.schedule.demands(time, self.grips)
-        for guess in [now.earlier or now.memory, now.memory][
+        target = self.schedule.imposed(time, self.grips)
+        for guess in [now.earlier or now.history, now.history][
             : 2 if tries_sticking and now.earlier else 1
         ]:
             equilibrium = find_equilibrium(
-                *(self.assembly, now.shape, now.memory, (now.demands, target)),
+                *(self.assembly, now.shape, now.history, (now.imposed, target)),
                 force=self.force,
                 guess=guess,
                 known_balance=now.balance,
@@ -259,14 +267,14 @@ class _Walk:
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
         """Take an equilibrium as the present state, and add to work and losses."""
         now = self.now
-        target = self.schedule.demands(time, self.grips)
+        target = self.schedule.imposed(time, self.grips)
         new = equilibrium.balance
         self.work += compute_work(
-            self.assembly, (now.demands, target), (now.shape, equilibrium.shape), (now.balance, new)
+            self.assembly, (now.imposed, target), (now.shape, equilibrium.shape), (now.balance, new)
         )
-        self.lost += compute_lost_energy(self.assembly, now.memory.rests, new.memory.rests)
-        self.friction_loss += sum(touch.friction_loss for touch in new.plane_contacts)
-        self.now = WalkState(time, equilibrium.shape, new, target, new.memory, now.memory)
+        self.lost += compute_lost_energy(self.assembly, now.history.rests, new.history.rests)
+        self.friction_loss += sum(contact.friction_loss for contact in new.plane_contacts)
+        self.now = SolverState(time, equilibrium.shape, new, target, new.history, now.history)
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
         check_rings(self.schedule, new, self.step)
@@ -302,7 +310,7 @@ class _Walk:
                 "mechanics.rod.no_equilibrium", step=self.step, place=place, pull=pulls[node]
             )
         if not self._has_reason("unstable"):
-            push = np.zeros(self.assembly.places.total)
+            push = np.zeros(self.assembly.indices.total)
             mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
             moves = split_unknowns(push if mode is None else mode)[0]
             place = self.line.describe_place(int(np.argmax(np.linalg.norm(moves, axis=1))))
@@ -311,19 +319,19 @@ class _Walk:
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
         first_drag = 1.0
-        # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays
+        # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays at rest
         last_drag = 1e-8
         max_drag = 1e5
         drag_decrease = 0.25
         drag_increase = 8.0
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
-        target = self.schedule.demands(time, self.grips)
+        target = self.schedule.imposed(time, self.grips)
         shape = self._perturbed_shape(perturbation)
         size = first_drag
-        rested: Floats | None = None
+        previous_positions: Floats | None = None
         for _ in range(max_steps):
-            equilibrium = self._find_dragged(shape, target, size)
+            equilibrium = self._find_dragged_equilibrium(shape, target, size)
             if equilibrium is None:
                 size *= drag_increase
                 if size > max_drag:
@@ -335,10 +343,14 @@ class _Walk:
             if size < last_drag:
                 if self._reach_rest(time):
                     return True
-                moved = np.inf if rested is None else np.max(np.abs(shape.positions - rested))
-                if moved < rest_tolerance * self.line.length:
+                displacement = (
+                    np.inf
+                    if previous_positions is None
+                    else np.max(np.abs(shape.positions - previous_positions))
+                )
+                if displacement < rest_tolerance * self.line.length:
                     return False
-                rested = shape.positions
+                previous_positions = shape.positions
                 size *= drag_increase
         return False
 
@@ -350,13 +362,15 @@ class _Walk:
         self._commit(time, final)
         return True
 
-    def _find_dragged(self, shape: Shape, goal: Demands, size: float) -> Equilibrium | None:
+    def _find_dragged_equilibrium(
+        self, shape: Shape, goal: ImposedValues, size: float
+    ) -> Equilibrium | None:
         now = self.now
-        drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.demands))
+        drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.imposed))
         equilibrium = find_equilibrium(
-            *(self.assembly, shape, now.memory, (now.demands, goal)),
+            *(self.assembly, shape, now.history, (now.imposed, goal)),
             force=self.force,
-            guess=now.memory,
+            guess=now.history,
             drag=drag,
         )
         if equilibrium is None or not self._is_near_enough(equilibrium):
@@ -368,7 +382,7 @@ class _Walk:
         now = self.now
         if not size:
             return now.shape
-        target = self.schedule.demands(float(self.step), self.grips)
+        target = self.schedule.imposed(float(self.step), self.grips)
         none = np.zeros((self.schedule.n, 3))
         push = join_unknowns(target.forces, none[:, 0], none, none)
         mode = self.check.lowest_mode(now.balance, now.shape, push)
@@ -389,16 +403,16 @@ class _Walk:
         stored = self._stored_energy()
         jumps = self.jumped, self.slider_loss_in_jumps
         self.energies.append((self.work, stored, self.lost, self.friction_loss, *jumps))
-        bendings, last = state.bendings, self.line.section.law.last
+        bendings, max_curvature = state.bendings, self.line.section.law.last
         node = int(np.argmax(bendings))
-        if bendings[node] > last and not self._has_reason("beyond_law"):
+        if bendings[node] > max_curvature and not self._has_reason("beyond_law"):
             self.reasons.append(
                 Reason.of(
                     "mechanics.rod.beyond_law",
                     step=step,
                     place=self.line.describe_place(node),
                     curvature=bendings[node],
-                    last=last,
+                    last=max_curvature,
                 )
             )
 

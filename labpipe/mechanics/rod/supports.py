@@ -1,9 +1,9 @@
-"""Held nodes, the division of cells at clamps, and the directions of the elements.
+"""Compute the cells and element directions of a line with held and clamped nodes.
 
 The direction of an element is its d3. Beside a clamp it is the normalised mean of this d3 and the
 d3 of the clamp, whose weight is `END_SHARE`.
 
-Bending and twist of the *cells* of a line: the half elements on both sides of a node.
+Bending and twist act in the *cells* of a line: the half elements on both sides of a node.
 
 The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
 each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
@@ -135,19 +135,19 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
 def _list_cells(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
     """Return the cells of a node: elements or clamps on both sides, node, weights, length."""
     n = len(line.lengths)
-    half_length = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
-    upper = 0.5 * float(line.lengths[node]) if node < n else 0.0
+    half_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
+    half_behind = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamp_at:
         mark = -1 - clamp_at[node]
         cells: list[_Cell] = [
-            (node - 1, mark, node, (1.0, 0.0), half_length),
-            (mark, node, node, (0.0, 1.0), upper),
+            (node - 1, mark, node, (1.0, 0.0), half_before),
+            (mark, node, node, (0.0, 1.0), half_behind),
         ]
         return [cell for cell in cells if cell[4] > 0.0]
     if not 0 < node < n:
         return []
-    length = half_length + upper
-    return [(node - 1, node, node, (half_length / length, upper / length), length)]
+    length = half_before + half_behind
+    return [(node - 1, node, node, (half_before / length, half_behind / length), length)]
 
 
 _EYE = np.eye(3)

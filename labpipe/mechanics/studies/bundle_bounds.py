@@ -91,9 +91,12 @@ def bound_stiffnesses(
         for sample, bundle in zip(group.samples, bundles, strict=True):
             bounds = bound(bundle) if bundle else (Reason.of("mechanics.studies.no_bundle"),)
             yield _add_share(_find_stiffness(group, sample), bounds)
-        shared, *others = dict.fromkeys(bundles)
-        differ = (Reason.of("mechanics.studies.bundles_differ"),)
-        yield _add_share(_find_mean(group), differ if others or not shared else bound(shared))
+        common_bundle, *other_bundles = dict.fromkeys(bundles)
+        reasons = (Reason.of("mechanics.studies.bundles_differ"),)
+        yield _add_share(
+            _find_mean(group),
+            reasons if other_bundles or not common_bundle else bound(common_bundle),
+        )
 
 
 def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
@@ -107,8 +110,8 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
 
 def _bound(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Bounds:
     tables = [make_table(wire.type) for wire in bundle.wires]
-    if refused := tuple(table for table in tables if isinstance(table, Reason)):
-        return refused
+    if table_errors := tuple(table for table in tables if isinstance(table, Reason)):
+        return table_errors
     laws = {table.name: table for table in tables if isinstance(table, WireTable)}
     try:
         return compute_bundle_model(bundle, laws)
@@ -397,7 +400,7 @@ def extract_loop(test: TestResult) -> BundleLoop:
     Raises
     ------
     ValueError
-        If the test has no curve, neither length nor span, or no kink.
+        If the test has no curve, no kink, or neither length nor span.
     """
     # of the length; smaller deflections are within the error of the zero
     min_deflection_share = 1e-3
@@ -434,11 +437,12 @@ def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
     points_per_branch = 30
     rows, branches = [], []
     for number, branch in enumerate(curve.branches):
-        inside = np.arange(branch.start, branch.stop)
-        inside = inside[
-            (curve.displacement[inside] > min_deflection) & np.isfinite(curve.force[inside])
+        branch_rows = np.arange(branch.start, branch.stop)
+        branch_rows = branch_rows[
+            (curve.displacement[branch_rows] > min_deflection)
+            & np.isfinite(curve.force[branch_rows])
         ]
-        evenly = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
-        rows.append(inside[np.round(evenly).astype(np.int64)])
-        branches.append(np.full(len(evenly), number, dtype=np.int64))
+        picks = np.linspace(0.0, len(branch_rows) - 1.0, min(points_per_branch, len(branch_rows)))
+        rows.append(branch_rows[np.round(picks).astype(np.int64)])
+        branches.append(np.full(len(picks), number, dtype=np.int64))
     return np.concatenate(rows), np.concatenate(branches)

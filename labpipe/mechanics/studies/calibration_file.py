@@ -1,4 +1,4 @@
-"""Writing of ``calibration.json`` with all its numbers, and reading for later predictions."""
+"""Write ``calibration.json``, and read from it what predictions need."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Calibrated:
     folder : of the results
     calibration : of the wire that was calibrated
     groups : samples of one wire and length each, those of the calibrated wire first
-    left_out : by file, why a test was not used
+    left_out : by file, the reason why its test was not used
     files : all that were written
     comparisons : external curves, compared with tests and model
     tested_curvature : 1/m, largest in the tests of the calibrated wire
@@ -61,14 +61,14 @@ class Calibrated:
     stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
 
 
-def as_json(done: Calibrated) -> dict[str, object]:
+def as_json(calibrated: Calibrated) -> dict[str, object]:
     """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
 
     Parameters
     ----------
-    done : the calibration; None stands for a number that is missing
+    calibrated : the calibration; a missing number is None
     """
-    calibration, share = done.calibration, done.calibration.share
+    calibration, share = calibrated.calibration, calibrated.calibration.share
     friction = calibration.friction_separability
     numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
     curve_numbers = (
@@ -85,9 +85,11 @@ def as_json(done: Calibrated) -> dict[str, object]:
         and {
             **select_json(share, "value", "n_tests", "is_creep"),
             **select_json(share.interval, "lower", "upper", "level"),
-            "by_number": {name: [part.lower, part.upper] for name, part in share.by_number.items()},
+            "by_number": {
+                name: [bounds.lower, bounds.upper] for name, bounds in share.by_number.items()
+            },
         },
-        "tested_curvature": replace_non_finite(done.tested_curvature),
+        "tested_curvature": replace_non_finite(calibrated.tested_curvature),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
         "separability": _build_separability(calibration.separability),
         "friction_separability": friction and _build_separability(friction),
@@ -95,16 +97,18 @@ def as_json(done: Calibrated) -> dict[str, object]:
             select_json(curve, *curve_numbers, lag_one="lag_one_correlation")
             for curve in calibration.curves
         ],
-        "groups": [_build_group(group) for group in done.groups],
-        "left_out": dict(done.left_out),
-        "comparisons": [build_comparison_json(comparison) for comparison in done.comparisons],
-        "stress_tables": {name: curve.as_json() for name, curve in done.stress_tables.items()},
+        "groups": [_build_group(group) for group in calibrated.groups],
+        "left_out": dict(calibrated.left_out),
+        "comparisons": [build_comparison_json(comparison) for comparison in calibrated.comparisons],
+        "stress_tables": {
+            name: curve.as_json() for name, curve in calibrated.stress_tables.items()
+        },
     }
 
 
 def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
     interval, conflict = parameter.interval, parameter.conflict
-    ends = [[to_json(part.lower), to_json(part.upper)] for part in parameter.intervals]
+    ends = [[to_json(piece.lower), to_json(piece.upper)] for piece in parameter.intervals]
     if ends and parameter.is_open_below:
         ends[0][0] = None
     if ends and parameter.is_open_above:
@@ -208,7 +212,7 @@ def read_calibrated(path: Path) -> CalibratedFile:
     Raises
     ------
     ProcessingError
-        If it cannot be read, or its version has not all that predictions need.
+        If the file cannot be read, or lacks numbers that predictions need.
     """
     try:
         return _parse_file(json.loads(path.read_text(encoding="utf-8")))

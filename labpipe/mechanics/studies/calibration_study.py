@@ -1,4 +1,4 @@
-"""Calibration of a wire model by processed cantilever tests, with its predictions."""
+"""Study ``labpipe calibrate``: fits a wire model to cantilever tests, and predicts other tests."""
 
 from __future__ import annotations
 
@@ -76,11 +76,11 @@ def calibrate_tests(
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Calibrated:
-    """Calibrate one wire by its tests and predict the tests of other wires.
+    """Calibrate one wire on its tests and predict the tests of other wires.
 
     Parameters
     ----------
-    targets : result.h5 files, or folders that hold some
+    targets : result.h5 files, or folders that contain such files
     wires : the wire sheet that has the specimen types as its wires; None for ``wires.xlsx`` or
         ``wires.csv`` in the working folder
     plan : calibration YAML; None for all parameters free
@@ -117,9 +117,9 @@ def calibrate_tests(
         sheet.find(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
-    built = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
-    weights = {wire: built[wire].self_weight for wire in tested}
-    weight = note_sheet_weight(
+    wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
+    weights = {wire: wires_by_name[wire].self_weight for wire in tested}
+    weight_note = note_sheet_weight(
         [loading for loading in loadings if loading.curve.wire == name], weights[name]
     )
     loadings = [set_self_weight(loading, weights[loading.curve.wire]) for loading in loadings]
@@ -127,40 +127,40 @@ def calibrate_tests(
     measured = [loading.curve for loading in calibrating]
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibrate(built[name], calibrating, settings, tables)
+    calibration = _calibrate(wires_by_name[name], calibrating, settings, tables)
     share = _calibrate_share(specs[name], calibration, calibrating)
-    groups = compare_tests(calibration, built, loadings)
+    groups = compare_tests(calibration, wires_by_name, loadings)
     notes = [
         *calibration.notes,
         *_list_share_notes(specs[name], share),
-        *([] if weight is None else [weight]),
-        *note_insulations(calibration, built, specs, loadings),
+        *([] if weight_note is None else [weight_note]),
+        *note_insulations(calibration, wires_by_name, specs, loadings),
         *note_misfits(groups),
     ]
     calibration = replace(calibration, share=share, notes=tuple(notes))
-    done = Calibrated(
+    calibrated = Calibrated(
         folder=shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
         left_out=left_out | copies,
         files=(),
         comparisons=compare_external_curves(
-            curves, calibration, built, groups, calibrating + loadings
+            curves, calibration, wires_by_name, groups, calibrating + loadings
         ),
         tested_curvature=find_tested_curvature(
-            built[name], calibration.solutions[0].values, measured
+            wires_by_name[name], calibration.solutions[0].values, measured
         ),
         stress_tables=sheet.curves[name],
     )
     if figures:
         wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
-        deepest = float(np.max(measured[0].deflection))
+        max_deflection = float(np.max(measured[0].deflection))
         shapes = compare_shapes(
-            calibrating[0].file, wire, measured[0].length, measured[0].rig, deepest
+            calibrating[0].file, wire, measured[0].length, measured[0].rig, max_deflection
         )
-        done = replace(done, shapes={measured[0].test: shapes} if shapes else {})
+        calibrated = replace(calibrated, shapes={measured[0].test: shapes} if shapes else {})
     laws = [wire_table(apply_calibration(specs[wire], calibration)) for wire in sorted(tested)]
-    report = CalibrationReport(calibration, groups, done.shapes, done.comparisons)
+    report = CalibrationReport(calibration, groups, calibrated.shapes, calibrated.comparisons)
 
     def write_others(stage: Path) -> list[Path]:
         save_calibration_workbook(report, stage / WORKBOOK_FILE)
@@ -168,14 +168,14 @@ def calibrate_tests(
 
     say("tables and decks")
     files_written = write_study(
-        done.folder,
-        {MODEL_FILE: json.dumps(as_json(done), allow_nan=False)},
+        calibrated.folder,
+        {MODEL_FILE: json.dumps(as_json(calibrated), allow_nan=False)},
         [*list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,
         png=png,
     )
-    return replace(done, files=files_written)
+    return replace(calibrated, files=files_written)
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
@@ -207,7 +207,7 @@ def choose_wire(
     ----------
     loadings : of all tests
     settings : the plan
-    plan : its file, for messages
+    plan : file of the plan, for messages
 
     Raises
     ------
@@ -243,18 +243,18 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
 
     Returns
     -------
-    The first of all copies each, and by file why a copy was left out.
+    The loadings without copies, and by file the reason why a copy was left out.
     """
-    first: dict[tuple[bytes, bytes], FirstLoading] = {}
+    first_by_curve: dict[tuple[bytes, bytes], FirstLoading] = {}
     left_out: dict[str, str] = {}
     for loading in loadings:
-        original = first.setdefault(
+        original = first_by_curve.setdefault(
             (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
         )
         if original is not loading:
             error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
             left_out[str(loading.file)] = str(error)
-    return list(first.values()), left_out
+    return list(first_by_curve.values()), left_out
 
 
 def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
@@ -289,7 +289,7 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
 
     Returns
     -------
-    The wire; its radial force belongs to its friction coefficients.
+    The wire; its radial force is set together with its friction coefficients.
     """
     return apply_values(
         spec, {parameter.name: parameter.value for parameter in calibration.parameters}
@@ -331,15 +331,15 @@ def _calibrate_share(
 
     def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
         logs = {name: best[name] + changes.get(name, 0.0) for name in names}
-        own = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
-        built = build_wire(own)
+        changed_spec = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
+        built = build_wire(changed_spec)
         return cyclic_law(
             built.section,
             built.contacts,
             isotropic_share=share,
-            largest_curvature=find_range(own)[0],
-            tension=own.tension,
-            orientation=own.orientation,
+            largest_curvature=find_range(changed_spec)[0],
+            tension=changed_spec.tension,
+            orientation=changed_spec.orientation,
         )
 
     return calibrate_share(
@@ -358,10 +358,10 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
     elif share.is_creep:
         yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
     if spec.stress_table is not None:
-        last = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
-        reached = find_range(spec)[0]
-        if last < LOOP_RANGE * reached:
-            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=last)
+        table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
+        max_curvature = find_range(spec)[0]
+        if table_end < LOOP_RANGE * max_curvature:
+            yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=table_end)
 
 
 def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:

@@ -76,8 +76,8 @@ def estimate_place_error(
     zero = estimate_zero_error(curve.time[at_rest], curve.displacement[at_rest], *durations[:1])
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
-    part = slice(first.start, first.stop)
-    valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
+    loading_rows = slice(first.start, first.stop)
+    valid = np.flatnonzero(np.isfinite(curve.displacement[loading_rows]))
     if len(valid) < 2 or not np.isfinite(clock):
         return zero
     ends = first.start + valid[[0, -1]]
@@ -95,7 +95,7 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     Returns
     -------
     common : same error in all tests: scale of the cameras, and choice of the fitted shape
-    test_error : error of this test alone, from the places of its markers
+    test_error : error of this test alone, from the positions of its markers
 
     Notes
     -----
@@ -117,7 +117,7 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
 
 
 def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:
-    """Estimate the standard error of a zero, which is a mean over part of a rest.
+    """Estimate the standard error of a zero, the mean of values over part of the rest.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None = N
     variance = estimate_long_run_variance(valid, parameters=1)
     if np.isnan(variance):
         return 0.0
-    lasts = float(time[-1] - time[0])
-    share = 1.0 if duration is None else min(duration / lasts, 1.0)
+    total_duration = float(time[-1] - time[0])
+    share = 1.0 if duration is None else min(duration / total_duration, 1.0)
     return float(np.sqrt(variance / (share * len(valid))))
 
 
@@ -153,7 +153,7 @@ class FirstLoading:
     gain : relative standard uncertainty of the load cell's gain
     notes : on doubtful results, and on points that were left out
     file : result.h5 of the test
-    cycles : what the cycles of the test left; None without a first peak
+    cycles : residual deflection, energy and peak ratio; None without a first peak
     """
 
     curve: MeasuredCurve
@@ -220,9 +220,9 @@ def extract_first_loading(
 
     Returns
     -------
-    The curve up to its largest deflection. The force is that beyond the counterweight, because the
-    load cell is zeroed while the string holds the wire straight. A note states if the test does not
-    show whether the wire was straight.
+    The curve up to its largest deflection. The force excludes the counterweight, because the load
+    cell is zeroed while the string holds the wire straight. If the test does not show whether the
+    wire was straight, a note says so.
 
     Raises
     ------
@@ -245,9 +245,9 @@ def extract_first_loading(
     if length is None:
         raise NotUsableError.of("mechanics.studies.no_length")
     limit = min(up_to or np.inf, DEEPEST * length)
-    part = slice(branch.start, branch.stop)
-    deflection = average_blocks(curve.displacement[part], points)
-    force = average_blocks(curve.force[part], points)
+    loading_rows = slice(branch.start, branch.stop)
+    deflection = average_blocks(curve.displacement[loading_rows], points)
+    force = average_blocks(curve.force[loading_rows], points)
     usable = np.isfinite(deflection) & np.isfinite(force)
     inside = usable & (deflection > 0.0) & (deflection <= limit)
     if inside.sum() < min_points:
@@ -291,7 +291,7 @@ def extract_first_loading(
 def read_cycles(
     result: TestResult, curve: MeasuredCurve
 ) -> tuple[CycledTest | None, tuple[QualityNote, ...]]:
-    """Read what the cycles of a test left, from its results that are `ok`.
+    """Read residual deflection, energy and peak ratio from the results that are `ok`.
 
     Parameters
     ----------
@@ -300,19 +300,19 @@ def read_cycles(
 
     Returns
     -------
-    Residual deflection and energy of the first cycle; the second over the first peak force, if both
-    cycles reach the same deflection, else a note. None without a first peak.
+    Residual deflection and energy of the first cycle, and the ratio of second to first peak force
+    if both cycles reach the same deflection, else a note. None without a first peak.
     """
-    max_growth = 0.01  # of the deflection from cycle to cycle: beyond, the peaks differ by it
+    max_growth = 0.01  # of the deflection between cycles; larger growth changes the second peak
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
     peak, second = (numbers.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
     if peak is None or not peak.value:
         return None, ()
-    left: dict[str, tuple[float, float]] = {}
+    measures: dict[str, tuple[float, float]] = {}
     for name, key in ((RESIDUAL, "residual_displacement.1"), (ENERGY, "energy.1")):
         number = numbers.get(key)
         if number is not None and number.value is not None and number.interval is not None:
-            left[name] = number.value, number.interval.standard_error
+            measures[name] = number.value, number.interval.standard_error
     growth = ((second.value or 0.0) / peak.value if second else np.nan) - 1.0
     notes: tuple[QualityNote, ...] = ()
     if abs(growth) > max_growth:
@@ -321,19 +321,26 @@ def read_cycles(
     values = [force.value if force and force.value else np.nan for force in forces]
     ratio = values[1] / values[0]
     if abs(growth) <= max_growth and np.isfinite(ratio):
-        errors = [own_error(force) / value for force, value in zip(forces, values, strict=True)]
-        left[RATIO] = ratio, abs(ratio) * hypot(*errors)
-    cycles = CycledTest(result.test, curve.length, peak.value, left, curve.rig, curve.self_weight)
+        errors = [
+            compute_unshared_error(force) / value
+            for force, value in zip(forces, values, strict=True)
+        ]
+        measures[RATIO] = ratio, abs(ratio) * hypot(*errors)
+    cycles = CycledTest(
+        result.test, curve.length, peak.value, measures, curve.rig, curve.self_weight
+    )
     return cycles, notes
 
 
-def own_error(number: Result | None) -> float:
-    """Return the standard error of a number without the causes that all tests of a rig share."""
+def compute_unshared_error(number: Result | None) -> float:
+    """Compute the standard error of a number without the causes common to all tests of a rig."""
     if number is None or number.interval is None:
         return 0.0
     if not number.budget:
         return number.interval.standard_error
-    return hypot(*(part.change for part in number.budget if not part.is_common))
+    return hypot(
+        *(contribution.change for contribution in number.budget if not contribution.is_common)
+    )
 
 
 def estimate_noise(values: Floats) -> float:
@@ -354,8 +361,8 @@ def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
     several times steeper at its start, where strands still stick.
     """
     polynomial_degree = 7
-    first = float(np.ptp(deflection)) / len(deflection)
-    root = np.sqrt(np.maximum(deflection, 0.5 * first))
+    mean_spacing = float(np.ptp(deflection)) / len(deflection)
+    root = np.sqrt(np.maximum(deflection, 0.5 * mean_spacing))
     slope = Polynomial.fit(root, force, polynomial_degree).deriv()(root) / (2.0 * root)
     return np.hypot(estimate_noise(force), slope * estimate_noise(deflection))
 
@@ -363,7 +370,7 @@ def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
 def _check_rest(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Refuse a wire that sagged at rest; return notes if the test does not show it."""
+    """Raise an error for a wire that sagged at rest; return notes if the test leaves it open."""
     string = protocol.rig.string
     if string is None or string.at_rest == "taut":
         return ()
@@ -421,40 +428,44 @@ def note_sheet_weight(loadings: Sequence[FirstLoading], self_weight: float) -> Q
     loadings : of one wire, as they were read
     self_weight : N/m, of the wire in the wire sheet
     """
-    without = [loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0]
-    if not without:
+    tests_without_weight = [
+        loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0
+    ]
+    if not tests_without_weight:
         return None
     return QualityNote.of(
         "mechanics.studies.weight_of_sheet",
         loadings[0].curve.wire,
-        count=len(without),
+        count=len(tests_without_weight),
         of=len(loadings),
         mass=1e3 * self_weight / GRAVITY,
     )
 
 
-def note_insulation(spec: WireSpec, tested: float, *, of: str = "") -> QualityNote | None:
+def note_insulation(
+    spec: WireSpec, tested_curvature: float, *, calibrated_wire: str = ""
+) -> QualityNote | None:
     """Return a note if tests bent a wire beyond the linear range of its insulation.
 
     Parameters
     ----------
     spec : of the wire
-    tested : 1/m, largest curvature of its tests
-    of : the calibrated wire; empty for that wire itself
+    tested_curvature : 1/m, largest curvature of its tests
+    calibrated_wire : name of the calibrated wire; empty if it is this wire
     """
     limit = find_linear_range(spec)
-    if tested <= limit:
+    if tested_curvature <= limit:
         return None
     return QualityNote.of(
         "mechanics.studies.soft_insulation_predicted"
-        if of
+        if calibrated_wire
         else "mechanics.studies.soft_insulation_calibrated",
         spec.name,
         wire=spec.name,
-        tested=tested,
+        tested=tested_curvature,
         limit=limit,
         strain=100.0 * spec.insulation_strain,
-        calibrated=of or spec.name,
+        calibrated=calibrated_wire or spec.name,
     )
 
 
@@ -463,7 +474,7 @@ _NO_ZERO = ("zero_not_at_rest", "begins_under_load")
 
 
 def _require_zeros(result: TestResult) -> None:
-    """Refuse a test whose force or deflection has no zero at rest.
+    """Raise an error for a test whose force or deflection has no zero at rest.
 
     Notes
     -----
@@ -480,13 +491,13 @@ def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
     curve = result.curve
     if curve is None:
         raise NotUsableError.of("mechanics.studies.no_curve")
-    first = [b for b in curve.branches if (b.cycle, b.direction) == (1, Direction.LOADING)]
-    if not first:
+    first_branches = [b for b in curve.branches if (b.cycle, b.direction) == (1, Direction.LOADING)]
+    if not first_branches:
         raise NotUsableError.of("mechanics.studies.no_first_loading")
     peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
         raise NotUsableError.of("mechanics.studies.failed_first_loading", reasons=peak.reason_text)
-    return curve, first[0]
+    return curve, first_branches[0]
 
 
 def _note_doubts(result: TestResult) -> list[QualityNote]:

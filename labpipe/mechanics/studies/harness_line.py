@@ -1,4 +1,4 @@
-"""Line of a harness: its material, and its nodes, shape at rest and boundaries for the rod.
+"""Prepare the line of a harness for the rod solver: material, nodes, shape at rest, boundaries.
 
 Sections are functions of uncertain inputs, with their valid range. Every place of the line that the
 file names becomes a node. A path has a row for the start and one for each step. At the start all
@@ -116,16 +116,16 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
     """
     stations = _place_nodes(harness)
     line = _build_line(harness, section, stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))))
-    free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
-    if np.any(free):
+    free_curvatures = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
+    if np.any(free_curvatures):
         rest_curvature = line.rest_curvature.copy()
-        rest_curvature[:, :2] += free @ _find_bend_axes(line, harness.line.spool)
+        rest_curvature[:, :2] += free_curvatures @ _find_bend_axes(line, harness.line.spool)
         line = replace(line, rest_curvature=rest_curvature)
     return PreparedLine(line, tuple(_build_boundaries(harness, line, stations)))
 
 
 def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Return the curvatures about d1 and d2 of unit curls towards the spool and across it, (2, 2).
+    """Return the curvatures about d1 and d2 of unit curls towards and across the spool, (2, 2).
 
     A line that curls to a side t turns about d3 x t. Without a spool the side is that of d1.
     """
@@ -140,13 +140,13 @@ def _place_nodes(harness: HarnessFile) -> Floats:
     """Return the nodes, m, with elements of equal length between neighbouring named places."""
     length = harness.line.length
     named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
-    marks = sorted({0.0, length, *(min(place, length) for place in named)})
+    named_stations = sorted({0.0, length, *(min(place, length) for place in named)})
     count = harness.line.elements
-    parts = [
+    segments = [
         np.linspace(low, high, 1 + max(1, round(count * (high - low) / length)))[1:]
-        for low, high in pairwise(marks)
+        for low, high in pairwise(named_stations)
     ]
-    return np.concatenate([[0.0], *parts])
+    return np.concatenate([[0.0], *segments])
 
 
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
@@ -184,7 +184,7 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
         node = int(np.argmin(np.abs(stations - place)))
         match boundary:
             case Clip() | Pin() | Grip():
-                yield _build_held(boundary, line, node, steps)
+                yield _build_held_boundary(boundary, line, node, steps)
             case Ring():
                 start = _find_nearest_point(line, boundary)
                 path = _build_path(start, boundary.position, boundary.by or steps, steps)
@@ -211,36 +211,36 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     return rod.evaluate_curve(line.positions, place)
 
 
-def _build_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
+def _build_path(start: Floats, goal: Vector3, by: int, steps: int) -> Floats:
     """Return the straight path from the start to a goal, (steps + 1, 3), or the goal, (3,).
 
     A path without motion is a single point, because its rounding errors would look like corners.
     """
     min_distance = 1e-9  # m
-    displacement = np.array(goal) - begin
+    displacement = np.array(goal) - start
     if np.linalg.norm(displacement) < min_distance:
         return np.array(goal)
-    return np.asarray(begin + _build_ramp(by, steps)[:, None] * displacement)
+    return np.asarray(start + _build_ramp(by, steps)[:, None] * displacement)
 
 
 def _build_gravity(harness: HarnessFile) -> Floats:
-    """Return the acceleration; it grows step by step if two places of the line are held.
+    """Return the acceleration of gravity, increased step by step if two places are held.
 
     An inextensible line that starts taut cannot carry its whole weight at once.
     """
-    full = np.array(harness.gravity)
+    acceleration = np.array(harness.gravity)
     if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
-        return full
+        return acceleration
     share = _build_ramp(max(1, harness.steps // 5), harness.steps)
-    return np.asarray(share[:, None] * full)
+    return np.asarray(share[:, None] * acceleration)
 
 
 def _build_ramp(by: int, steps: int) -> Floats:
-    """Return a ramp from 0 at the start to 1 at a step, constant after it, shape (steps + 1,)."""
+    """Return a ramp from 0 at the start to 1 at step `by`, constant after it, (steps + 1,)."""
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _build_held(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
+def _build_held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
@@ -257,15 +257,15 @@ def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Flo
         span = step - len(frames) + 1
         start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
-        full = to_rotation_vectors(find_shortest_turns(start_direction, direction))
+        rotation = to_rotation_vectors(find_shortest_turns(start_direction, direction))
         shares = np.arange(1, span + 1) / span
-        moved = from_rotation_vectors(shares[:, None] * full)
-        frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))
+        partial_rotations = from_rotation_vectors(shares[:, None] * rotation)
+        frames += list(multiply(partial_rotations, np.tile(frames[-1], (span, 1))))
         turns[step] = turns[step - span] if point.turn is None else point.turn
     frames += [frames[-1]] * (steps + 1 - len(frames))
-    about = np.zeros((steps + 1, 3))
-    about[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
-    return np.asarray(multiply(np.array(frames), from_rotation_vectors(about)))
+    turn_vectors = np.zeros((steps + 1, 3))
+    turn_vectors[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
+    return np.asarray(multiply(np.array(frames), from_rotation_vectors(turn_vectors)))
 
 
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
@@ -288,10 +288,10 @@ class Material:
     name : of the wire, or a description
     sections : functions of named inputs such as ``law_factor``, of which a missing one is 0; one
         function for each solution of a calibration, the best first
-    limit : 1/m, largest curvature for which the law is supported
-    limit_source : what sets this limit
+    limit : 1/m, largest curvature that tests or tables of the law cover
+    limit_source : description of what sets this limit
     has_unknown_share : whether the isotropic share of the strands is unknown and varied in a range
-    stretch_limit : largest strain along the line for which its axial stiffness is supported
+    stretch_limit : largest axial strain for which its axial stiffness is valid
     files : from which it was read
     notes : quality notes of the law
     distributions : of the inputs, one for each solution of a calibration; empty if the uncertainty
@@ -314,8 +314,8 @@ class Material:
         return self.sections[0](self.best).diameter
 
     @property
-    def knows_only_share(self) -> bool:
-        """Return whether no input but the isotropic share has a distribution."""
+    def varies_only_share(self) -> bool:
+        """Return whether the isotropic share is the only input with a distribution."""
         names = {name for distribution in self.distributions for name in distribution.names}
         return names == {ISOTROPIC_SHARE}
 
@@ -332,11 +332,15 @@ def fix_inputs(material: Material) -> Material:
     ----------
     material : of a line
     """
-    sections = tuple(partial(_fix, section, material.best) for section in material.sections)
+    sections = tuple(
+        partial(_evaluate_fixed, section, material.best) for section in material.sections
+    )
     return replace(material, sections=sections, distributions=())
 
 
-def _fix(section: SectionAt, inputs: Mapping[str, float], _: Mapping[str, float]) -> Section:
+def _evaluate_fixed(
+    section: SectionAt, inputs: Mapping[str, float], _: Mapping[str, float]
+) -> Section:
     return section(inputs)
 
 
@@ -361,26 +365,26 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
         material = _read_deck_material(block, find_named_file(block.sliders, file))
     else:
         material = _build_stiffness_material(block)
-    stated = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
+    deviations = [(LAW_FACTOR, block.stiffness_uncertainty or 0.0, "stiffness as stated")]
     if harness.line.spool is not None:
         spread = harness.line.spool.spread
-        stated += [(name, spread, "curl of the spool") for name in FREE_CURVATURES]
-    parts = tuple(
+        deviations += [(name, spread, "curl of the spool") for name in FREE_CURVATURES]
+    stated_distributions = tuple(
         build_stated_distribution(name, deviation, cause=cause)
-        for name, deviation, cause in stated
+        for name, deviation, cause in deviations
         if deviation > 0.0
     )
-    return replace(material, distributions=_join_all(material.distributions, parts))
+    return replace(material, distributions=_join_all(material.distributions, stated_distributions))
 
 
 def _join_all(
-    distributions: tuple[InputDistribution, ...], parts: tuple[InputDistribution, ...]
+    distributions: tuple[InputDistribution, ...], further: tuple[InputDistribution, ...]
 ) -> tuple[InputDistribution, ...]:
     """Join the distribution of each solution of a calibration with further ones."""
-    if not parts:
+    if not further:
         return distributions
-    rows = [(distribution, *parts) for distribution in distributions] or [parts]
-    return tuple(map(join_distributions, rows))
+    joined = [(distribution, *further) for distribution in distributions] or [further]
+    return tuple(map(join_distributions, joined))
 
 
 def describe_file(role: str, path: Path) -> InputFile:
@@ -422,7 +426,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
     return Material(
         name,
         tuple(partial(_build_section, family, spec.wire_diameter) for family in families),
-        *_find_lowest(limits),
+        *_find_lowest_limit(limits),
         files=tuple(files),
         notes=table.notes,
         distributions=_build_distributions(spec, calibrated),
@@ -432,7 +436,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
     )
 
 
-def _find_lowest(limits: Mapping[str, float]) -> tuple[float, str]:
+def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
     """Return the lowest limit and its source."""
     source = min(limits, key=lambda name: limits[name])
     return limits[source], source
@@ -503,10 +507,12 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         stiffnesses, slips = (
             np.array(deck[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
         )
-        first, last = map(float, deck["range"]["curvature"])
+        first_curvature, last_curvature = map(float, deck["range"]["curvature"])
         error = float(deck.get("error", 0.0))
         section = Section(
-            SliderLaw(float(deck["stiffness"]), stiffnesses, slips, first, last, error),
+            SliderLaw(
+                float(deck["stiffness"]), stiffnesses, slips, first_curvature, last_curvature, error
+            ),
             float(deck["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
             mass_per_length=float(deck.get("mass_per_length") or 0.0),
@@ -524,7 +530,9 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
     return Material(
         str(deck.get("wire", path.stem)),
         (partial(_build_deck_section, section, strands, low if low == high else 0.0),),
-        *_find_lowest({"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful}),
+        *_find_lowest_limit(
+            {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful}
+        ),
         files=(describe_file("sliders", path),),
         distributions=distributions,
         has_unknown_share=bool(distributions),
@@ -538,8 +546,8 @@ def _read_hardening(
 
     Returns
     -------
-    The growing slider that holds the whole of it, None if the copper follows Masing's rule; and the
-    ends of the interval of the isotropic share, which are equal if it is known.
+    The growing slider at an isotropic share of 1, or None if the copper follows Masing's rule; and
+    the ends of the interval of the isotropic share, which are equal if it is known.
     """
     if block is None:
         return None, (0.0, 0.0)
@@ -553,11 +561,14 @@ def _read_hardening(
 
 
 def _build_deck_section(
-    section: Section, strands: GrowingSlider | None, known: float, inputs: Mapping[str, float]
+    section: Section,
+    strands: GrowingSlider | None,
+    default_share: float,
+    inputs: Mapping[str, float],
 ) -> Section:
     """Return the section of a deck with its isotropic share and the factors of the inputs."""
     if strands is not None:
-        share = min(max(inputs.get(ISOTROPIC_SHARE, known), 0.0), 1.0)
+        share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
         section = replace(section, law=share_hardening(section.law, strands, share))
     return _scale_section(section, inputs)
 

@@ -1,4 +1,4 @@
-"""Numbers of a solved harness (bend radii, forces, residual curvature), and reasons to doubt them.
+"""Compute the numbers of a solved harness (bend radii, forces, residual curvature) and doubts.
 
 Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
 inputs. A norm, a minimum or a maximum is not smooth where it is zero or where its place changes.
@@ -41,7 +41,7 @@ RADIUS_ON_PATH = f"{RADIUS}_on_the_way"
 ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
 POSITIONS, CURVATURES = "positions", "curvature_vectors "
-HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
+SUPPORTS = rod.Held | rod.Ring | rod.String | rod.Plane
 _UNITS = {
     RADIUS: "m",
     LOWEST_POINT: "m",
@@ -84,7 +84,7 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
     """Yield forces and moments of the boundaries, then the springback of the released ones."""
     for number, boundary in enumerate(path.boundaries):
-        if isinstance(boundary, HOLDS):
+        if isinstance(boundary, SUPPORTS):
             yield f"{FORCE}{boundary.name}", path.last.reaction_forces[number]
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             yield f"{MOMENT}{boundary.name}", path.last.reaction_moments[number]
@@ -94,9 +94,9 @@ def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
 
 
 def list_releases(path: RodPath) -> list[tuple[rod.Held, int]]:
-    """List the boundaries that release the line, and the first step without each."""
-    held = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
-    return [(edge, edge.release) for edge in held if edge.release is not None]
+    """List the boundaries that release the line, each with the first step after its release."""
+    held_boundaries = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
+    return [(edge, edge.release) for edge in held_boundaries if edge.release is not None]
 
 
 def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
@@ -108,11 +108,11 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
     path : of the line, at the best inputs
     """
     # step by step, which limits memory for draws
-    sharpest = (_find_max(field(f"{CURVATURES}{step}")) for step in range(len(path.states)))
+    step_curvatures = (_find_max(field(f"{CURVATURES}{step}")) for step in range(len(path.states)))
     vectors = [name for name, _ in _collect_boundary_fields(path)]
     return {
         RADIUS: _find_max(field(f"{CURVATURES}{len(path.states) - 1}")),
-        RADIUS_ON_PATH: reduce(np.maximum, sharpest),
+        RADIUS_ON_PATH: reduce(np.maximum, step_curvatures),
         LOWEST_POINT: np.asarray(compute_heights(field(POSITIONS), path).min(axis=-1)),
         **{name: np.asarray(np.linalg.norm(field(name), axis=-1)) for name in vectors},
         RESIDUAL: _find_max(field(RESIDUAL)),
@@ -133,7 +133,9 @@ def compute_heights(positions: Floats, path: RodPath) -> Floats:
     positions : m, shape (..., n + 1, 3)
     path : of the line
     """
-    weights = [edge.vector[-1] for edge in path.boundaries if isinstance(edge, rod.Gravity)]
+    weights = [
+        boundary.vector[-1] for boundary in path.boundaries if isinstance(boundary, rod.Gravity)
+    ]
     return np.asarray(positions @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
 
 
@@ -147,11 +149,11 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
 
     Notes
     -----
-    This is the curvature at zero moment, on the way to which sliders slide back. It solves EI_0
+    This is the curvature at zero moment; sliders may slide back during release. It solves EI_0
     kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
-    Weiszfeld's iteration: each iteration takes the w_j of the one before, and descends on a convex
-    energy. The first one assumes that no slider slides. Without sliders the curvature is 0. The
-    limit of a growing slider remains, as it does not slide on release.
+    Weiszfeld's iteration: each iteration takes w_j from the previous one, and decreases a convex
+    energy. The first iteration assumes that no slider slides. Without sliders the curvature is 0.
+    A growing slider keeps its limit, because it does not slide on release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -309,9 +311,12 @@ def compute_numbers(path: RodPath) -> tuple[Number, ...]:
     ----------
     path : of the line, to the last step
     """
-    last = len(path.states) - 1
+    last_step = len(path.states) - 1
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
-    end, overall = find_sharpest_bend(path, [last]), find_sharpest_bend(path, range(last + 1))
+    end, overall = (
+        find_sharpest_bend(path, [last_step]),
+        find_sharpest_bend(path, range(last_step + 1)),
+    )
     values |= {RADIUS: np.array(end.radius), RADIUS_ON_PATH: np.array(overall.radius)}
     remarks = _describe_numbers(path, end, overall)
     return tuple(
@@ -338,11 +343,11 @@ def _describe_numbers(path: RodPath, end: Bend, overall: Bend) -> dict[str, str]
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
     for number, boundary in enumerate(path.boundaries):
         step = int(np.argmax(forces[:, number]))
-        place = f"{forces[step, number]:.4g} N at step {step}"
-        remarks[f"{FORCE}{boundary.name}"] = f"largest in all steps: {place}"
+        remark = f"{forces[step, number]:.4g} N at step {step}"
+        remarks[f"{FORCE}{boundary.name}"] = f"largest in all steps: {remark}"
     for boundary, release in list_releases(path):
-        place = f"from its place in step {release - 1}, the last one before the release"
-        remarks[f"{SPRINGBACK}{boundary.name}"] = place
+        remark = f"from its place in step {release - 1}, the last one before the release"
+        remarks[f"{SPRINGBACK}{boundary.name}"] = remark
     residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
     if residual[node]:
@@ -388,15 +393,25 @@ def build_results(
     """
     results = []
     for number in numbers:
-        name, own = number.name, [doubt.reason for doubt in doubts if doubt.concerns(number.name)]
+        name, number_reasons = (
+            number.name,
+            [doubt.reason for doubt in doubts if doubt.concerns(number.name)],
+        )
         if not math.isfinite(number.value):
             straight = (Reason.of("mechanics.studies.straight"),)
             results.append(Result(name, None, number.unit, None, Status.FAILED, straight))
             continue
-        status = Status.DOUBTFUL if reasons or own else Status.OK
+        status = Status.DOUBTFUL if reasons or number_reasons else Status.OK
         results.append(
             Result(
-                *(name, number.value, number.unit, intervals.get(name), status, (*reasons, *own)),
+                *(
+                    name,
+                    number.value,
+                    number.unit,
+                    intervals.get(name),
+                    status,
+                    (*reasons, *number_reasons),
+                ),
                 remark=number.remark,
             )
         )
@@ -536,9 +551,9 @@ def check_unloading(path: RodPath) -> Doubt | None:
     Notes
     -----
     By Masing's rule copper springs back two to four times as far as standards of annealed wire
-    allow. A law with growing sliders does not follow this rule. The numbers are residual curvature,
-    lost energy, the shape of a released line, and forces and moments of a line that was unbent and
-    has several supports, so that they depend on its law.
+    allow. A law with growing sliders does not follow this rule. The rule affects residual
+    curvature, lost energy, the shape of a released line, and the forces and moments of a line that
+    was unbent and has several supports.
     """
     law = path.line.section.law
     if law.growing:
@@ -573,7 +588,7 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     if not law.history_size:
         return np.zeros(len(path.last.positions))
     sliders = [present_sliders(law, state.rests) for state in path.states]
-    moments = [np.einsum("j,nsjx->nsx", part.stiffnesses, part.rests) for part in sliders]
+    moments = [np.einsum("j,nsjx->nsx", present.stiffnesses, present.rests) for present in sliders]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 
 
@@ -585,7 +600,7 @@ def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
     path : of the line
     """
     names = (ENERGY_LOST, RESIDUAL, *_list_released_numbers(path))
-    supports = [edge for edge in path.boundaries if isinstance(edge, HOLDS)]
+    supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
     if len(supports) - len(list_releases(path)) > 1 and measure_unbending(path) > 0.1:
         names += (FORCE, MOMENT)
     return names
@@ -630,8 +645,8 @@ def check_convergence(
 ) -> Iterator[Doubt]:
     """Yield the doubts about numbers that depend on the numbers of steps and elements.
 
-    For a line with a history, half as many of both are tried at once. Steps and elements are
-    checked separately only if numbers change then.
+    For a line with a history, half as many steps and elements are tried together first. Each is
+    checked separately only if numbers change.
 
     Parameters
     ----------
@@ -641,13 +656,15 @@ def check_convergence(
     """
     steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
-        _, other = solve_in_other_steps(half, steps)
-        if other.status != "failed" and not _find_excess_changes(path, other, intervals):
+        _, coarse_path = solve_in_other_steps(half, steps)
+        if coarse_path.status != "failed" and not _find_excess_changes(
+            path, coarse_path, intervals
+        ):
             return
     doubts = [check_element_count(path, follow(*half, steps=steps), intervals)]
     if has_history:
-        own = PreparedLine(path.line, path.boundaries)
-        doubts.append(check_steps(path, *solve_in_other_steps(own, steps), intervals))
+        prepared = PreparedLine(path.line, path.boundaries)
+        doubts.append(check_steps(path, *solve_in_other_steps(prepared, steps), intervals))
     yield from filter(None, doubts)
 
 
@@ -658,7 +675,9 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
     ----------
     line : with its boundaries
     """
-    rough = (edge.friction > 0.0 for edge in line.boundaries if isinstance(edge, rod.Plane))
+    rough = (
+        boundary.friction > 0.0 for boundary in line.boundaries if isinstance(boundary, rod.Plane)
+    )
     return len(line.line.section.law.stiffnesses) > 0 or any(rough)
 
 
@@ -733,28 +752,28 @@ def _resample(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
 
 
 def check_steps(
-    path: RodPath, times: Floats, other: RodPath, intervals: Mapping[str, Interval]
+    path: RodPath, times: Floats, other_path: RodPath, intervals: Mapping[str, Interval]
 ) -> Doubt | None:
     """Return the doubt about numbers that depend on the number of steps, if any.
 
     Parameters
     ----------
     path : of the line
-    times, other : of `solve_in_other_steps`
+    times, other_path : of `solve_in_other_steps`
     intervals : by name, of those numbers that have one
     """
     steps = len(path.states) - 1
     steps_text = "twice as many" if np.any(times % 1.0 > 0.0) else "half as many"
-    if other.status == "failed":
+    if other_path.status == "failed":
         reason = Reason.of(
             "mechanics.studies.unsolved_steps",
             steps=steps_text,
-            failure=other.reasons[0].code,
+            failure=other_path.reasons[0].code,
             count=steps,
             wanted=2 * steps,
         )
         return _doubt_all(reason, path)
-    excess = _find_excess_changes(path, other, intervals)
+    excess = _find_excess_changes(path, other_path, intervals)
     if not excess:
         return None
     reason = Reason.of(
@@ -762,7 +781,7 @@ def check_steps(
         steps=steps_text,
         change=100.0 * MAX_CHANGE,
         of_band=100.0 * MAX_CHANGE_OF_BAND,
-        place=_find_worst_place(path, times, other),
+        place=_find_worst_place(path, times, other_path),
         count=steps,
         wanted=steps * math.ceil(max(excess.values())),
     )
@@ -770,27 +789,27 @@ def check_steps(
 
 
 def check_element_count(
-    path: RodPath, other: RodPath, intervals: Mapping[str, Interval]
+    path: RodPath, coarse_path: RodPath, intervals: Mapping[str, Interval]
 ) -> Doubt | None:
     """Return the doubt about numbers that depend on the number of elements, if any.
 
     Parameters
     ----------
     path : of the line
-    other : of the same line, of half as many elements
+    coarse_path : of the same line with half as many elements
     intervals : by name, of those numbers that have one
     """
     error_share = 1.0 / 3.0  # of the change by half as many elements: a method of second order
     count = len(path.line.lengths)
-    if other.status == "failed":
+    if coarse_path.status == "failed":
         reason = Reason.of(
             "mechanics.studies.unsolved_elements",
-            failure=other.reasons[0].code,
+            failure=coarse_path.reasons[0].code,
             count=count,
             wanted=2 * count,
         )
         return _doubt_all(reason, path)
-    excess = _find_excess_changes(path, other, intervals, share=error_share)
+    excess = _find_excess_changes(path, coarse_path, intervals, share=error_share)
     if not excess:
         return None
     reason = Reason.of(
@@ -809,9 +828,9 @@ def _doubt_all(reason: Reason, path: RodPath) -> Doubt:
 
 
 def _find_excess_changes(
-    path: RodPath, other: RodPath, intervals: Mapping[str, Interval], share: float = 1.0
+    path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], share: float = 1.0
 ) -> dict[str, float]:
-    """Return the ratio of error to allowed error of numbers where it exceeds 1.
+    """Compute the ratios of error to allowed error of numbers, where the ratio exceeds 1.
 
     The error is a share of the change between both solutions. It is allowed relative to the size of
     the number or to the width of its band. The size has a minimum, which follows from the numbers
@@ -820,28 +839,28 @@ def _find_excess_changes(
     min_coordinate_share = 0.05  # of the length of the line
     min_size_share = 1e-3  # of the largest number of the same unit
     numbers = [number for number in compute_numbers(path) if math.isfinite(number.value)]
-    others = {number.name: number.value for number in compute_numbers(other)}
-    largest = estimate_sizes(path.line)
+    other_values = {number.name: number.value for number in compute_numbers(other_path)}
+    unit_sizes = estimate_sizes(path.line)
     for number in numbers:
-        largest[number.unit] = max(largest[number.unit], abs(number.value))
+        unit_sizes[number.unit] = max(unit_sizes[number.unit], abs(number.value))
     ratios = {}
     for number in numbers:
-        size = max(abs(number.value), min_size_share * largest[number.unit])
+        size = max(abs(number.value), min_size_share * unit_sizes[number.unit])
         if number.name == LOWEST_POINT:  # a coordinate, which may be negative
             size = max(size, min_coordinate_share * path.line.length)
         band = intervals.get(number.name)
         width = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
         allowed = max(MAX_CHANGE * size, width) or math.inf
-        ratios[number.name] = share * abs(others[number.name] - number.value) / allowed
+        ratios[number.name] = share * abs(other_values[number.name] - number.value) / allowed
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}
 
 
-def _find_worst_place(path: RodPath, times: Floats, other: RodPath) -> str:
-    """Describe the step and the place in which the difference of the moments increases most."""
+def _find_worst_place(path: RodPath, times: Floats, other_path: RodPath) -> str:
+    """Describe the step and place where the difference of moments increases most."""
     whole_steps = np.flatnonzero(times % 1.0 == 0.0)
     steps = times[whole_steps].astype(int)
-    first = np.array([path.states[step].moments for step in steps])
-    second = np.array([other.states[row].moments for row in whole_steps])
-    distance = np.linalg.norm(second - first, axis=3).max(axis=2)
+    moments = np.array([path.states[step].moments for step in steps])
+    other_moments = np.array([other_path.states[row].moments for row in whole_steps])
+    distance = np.linalg.norm(other_moments - moments, axis=3).max(axis=2)
     row, node = divmod(int(np.argmax(np.diff(distance, axis=0, prepend=0.0))), distance.shape[1])
     return f"step {steps[row]}, {format_place(path.line.stations[node])}"

@@ -1,4 +1,4 @@
-"""Solution of a harness file: path of its line, numbers with their bands, and its sweep."""
+"""Solve a harness file: path of its line, numbers with their bands, and its sweep."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FAILED = "failed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FollowedHarness:
+class HarnessSolution:
     """A harness file with its solution.
 
     Parameters
@@ -77,7 +77,7 @@ class FollowedHarness:
     limit: BendLimit
     folder: Path
     files: tuple[Path, ...] = ()
-    sweep: tuple[FollowedHarness, ...] = ()
+    sweep: tuple[HarnessSolution, ...] = ()
     bands: HarnessBands | None = None
 
     @property
@@ -119,7 +119,7 @@ def solve_harness(
     material: Material,
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
-) -> FollowedHarness:
+) -> HarnessSolution:
     """Solve a harness, without its sweep.
 
     Parameters
@@ -152,28 +152,30 @@ def solve_harness(
             "mechanics.studies.line_does_not_fit", file, "line", error=error
         ) from error
     reasons = _collect_reasons(path, material, bands)
-    followed = FollowedHarness(
+    solution = HarnessSolution(
         *(file, harness, material, path, Status.FAILED, reasons, (), limit, folder), bands=bands
     )
     if path.status == FAILED:
-        return followed
+        return solution
     status = Status.DOUBTFUL if reasons else Status.OK
-    return replace(followed, status=status, results=_build_results(followed))
+    return replace(solution, status=status, results=_build_results(solution))
 
 
-def _build_results(followed: FollowedHarness) -> tuple[Result, ...]:
-    harness, material, path = followed.harness, followed.material, followed.path
-    intervals = {} if followed.bands is None else followed.bands.intervals
+def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
+    harness, material, path = solution.harness, solution.material, solution.path
+    intervals = {} if solution.bands is None else solution.bands.intervals
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
-    half = prepare_line(coarse, section(material.best), material.best)
-    doubts = check_path(path, half, intervals)
+    coarse_line = prepare_line(coarse, section(material.best), material.best)
+    doubts = check_path(path, coarse_line, intervals)
     names = list_unloading_numbers(path)
     if material.has_unknown_share:
         doubts += check_share(intervals, names)
-    if material.knows_only_share:
-        intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
-    return build_results(compute_numbers(path), followed.reasons, intervals, doubts)
+    if material.varies_only_share:
+        intervals = {
+            name: interval for name, interval in intervals.items() if name.startswith(names)
+        }
+    return build_results(compute_numbers(path), solution.reasons, intervals, doubts)
 
 
 def _collect_reasons(
@@ -190,13 +192,13 @@ def _collect_reasons(
 
 
 def solve_sweep_length(
-    stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
-) -> FollowedHarness:
+    base: HarnessSolution, length: float, on_step: Callable[[], object] = lambda: None
+) -> HarnessSolution:
     """Solve a harness with another length of its line; only its last step is shown.
 
     Parameters
     ----------
-    stated : the harness with its own length, which is not solved again
+    base : solution for the length in the file, which is not solved again
     length : m
     on_step : called after each step of the line
 
@@ -205,24 +207,24 @@ def solve_sweep_length(
     ProcessingError
         As `solve_harness`.
     """
-    other = stated
-    if length != stated.harness.line.length:
-        line = stated.harness.line.model_copy(update={"length": length})
-        harness = stated.harness.model_copy(update={"line": line, "show": ()})
-        material = stated.material
-        if material.knows_only_share:  # shapes of a sweep hardly depend on it
+    solution = base
+    if length != base.harness.line.length:
+        line = base.harness.line.model_copy(update={"length": length})
+        harness = base.harness.model_copy(update={"line": line, "show": ()})
+        material = base.material
+        if material.varies_only_share:  # shapes of a sweep hardly depend on it
             material = fix_inputs(material)
-        other = solve_harness(harness, stated.file, material, stated.folder, on_step)
-    if other.status is Status.FAILED:
-        return other
-    listed = [
+        solution = solve_harness(harness, base.file, material, base.folder, on_step)
+    if solution.status is Status.FAILED:
+        return solution
+    shown_reasons = [
         reason
-        for result in other.results
+        for result in solution.results
         if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
         for reason in result.reasons
     ]
-    status = Status.DOUBTFUL if listed else Status.OK
-    return replace(other, reasons=tuple(dict.fromkeys(listed)), status=status)
+    status = Status.DOUBTFUL if shown_reasons else Status.OK
+    return replace(solution, reasons=tuple(dict.fromkeys(shown_reasons)), status=status)
 
 
 SolveNumbered = Callable[[int, Inputs], RodPath]
@@ -301,7 +303,7 @@ def _make_interval(name: str, band: Band) -> Interval:
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
-    """Choose rows of draws of different sizes; none for a single cause, which has nothing to add.
+    """Choose rows of draws of different sizes; none for a single cause.
 
     Parameters
     ----------
@@ -328,7 +330,7 @@ def _check_draws(
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     count = unsolved = 0
-    for number, (response, drawn) in enumerate(zip(line.responses, draws, strict=True)):
+    for number, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
         for row in choose_draws(response.distribution):
             count += 1
             path = solve(number, response.distribution.inputs(response.distribution.amounts[row]))
@@ -337,7 +339,7 @@ def _check_draws(
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
                 error = _compute_draw_error(
-                    value, drawn[name], row, bands[name], sizes[_find_field_unit(name)]
+                    value, values_by_draw[name], row, bands[name], sizes[_find_field_unit(name)]
                 )
                 squares[name].append(error**2)
     errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}

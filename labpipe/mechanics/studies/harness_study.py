@@ -1,4 +1,4 @@
-"""Study ``labpipe harness``: solves a harness file and writes shape, forces, deck and figures."""
+"""Study ``labpipe harness``: solves a harness file, and writes shape, forces, deck and figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     compute_residual_curvature,
 )
 from labpipe.mechanics.studies.harness_solution import (
-    FollowedHarness,
+    HarnessSolution,
     solve_harness,
     solve_sweep_length,
 )
@@ -85,7 +85,7 @@ def follow_harness(
     figures: bool = True,
     png: bool = False,
     progress: Progress | None = None,
-) -> FollowedHarness:
+) -> HarnessSolution:
     """Solve the line of a harness and write the results.
 
     Parameters
@@ -128,7 +128,7 @@ def follow_harness(
     return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
 
 
-def _write_failure(solution: FollowedHarness) -> None:
+def _write_failure(solution: HarnessSolution) -> None:
     """Write ``failure.json``; earlier results stay unchanged."""
     states = solution.path.states
     reached = states[-1].positions if states else solution.path.line.positions
@@ -146,7 +146,7 @@ def _format_json(content: Mapping[str, object]) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
+def _write(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSolution:
     path, bands = solution.path, solution.bands_by_step
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
@@ -169,33 +169,33 @@ _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_
 """Columns of ``sweep.csv``."""
 
 
-def _build_sweep_row(run: FollowedHarness) -> dict[str, object]:
-    bend, on_path, lowest = run.bend, run.sharpest, math.nan
-    if run.status is not Status.FAILED:
-        lowest = float(compute_heights(run.path.last.positions, run.path).min())
-    ends = None if run.bands is None else run.bands.intervals[RADIUS]
-    reason = run.reasons[0] if run.reasons else Reason("", "")
+def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
+    bend, on_path, lowest = solution.bend, solution.sharpest, math.nan
+    if solution.status is not Status.FAILED:
+        lowest = float(compute_heights(solution.path.last.positions, solution.path).min())
+    ends = None if solution.bands is None else solution.bands.intervals[RADIUS]
+    reason = solution.reasons[0] if solution.reasons else Reason("", "")
     return {
-        _LENGTH: run.harness.line.length,
+        _LENGTH: solution.harness.line.length,
         _RADIUS: bend.radius,
         "lower [m]": ends.lower if ends else math.nan,
         "upper [m]": ends.upper if ends else math.nan,
         "place [m]": bend.place,
         _RADIUS_ON_PATH: on_path.radius,
-        "step": "" if run.status is Status.FAILED else str(on_path.step),
+        "step": "" if solution.status is Status.FAILED else str(on_path.step),
         "lowest_point [m]": lowest,
-        "status": str(run.status),
+        "status": str(solution.status),
         "code": reason.code,
         "reason": reason.message,
     }
 
 
-def _build_sweep_table(solution: FollowedHarness) -> pd.DataFrame:
+def _build_sweep_table(solution: HarnessSolution) -> pd.DataFrame:
     """Return the rows of ``sweep.csv``, one for each length."""
     return pd.DataFrame([_build_sweep_row(run) for run in solution.sweep])
 
 
-def _build_head(solution: FollowedHarness) -> dict[str, object]:
+def _build_head(solution: HarnessSolution) -> dict[str, object]:
     files = (describe_file("harness", solution.file), *solution.material.files)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
@@ -209,7 +209,7 @@ def _build_head(solution: FollowedHarness) -> dict[str, object]:
     }
 
 
-def as_json(solution: FollowedHarness) -> dict[str, object]:
+def as_json(solution: HarnessSolution) -> dict[str, object]:
     """Return the content of ``summary.json`` in SI units; None for a number that is missing.
 
     Parameters
@@ -246,7 +246,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
     }
 
 
-def _list_sweep(solution: FollowedHarness) -> list[dict[str, object]]:
+def _list_sweep(solution: HarnessSolution) -> list[dict[str, object]]:
     if not solution.sweep:
         return []
     names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
@@ -254,7 +254,7 @@ def _list_sweep(solution: FollowedHarness) -> list[dict[str, object]]:
     return [{str(name).removesuffix(" [m]"): to_json(row[name]) for name in row} for row in rows]
 
 
-def _build_bands(solution: FollowedHarness) -> dict[str, object]:
+def _build_bands(solution: HarnessSolution) -> dict[str, object]:
     """Return the kind of the bands and the share of each cause, or the reason for their absence."""
     if solution.bands is None:
         return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
@@ -420,7 +420,7 @@ def _format_scalars(name: str, values: Floats | Ints) -> list[str]:
     return [f"SCALARS {name} double 1", "LOOKUP_TABLE default", *rows]
 
 
-def build_drawn_harness(solution: FollowedHarness) -> DrawnHarness:
+def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
     """Build the data for the figure of a harness.
 
     Parameters
@@ -454,7 +454,7 @@ def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> 
     )
 
 
-def _format_caption(solution: FollowedHarness) -> str:
+def _format_caption(solution: HarnessSolution) -> str:
     limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
     about = solution.harness.about.strip()
     sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
@@ -463,18 +463,18 @@ def _format_caption(solution: FollowedHarness) -> str:
     return " ".join([*sentences, line, limit, *doubts])
 
 
-def _build_marks(solution: FollowedHarness) -> Iterator[DrawnMark]:
+def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
     """Yield the symbols of clips, grips and other boundaries at the last step."""
-    last, steps = solution.path.last, solution.harness.steps
+    last_state, steps = solution.path.last, solution.harness.steps
     pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
-    for stated, boundary in pairs:  # the weight, which comes last, has no symbol
+    for file_boundary, boundary in pairs:  # the weight, which comes last, has no symbol
         path, direction, is_holding = np.zeros((0, 3)), None, True
         match boundary:
             case rod.Held():
                 is_holding = boundary.release is None or boundary.release > steps
                 held_path = boundary.position[: boundary.release]
-                place: Floats = held_path[-1] if is_holding else last.positions[boundary.node]
-                if stated.kind == "grip":  # the path of a clip is of no interest
+                place: Floats = held_path[-1] if is_holding else last_state.positions[boundary.node]
+                if file_boundary.kind == "grip":  # the path of a clip is of no interest
                     path = held_path
                 if boundary.frame is not None and is_holding:
                     direction = to_matrices(boundary.frame[-1])[:, 2]
@@ -482,15 +482,15 @@ def _build_marks(solution: FollowedHarness) -> Iterator[DrawnMark]:
                 place, direction = boundary.position[-1], boundary.direction
             case rod.String():
                 place = boundary.anchor[-1]
-                path = np.stack([last.positions[boundary.node], place])
+                path = np.stack([last_state.positions[boundary.node], place])
             case rod.Load():
-                place = last.positions[boundary.node]
+                place = last_state.positions[boundary.node]
             case _:
                 continue
-        yield DrawnMark(stated.name, stated.kind, place, path, direction, is_holding)
+        yield DrawnMark(file_boundary.name, file_boundary.kind, place, path, direction, is_holding)
 
 
-def build_drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
+def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """Build the data for the figure of a sweep; None without one.
 
     Parameters

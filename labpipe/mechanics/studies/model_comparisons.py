@@ -1,4 +1,4 @@
-"""Comparison of a calibrated model with tests by wire and length, and with external curves."""
+"""Compare a calibrated model with tests, by wire and length, and with external curves."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ N_SHAPES = 6
 
 
 def compare_shapes(
-    file: Path, wire: Wire, length: float, rig: StringRig | None, deepest: float
+    file: Path, wire: Wire, length: float, rig: StringRig | None, max_deflection: float
 ) -> tuple[BentShape, ...]:
-    """Return shapes of a sample and of the model at even steps of deflection.
+    """Compute shapes of a sample and of the model at evenly spaced deflections.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def compare_shapes(
     wire : with the calibrated numbers
     length : free length, m
     rig : the string; None for an end load normal to the axis
-    deepest : m, largest deflection of the first loading
+    max_deflection : m, largest deflection of the first loading
 
     Returns
     -------
@@ -87,7 +87,7 @@ def compare_shapes(
     largest_curvature, _ = parts.reach(parts.given)
     powers = np.vander(np.linspace(0.0, 1.0, 60), shape.coefficients.shape[2], increasing=True)
     shapes = []
-    for target_rise in deepest * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+    for target_rise in max_deflection * np.arange(1, N_SHAPES + 1) / N_SHAPES:
         reached = np.flatnonzero(rise >= target_rise)
         if len(reached):
             frame = int(reached[0])
@@ -119,12 +119,12 @@ def _bend_model(
         return np.column_stack([solution.x, solution.y])
     travel, level = deflection, make_straight(law, self_weight=weight)
     state_at_rest = bend_to_travel(law, level, length, rig, 0.0).state
-    for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
+    for _ in range(max_iterations):  # the string tilts, so that the tip moves less than the clamp
         solution = bend_to_travel(law, state_at_rest, length, rig, travel)
-        missing = deflection - float(solution.y[-1])
-        if abs(missing) < tip_tolerance:
+        shortfall = deflection - float(solution.y[-1])
+        if abs(shortfall) < tip_tolerance:
             break
-        travel += missing
+        travel += shortfall
     return np.column_stack([solution.x, solution.y])
 
 
@@ -135,7 +135,7 @@ _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
 def compare_tests(
     calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
 ) -> tuple[ValidationGroup, ...]:
-    """Compare a calibration with its own tests and with others.
+    """Compare a calibration with the tests it was fitted to and with other tests.
 
     Parameters
     ----------
@@ -157,30 +157,32 @@ def compare_tests(
 def _compare_group(
     calibration: Calibration, wire: Wire, curves: Sequence[MeasuredCurve]
 ) -> ValidationGroup:
-    deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
+    max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
     noise = float(np.mean([curve.read_error for curve in curves]))
-    first = curves[0]
+    first_curve = curves[0]
     prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:
-        deflection = deepest * _GRID
-        wire = replace(wire, self_weight=first.self_weight)
+        deflection = max_deflection * _GRID
+        wire = replace(wire, self_weight=first_curve.self_weight)
         prediction = predict(
-            calibration, wire, first.length, deflection, rig=first.rig, noise=noise
+            calibration, wire, first_curve.length, deflection, rig=first_curve.rig, noise=noise
         )
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
         errors = _compute_errors(curves, prediction)
         values = calibration.solutions[0].values
-        solution = compute_calibrated_curve(wire, values, first.length, first.rig, deepest)
+        solution = compute_calibrated_curve(
+            wire, values, first_curve.length, first_curve.rig, max_deflection
+        )
         limit = np.interp(
             wire.linear_range, solution.clamp_curvature, solution.deflection, right=np.inf
         )
         doubtful_deflection = float(limit)
     return ValidationGroup(
-        wire=first.wire,
-        length=first.length,
-        is_calibrated=first.wire == calibration.wire,
+        wire=first_curve.wire,
+        length=first_curve.length,
+        is_calibrated=first_curve.wire == calibration.wire,
         samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
         band=_compute_band(curves, prediction),
         prediction=prediction,
@@ -215,7 +217,7 @@ def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None
 
 
 def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
-    """Return the errors of all points of curves, and their share inside the band."""
+    """Compute the errors of all points of curves, and the share of points inside the band."""
     deflection = np.concatenate([curve.deflection for curve in curves])
     model, lower, upper = (
         np.interp(deflection, prediction.deflection, values)
@@ -242,8 +244,8 @@ def note_insulations(
 
     Returns
     -------
-    A note for each of them. A predicted wire for which the model has no solution in the range of
-    the tests has no note: the reason is in its group.
+    One note per wire. A predicted wire without a solution in the range of the tests has no note;
+    its group states the reason.
     """
     notes, values = [], calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
@@ -252,8 +254,8 @@ def note_insulations(
             tested_curvature = find_tested_curvature(wires[name], values, curves)
         except ValueError:
             continue
-        of = "" if name == calibration.wire else calibration.wire
-        notes.append(note_insulation(specs[name], tested_curvature, of=of))
+        calibrated = "" if name == calibration.wire else calibration.wire
+        notes.append(note_insulation(specs[name], tested_curvature, calibrated_wire=calibrated))
     return tuple(note for note in notes if note is not None)
 
 
@@ -288,7 +290,7 @@ def read_external_curves(
     Parameters
     ----------
     settings : the plan
-    plan : its file, whose folder the curves are in
+    plan : file of the plan; the curves are in its folder
     sheet : of the wires
 
     Raises
@@ -317,11 +319,17 @@ def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ReadError.about("mechanics.studies.curve_outside_plan", path)
-    across, up = comparison.deflection, comparison.force
+    deflection_column, force_column = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,
-        CurveColumn("deflection", "m", across.column, across.unit, across.sign),
-        CurveColumn("force", "N", up.column, up.unit, up.sign),
+        CurveColumn(
+            "deflection",
+            "m",
+            deflection_column.column,
+            deflection_column.unit,
+            deflection_column.sign,
+        ),
+        CurveColumn("force", "N", force_column.column, force_column.unit, force_column.sign),
     )
     is_normal = comparison.load == "normal"
     return ExternalCurve(
@@ -355,8 +363,10 @@ def compare_external_curves(
     """
     compared = []
     for curve in curves:
-        own = (group for group in groups if _is_same_specimen(curve, group.wire, group.length))
-        group, wire = next(own, None), wires[curve.wire]
+        matching_groups = (
+            group for group in groups if _is_same_specimen(curve, group.wire, group.length)
+        )
+        group, wire = next(matching_groups, None), wires[curve.wire]
         compared.append(_compare(curve, calibration, wire, group, _choose_string(curve, loadings)))
     return tuple(compared)
 
@@ -391,8 +401,8 @@ def _compare(
         )
     try:
         tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-        deepest = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
-        grid = np.linspace(0.0, deepest, 200)
+        max_deflection = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
+        grid = np.linspace(0.0, max_deflection, 200)
         prediction = predict(calibration, wire, curve.length, grid, rig=rig)
     except ValueError as error:
         reason = format_sentence("mechanics.studies.no_such_curve", error=error)
@@ -411,13 +421,15 @@ def _compare(
 def _note_load_direction(
     curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
-    """Note by how much the force depends on the direction of the load, by the model."""
-    pulled = None if group is None else group.prediction
-    if pulled is None or prediction is None:
+    """Yield a note on how much the force of the model depends on the direction of the load."""
+    tested_prediction = None if group is None else group.prediction
+    if tested_prediction is None or prediction is None:
         return
-    ends = (curve.deflection, pulled.deflection, prediction.deflection)
+    ends = (curve.deflection, tested_prediction.deflection, prediction.deflection)
     end_deflection = min(float(end[-1]) for end in ends)
-    as_tested = float(np.interp(end_deflection, pulled.deflection, pulled.force))
+    as_tested = float(
+        np.interp(end_deflection, tested_prediction.deflection, tested_prediction.force)
+    )
     normal = float(np.interp(end_deflection, prediction.deflection, prediction.force))
     yield QualityNote.of(
         "mechanics.studies.external_curve_load",

@@ -1,4 +1,4 @@
-"""Files of a study: texts, workbooks, decks and figures, written together."""
+"""Write the files of a study (texts, workbooks, decks, figures) together or not at all."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.mechanics.decks import deck_paths, deck_texts, write_texts
+from labpipe.mechanics.decks import list_deck_paths, make_deck_texts, write_texts
 from labpipe.mechanics.studies.study_files import FIGURES_FOLDER, write_study
 from labpipe.mechanics.studies.wire_sheets import (
     StatedCurve,
@@ -45,7 +45,7 @@ class ModelledWires:
     ----------
     sheet, folder : wire sheet, folder of the results
     tables : of the wires that could be modelled, in the order of the sheet
-    refused : name -> reason, of the other wires
+    refused : name -> reason, of the wires that could not be modelled
     files : all that were written
     removed : wires of an earlier run that are no longer in the sheet; their files were removed
     curves : wire -> column of the sheet -> the stress table that it names there
@@ -76,7 +76,7 @@ def model_wires(
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
     figures : whether to draw; otherwise those of an earlier run are kept
     png : figures as PNG, too; without it those of an earlier run are removed
-    say : called with the name of each wire when it is done, then with each stage
+    say : called with the name of each modelled wire, then with each stage
 
     Returns
     -------
@@ -93,21 +93,25 @@ def model_wires(
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
             raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
-    read = read_wire_sheet(sheet)
-    with _open_pool(len(read.specs), sheet) as pool:
-        wires, refused = make_tables(read.specs, sheet, say, pool)
+    wire_sheet = read_wire_sheet(sheet)
+    with _open_pool(len(wire_sheet.specs), sheet) as pool:
+        wires, refused = make_tables(wire_sheet.specs, sheet, say, pool)
         if not wires:
             raise ProcessingError("\n".join(refused.values()))
         tables = tuple(wire.table for wire in wires)
-        removed = _find_removed_wires(folder, [spec.name for spec in read.specs])
-        modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
+        removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
+        modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
         say("tables and decks")
-        stated = {name: describe_stress_tables(curves) for name, curves in read.curves.items()}
+        table_descriptions = {
+            name: describe_stress_tables(curves) for name, curves in wire_sheet.curves.items()
+        }
 
         def write_others(stage: Path) -> list[Path]:
             """Write workbook and decks; the workbook in a worker process where there is one."""
             workbook, names = stage / WORKBOOK_FILE, [table.name for table in tables]
-            save = partial(save_wire_workbook, tables, workbook, refused=refused, stated=stated)
+            save = partial(
+                save_wire_workbook, tables, workbook, refused=refused, stated=table_descriptions
+            )
             saving = pool.submit(save) if pool else None
             decks = (wire.decks for wire in wires)
             written = write_texts(dict(zip(names, decks, strict=True)), stage)
@@ -133,7 +137,7 @@ class ModelledWire:
     Parameters
     ----------
     table : its law
-    decks : texts for simulation programs, see `labpipe.mechanics.decks.deck_texts`
+    decks : texts for simulation programs, see `labpipe.mechanics.decks.make_deck_texts`
     """
 
     table: WireTable
@@ -152,12 +156,12 @@ def make_tables(
     ----------
     specs : rows of the sheet
     sheet : of the wires, for messages
-    say : called with the name of each wire when it is done
+    say : called with the name of each modelled wire
     pool : of processes; None for this process alone
 
     Returns
     -------
-    The wires in the order of the sheet, and by name why a wire could not be modelled.
+    The wires in the order of the sheet, and by name the reason why a wire could not be modelled.
     """
     modelled_wires: list[ModelledWire] = []
     refused: dict[str, str] = {}
@@ -203,7 +207,7 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
     """Return a wire with its decks, or the reason why it cannot be modelled."""
     try:
         table = wire_table(spec)
-        return ModelledWire(table, deck_texts(table))
+        return ModelledWire(table, make_deck_texts(table))
     except ValueError as error:
         return str(error)
 
@@ -221,7 +225,7 @@ def _list_wire_files(names: Iterable[str]) -> list[str]:
     """Return the paths of all files of some wires, relative to the folder of the results."""
     files: list[str] = []
     for name in names:
-        files += [path.as_posix() for path in deck_paths(name, Path())]
+        files += [path.as_posix() for path in list_deck_paths(name, Path())]
         stems = [f"{FIGURES_FOLDER}/{stem}" for stem in list_figure_names(name)]
         files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
     return files

@@ -1,4 +1,4 @@
-"""Readers of wire sheets and of the stress-strain tables that these name.
+"""Read wire sheets and the stress-strain tables that they name.
 
 Every cell is checked, and each fault names its cell. A table may state the strain rate and the
 temperature of its measurement.
@@ -109,8 +109,8 @@ class StatedCurve:
                 f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
                 f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
-        stated = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
-        values = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
+        stated_values = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
+        values = [f"{value:.6g} {unit}" for value, unit in stated_values if value is not None]
         measured = f", at {' and '.join(values)}" if values else ", rate and temperature not stated"
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
@@ -161,14 +161,16 @@ def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
     table_points, dense_points = 60, 4000
     plastic_share = 1e-4  # of the strain, at the first point beyond zero
     modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
-    power, last = numbers.exponent, numbers.largest_strain
+    power, largest_strain = numbers.exponent, numbers.largest_strain
     law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
-    end = float(law.stress(np.array([last]))[0])
+    end_stress = float(law.stress(np.array([largest_strain]))[0])
     ratio = plastic_share * proof / (PROOF_STRAIN * modulus)
-    yields = proof * ratio ** (1.0 / (power - 1.0))
-    stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
+    yield_stress = proof * ratio ** (1.0 / (power - 1.0))
+    stress = np.concatenate(
+        [[0.0], np.geomspace(min(yield_stress, end_stress / 2.0), end_stress, dense_points)]
+    )
     strain = law.strain(stress)
-    strain[-1] = last
+    strain[-1] = largest_strain
     chosen = thin(strain, stress, max_points=table_points + 1)
     return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
 
@@ -179,7 +181,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     Parameters
     ----------
     column : of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
-    name : the cell: another sheet of the workbook, or a csv beside the csv
+    name : cell with the name of another sheet of the workbook, or of a csv in the same folder
     path : of the wire sheet
 
     Raises
@@ -198,14 +200,14 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     points = _parse_rows(StressPoint, rows, file)
     if curve_error := find_curve_fault(points, column):
         number, fault = curve_error
-        before = points[number - 1].strain if number else 0.0
-        wrong = "strain" if points[number].strain <= before else "stress_mpa"
-        raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
+        previous_strain = points[number - 1].strain if number else 0.0
+        fault_column = "strain" if points[number].strain <= previous_strain else "stress_mpa"
+        raise_faults(file, [(f"{rows[number][fault_column].place} ({fault_column})", fault)])
     return StatedCurve(name.text, convert_points(points), None, conditions)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
-    """Find columns that are missing, repeated, contradictory or misspelt."""
+    """Yield the faults of columns that are missing, repeated, contradictory or misspelt."""
     numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
     for column in needed:
@@ -216,8 +218,11 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
                 Fault.of("mechanics.studies.missing_column", column=column, columns=actual),
             )
     if numbers and points:
-        place, first, other = heading[names.index(points[0])].place, points[0], numbers[0]
-        yield place, Fault.of("mechanics.studies.points_and_numbers", point=first, number=other)
+        place, point, number_column = heading[names.index(points[0])].place, points[0], numbers[0]
+        yield (
+            place,
+            Fault.of("mechanics.studies.points_and_numbers", point=point, number=number_column),
+        )
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
         if name in (*needed, *_CONDITIONS) and name in names[:number]:
             yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
@@ -230,17 +235,17 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
 
 
 def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
-    """Read rate and temperature, which must agree in all rows that state them."""
+    """Read strain rate and temperature; all rows that state them must agree."""
     stated: dict[str, Cell] = {}
     for column in _CONDITIONS:
         cells = [row[column] for row in rows if column in row and row[column].text]
         for cell in cells:
-            first = stated.setdefault(column, cell)
-            if cell.text != first.text:
+            first_cell = stated.setdefault(column, cell)
+            if cell.text != first_cell.text:
                 fault = Fault.of(
                     "mechanics.studies.two_conditions",
-                    first=first.text,
-                    place=first.place,
+                    first=first_cell.text,
+                    place=first_cell.place,
                     value=cell.text,
                 )
                 raise_faults(file, [(f"{cell.place} ({column})", fault)])
@@ -296,7 +301,7 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
 
 
 def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
-    """Return the table and its file: another sheet of the workbook, or a csv beside the csv."""
+    """Return the table and its file: a sheet of the workbook, or a csv in the same folder."""
     rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
@@ -312,9 +317,9 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
         fault = Fault.of("mechanics.studies.no_such_sheet", sheets=similar_names, name=name.text)
         raise_faults(path, [(place, fault)])
     chosen = name.text if name.text in matches else matches[0]
-    where = f"sheet '{chosen}'"
-    cells = workbook_cells(path, chosen, where)
-    return as_table(cells, path, rows_of=rows_of, place=where), path
+    sheet_place = f"sheet '{chosen}'"
+    cells = workbook_cells(path, chosen, sheet_place)
+    return as_table(cells, path, rows_of=rows_of, place=sheet_place), path
 
 
 def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
@@ -331,8 +336,8 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
     row : cells by column
     """
     for fault in faults:
-        first, cell = next(iter(row.items()))
-        column = str(fault.path[0]) if fault.path else first
+        first_column, cell = next(iter(row.items()))
+        column = str(fault.path[0]) if fault.path else first_column
         yield f"{row.get(column, cell).place} ({column})", fault
 
 
@@ -391,9 +396,9 @@ class WireSheet:
         specs = {spec.name: spec for spec in self.specs}
         if name in specs:
             return specs[name]
-        near = ", ".join(sort_by_likeness(name, list(specs)))
+        similar = ", ".join(sort_by_likeness(name, list(specs)))
         raise UsageError.about(
-            "mechanics.studies.no_such_wire", where, sheet=self.path, near=near, name=name
+            "mechanics.studies.no_such_wire", where, sheet=self.path, near=similar, name=name
         )
 
 
@@ -404,8 +409,8 @@ def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object)
     ----------
     sheet : of the wires
     spec : of the wire
-    expected : what it should be
-    reason : why it is not
+    expected : description of a wire that can be modelled
+    reason : why this one cannot
     """
     place = f"{spec.place}, wire {spec.name!r}"
     return ProcessingError.about(
@@ -429,8 +434,8 @@ def read_wire_sheet(path: Path) -> WireSheet:
     cells, where = _read_cells(path)
     raise_faults(path, _find_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
-    wrong = find_heading_faults([cell.text for cell in table.heading])
-    raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
+    heading_faults = find_heading_faults([cell.text for cell in table.heading])
+    raise_faults(path, ((table.heading[number].place, fault) for number, fault in heading_faults))
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
@@ -452,13 +457,15 @@ def read_wire_sheet(path: Path) -> WireSheet:
         raise ReadError("\n".join(dict.fromkeys(messages)))
     specs, curves = [], {}
     for row, wire_row in zip(rows, wire_rows, strict=True):
-        own = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
-        stress_tables = (own[name].curve if name in own else None for name in FIRST_SLOPES)
+        row_tables = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
+        stress_tables = (
+            row_tables[name].curve if name in row_tables else None for name in FIRST_SLOPES
+        )
         blank = [name for name, cell in row.items() if not cell.text]
         place = re.sub(r", column \d+$", "", row["wire"].place)
         place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
         specs.append(build_wire_spec(wire_row, blank, place, *stress_tables))
-        curves[row["wire"].text] = own
+        curves[row["wire"].text] = row_tables
     return WireSheet(path, tuple(specs), curves)
 
 
@@ -482,7 +489,7 @@ def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
 
 
 def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
-    """Find a title above the heading, and a row of units below it."""
+    """Yield a fault for a title above the heading, and one for a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
     counts = [
         sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
@@ -505,12 +512,14 @@ def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
 
 
 def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
-    """Find names that are repeated or that differ only in case or in the encoding of accents."""
+    """Yield the faults of names that differ at most in case or in the encoding of accents."""
     first_cells: dict[str, Cell] = {}
     for cell in names:
         # some systems ignore case and the encoding of accents, Abaqus ignores case
-        bare = unicodedata.normalize("NFC", unicodedata.normalize("NFC", cell.text).casefold())
-        first = first_cells.setdefault(bare, cell)
+        normalised = unicodedata.normalize(
+            "NFC", unicodedata.normalize("NFC", cell.text).casefold()
+        )
+        first = first_cells.setdefault(normalised, cell)
         if first is not cell and cell.text:
             fault = Fault.of(
                 "mechanics.studies.similar_names",

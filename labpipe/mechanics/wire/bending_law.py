@@ -35,6 +35,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,8 +145,7 @@ class Bundle:
     lever: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AxialForces:
+class AxialForces(NamedTuple):
     """Axial forces from bending, without the wire's own tension.
 
     Parameters

@@ -167,11 +167,9 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     if tube.curve is None:
         stiffness = tube.bending_stiffness
         return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
-    bars = [
-        compute_strand_moment(tube.curve, 2.0 * radius, curvature)
-        for radius in (tube.outer_radius, tube.bore_radius)
-    ]
-    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
+    diameters = 2.0 * tube.outer_radius, 2.0 * tube.bore_radius
+    bar, bore = (compute_strand_moment(tube.curve, diameter, curvature) for diameter in diameters)
+    return StrandMoment(bar.moment - bore.moment, bar.tangent - bore.tangent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

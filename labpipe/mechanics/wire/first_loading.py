@@ -56,6 +56,10 @@ N_LOADING_STATIONS = 24
 """Along a wire with weight: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
 PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
+_N_COARSE_STATIONS = 24
+"""From whose solution that of more stations starts."""
+_MOMENT_TOLERANCE = 1e-5
+"""Last change of moments, as a share of the largest; the next would be 1e-9."""
 END_OF_FIRST_LOADING = 0.7
 """Deflection over length at which parts near the tip begin to unload, about."""
 
@@ -230,10 +234,6 @@ def load_to(
     return _make_curve(table, deflections, at_rest, bent, is_first_loading=is_first_loading)
 
 
-_N_COARSE_STATIONS = 24
-_MOMENT_TOLERANCE = 1e-5  # last change of moments, of the largest; the next would be 1e-9
-
-
 def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> BentWire:
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -246,8 +246,9 @@ def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> B
 def _solve_near(wire: Cantilever, near: LoadingCurve) -> BentWire | None:
     """Solve from a similar law; None where that leads far away, such as to a curl."""
     max_change_share = 0.3  # of the largest moment
-    unit = wire.stations.position / wire.stations.position[-1]
-    start = near.moment[1:] @ make_interpolation_matrix(near.moment.shape[1], unit).T
+    start, unit = near.moment[1:], wire.stations.position / wire.stations.position[-1]
+    if start.shape[1] != len(unit):
+        start = start @ make_interpolation_matrix(start.shape[1], unit).T
     solution = wire.solve(start, near.tension[1:], tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None

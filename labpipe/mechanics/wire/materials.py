@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -193,8 +193,7 @@ _STRAIN_DECADES = (-14.0, -6.0, 0.0)
 _STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StrandMoment:
+class StrandMoment(NamedTuple):
     """Moment of one straight strand by its own bending.
 
     Parameters

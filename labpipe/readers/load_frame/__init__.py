@@ -327,9 +327,10 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     if len(allowed) == 1 and (card is None or card.fallback):
         return cards[allowed[0]]
     dialects = " or ".join(allowed or cards)
-    if card is None:
-        raise ReadError.about("readers.no_card_fits", path, dialects=dialects)
-    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, card=card.name)
+    found = (
+        "an export that no card recognises" if card is None else f"one of the dialect {card.name}"
+    )
+    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
 
 
 def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:

@@ -30,6 +30,9 @@ WRONG: dict[Case, set[str]] = {
 # Sound tests with results that are not `ok`, and the reason given.
 NOT_OK: dict[Case, str] = {
     ("conduit-bundle", 0, ""): "no_camera_clock",
+    # Metals that yield gradually: a straight part of r^2 = 99.98 % contains the first yielding.
+    ("iso-6892", 0, ""): "elastic_line_bends",
+    ("iso-6892", 48, ""): "elastic_line_bends",
 }
 CASES = {0: "white", 24: "hum", 48: "steps", 108: "memory"}
 """Seeds, and their noise. Machines dwell 0, 1, 5, 0 s at a turn; specimens differ; with the last
@@ -51,6 +54,10 @@ RELATIVE = (
     (r"segment_stiffness_.*|break_point|bending_stiffness_at_.|kink_.*|plateau_displacement", 0.03),
     # Force falls by 30 N/m and more: a zero to 0.1 mN is 3 um of 10 mm; 0.1 s of filter is 0.2 mm.
     (r"residual_displacement", 0.005),
+    (r"tensile_strength|proof_stress_.*|(upper|lower)_yield_stress", 0.004),
+    (r"elastic_modulus", 0.02),
+    # The top of a curve is flat.
+    (r"(plastic_)?elongation_at_.*|displacement_at_peak_force", 0.03),
     # Lines over 0.1 mm, and a fall of 3 % in noise of 0.03 %.
     (r"slack|slip_drop", 0.05),
 )
@@ -70,7 +77,14 @@ NAMES = {
 CLEAN = [(kind, seed, "") for kind in KINDS for seed in CASES if seed < 108 or kind in FRAMES]
 FAULTY = [(kind, 0, fault) for kind in KINDS for fault in FAULTS[kind]]
 MAY_DOUBT = {"failure_displacement", "failure_force", "energy_to_break"}
-"""Of a yarn, whose fibres break one after another."""
+YARNS = (("tensile", 48), ("crimp-pull", 24))
+"""Their fibres break one after another."""
+HARMLESS = (
+    ("iso-6892", "counts-down"),
+    ("iso-527-tape", "counts-down"),
+    ("iso-527-tape", "begins-under-load"),
+)
+"""Faults that change no number: the strain is that of the extensometer, from the toe on."""
 Ask = Callable[[str, int, str], Said]
 
 
@@ -114,10 +128,10 @@ def test_statuses(ask: Ask, kind: str, seed: int, fault: str) -> None:
     """Sound tests are ok, faults of the rig are named; an entry of `NOT_OK` that is ok is out."""
     said = ask(kind, seed, fault)
     assert re.search("Traceback|fault of labpipe", said.printed) is None
-    if fault:
+    if fault and (kind, fault) not in HARMLESS:
         assert re.search(NAMES[fault], said.told)
     if not fault or fault == "short-rest":
-        may = MAY_DOUBT if (kind, seed) == ("tensile", 48) else set()
+        may = MAY_DOUBT if (kind, seed) in YARNS else set()
         other = [row for row in said.rows if row["status"] != "ok" and row["name"] not in may]
         known = NOT_OK.get((kind, seed, fault))
         assert (known is None) == (not other), other[:1]

@@ -186,14 +186,14 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
     )
 
 
-def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
+def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) -> Separability:
     """Return the singular values of whitened derivatives by logarithms, and the known parameters.
 
     Parameters
     ----------
     names : of the columns
     jacobian : shape (points, n), over the noise
-    what : name of the parameters, for the text
+    subject : name of the parameters, for the text
     """
     min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
@@ -207,7 +207,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Se
         f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values
     )
     ending = (
-        f"singular values of {what}: {values_text}; below 1, a combination is unknown by a "
+        f"singular values of {subject}: {values_text}; below 1, a combination is unknown by a "
         f"factor of e"
     )
     unknown = [_LABELS.get(name, name) for name in names if not is_known[name]]
@@ -216,7 +216,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Se
         f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known ({ending})"
     )
     if not unknown:
-        text = f"{what} can be distinguished: {share}"
+        text = f"{subject} can be distinguished: {share}"
     elif len(unknown) == 1:
         text = f"{unknown[0]} is not identified: {share}"
     else:
