@@ -19,7 +19,7 @@ from labpipe.errors import (
     describe_system_error,
     sort_by_likeness,
 )
-from labpipe.process.output_paths import RESULT_FILE, files_below, find_results
+from labpipe.process.output_paths import RESULT_FILE, find_results, list_files_below
 from labpipe.store.replace import is_cut_off
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
 
@@ -142,7 +142,7 @@ def _find_summaries(places: Sequence[Path]) -> list[Path]:
     """Find the summaries of processed tests: those beside a result file."""
     summaries: dict[Path, None] = {}
     for place in places:
-        below = files_below(place, SUMMARY_FILE) if place.is_dir() else []
+        below = list_files_below(place, SUMMARY_FILE) if place.is_dir() else []
         files = [file for file in below if (file.parent / RESULT_FILE).exists()]
         if not files:
             found = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"

@@ -20,7 +20,7 @@ from typing import Any, Final
 from labpipe.campaign.catalog_rows import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
-from labpipe.process.output_paths import RESULT_FILE, files_below
+from labpipe.process.output_paths import RESULT_FILE, list_files_below
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
 
@@ -411,7 +411,7 @@ def import_decisions(
     stored where a report reads it: in the nearest ``decisions.json`` above its test. Each result
     file and each file of decisions is read once, for any number of decisions.
     """
-    files = files_below(folder, RESULT_FILE)
+    files = list_files_below(folder, RESULT_FILE)
     decision_folders = {file: find_decision_folder(file, folder) for file in files}
     files_by_label = defaultdict[str, list[Path]](list)
     for file, (_, label) in decision_folders.items():

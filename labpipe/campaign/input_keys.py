@@ -222,9 +222,9 @@ class InputReader:
     @cached_property
     def _cards_hash(self) -> str:
         """Return the hash of the dialect cards of the lab; empty if there are none."""
-        from labpipe.readers.load_frame.cards import lab_card_files
+        from labpipe.readers.load_frame.cards import list_lab_card_files
 
-        cards = [[file.name, self._hash_file(file)] for file in lab_card_files()]
+        cards = [[file.name, self._hash_file(file)] for file in list_lab_card_files()]
         return hash_text(json.dumps(cards)) if cards else ""
 
     def _resolve_protocol(

@@ -17,8 +17,8 @@ from labpipe.process.sheet_inference import (
     find_majority,
     infer_test,
     load_all_protocols,
+    make_test_name,
     read_neighbours,
-    safe_name,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
@@ -195,7 +195,7 @@ def _list_by_name(
         else:
             ((role, values),) = fits.items()
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
-            test = safe_name(values.get("test") or patterns[role].stem(name))
+            test = make_test_name(values.get("test") or patterns[role].stem(name))
             files = candidates.setdefault(key, Candidate(folder / test, {}, values, True)).files
             if files.setdefault(role, top / name) != top / name:
                 reason = f"{files[role].name} is already the {role} of the same test"
@@ -244,7 +244,7 @@ def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     columns |= {"operator": plan.operator} if plan.operator else {}
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
-    columns["test"] = safe_name(candidate.name)
+    columns["test"] = make_test_name(candidate.name)
     files = candidate.files.items() if candidate.by_role else ()
     return columns | {role: path.name for role, path in files}
 

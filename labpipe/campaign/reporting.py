@@ -28,9 +28,9 @@ from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
+    find_shared_folder,
     identify_recording,
     refuse_duplicates,
-    shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol, SpecimenBlock
@@ -159,7 +159,7 @@ def report_tests(
         earlier report is then unchanged.
     """
     files = find_results(targets)
-    shared = shared_folder(files)
+    shared = find_shared_folder(files)
     tests = _read_tests(files, say)
     campaign = _make_campaign(tests, files, options.title or shared.resolve().name, options)
     folder = shared / "report" if out is None else out
@@ -244,7 +244,7 @@ def _make_campaign(
         bounded_stiffnesses=() if wires is None else tuple(bound_stiffnesses(groups, wires)),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
-        name=find_campaign_name(shared_folder(files)),
+        name=find_campaign_name(find_shared_folder(files)),
         decisions=tuple(decision.as_json() for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
@@ -275,7 +275,7 @@ class _Tests:
 
 def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
-    decisions_by_file, shared = read_decisions_by_file(files), shared_folder(files)
+    decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)

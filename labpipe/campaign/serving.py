@@ -27,7 +27,7 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
-from labpipe.process.output_paths import RESULT_FILE, files_below
+from labpipe.process.output_paths import RESULT_FILE, list_files_below
 from labpipe.report.html_pages import allow_own_server
 from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_tables import name_page_file
@@ -279,7 +279,7 @@ def _find_file(path: list[str], site: Site) -> Path:
 
 def _find_result(page: str, site: Site) -> Path:
     """Find the result file of a test by the name of its page."""
-    for file in files_below(site.results_folder, RESULT_FILE):
+    for file in list_files_below(site.results_folder, RESULT_FILE):
         if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
             return file
     raise _not_found()
@@ -291,7 +291,7 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     if received.faults:
         raise _RefusedRequest(HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED]))
     imported = import_decisions(site.results_folder, site.campaign, received.decisions)
-    stored = read_decisions_by_file(files_below(site.results_folder, RESULT_FILE))
+    stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
     sentences = [
         f"{write_count(len(imported.added) + imported.n_stored_before, 'decision')} saved."

@@ -11,13 +11,13 @@ from labpipe.campaign.reporting import ReportOptions, make_test_page, report_tes
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import parse_report_options
 from labpipe.cli.terminal import show_completed
-from labpipe.process.output_paths import find_results, shared_folder
+from labpipe.process.output_paths import find_results, find_shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve a report until interrupted; make it first if there is none."""
-    folder = shared_folder(find_results(options.paths))
+    folder = find_shared_folder(find_results(options.paths))
     report = folder / REPORT_FOLDER if options.out is None else options.out
     site = Site(
         folder,

@@ -1,4 +1,4 @@
-"""One test: from its exports to its results; `story` is the page to read first.
+"""Process one test, from its exports to its results; read the module `story` first.
 
 The package can be called: ``labpipe.process(source)`` processes a test in memory (`labpipe.api`).
 """

@@ -86,7 +86,7 @@ def run_marker_step(
 
 
 def _require(value: T | None) -> T:
-    """Return what an export or an earlier step provides; a protocol states both."""
+    """Return a value; raise an error if no export or earlier step has provided it."""
     if value is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return value
@@ -98,20 +98,22 @@ def repair_marker_tracks(
     """Run ``repair-markers``: labels, frozen poses and gaps; then ring centres."""
     take = prepared.take
     tracks = _require(take.tracks)
-    clamp, findings = _find_clamp(tracks, settings, step, take.role)
-    names, left_out = _select_specimen_tracks(tracks, settings, take.role)
+    clamp_path, findings = _find_clamp(tracks, settings, step, take.role)
+    names, body_findings = _select_specimen_tracks(tracks, settings, take.role)
     limits = {"max_gap": step.max_gap, "max_jump": step.max_jump, "frozen": step.frozen}
-    repaired = repair_tracks(tracks, along=names, reference=clamp, **limits)
+    repaired = repair_tracks(tracks, along=names, reference=clamp_path, **limits)
     if settings.rings == "by-body":
         rings = group_rings(repaired.names)
         if len(rings) < 3:
-            count, markers, listed = len(rings), len(repaired.names), ", ".join(rings)
+            n_rings, n_markers, ring_names = len(rings), len(repaired.names), ", ".join(rings)
             raise ValueError(
-                format_sentence("process.few_rings", count=count, markers=markers, names=listed)
+                format_sentence(
+                    "process.few_rings", count=n_rings, markers=n_markers, names=ring_names
+                )
             )
         repaired = compute_ring_centres(repaired, rings)
-    findings += [*left_out, *_make_shape_findings(repaired.notes, take.role)]
-    return replace(prepared, take=replace(take, clamp=clamp, repaired=repaired)), findings
+    findings += [*body_findings, *_make_shape_findings(repaired.notes, take.role)]
+    return replace(prepared, take=replace(take, clamp=clamp_path, repaired=repaired)), findings
 
 
 def find_specimen_axes(prepared: Prepared, step: declarations.SpecimenFrame) -> StepOutcome:
@@ -122,9 +124,9 @@ def find_specimen_axes(prepared: Prepared, step: declarations.SpecimenFrame) -> 
     limit = step.max_out_of_plane
     find_frame = partial(find_specimen_frame, take.clamp, positions, out_of_plane_limit=limit)
     frame = find_frame(rest=is_at_rest)
-    still = _flag_before_motion(tracks.time, frame, take.clamp)
-    if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & still).sum() < is_at_rest.sum():
-        is_at_rest &= still
+    is_before_motion = _flag_before_motion(tracks.time, frame, take.clamp)
+    if MIN_SAMPLES_NOISE_UNKNOWN <= (is_at_rest & is_before_motion).sum() < is_at_rest.sum():
+        is_at_rest &= is_before_motion
         frame = find_frame(rest=is_at_rest)
         duration, stated = float(np.ptp(tracks.time[is_at_rest])), step.over
         findings.append(
@@ -143,11 +145,11 @@ def find_specimen_axes(prepared: Prepared, step: declarations.SpecimenFrame) -> 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
     """Flag frames before the clamp begins to move; all frames of a take without a clamp."""
-    moved_share = 0.1  # of the stroke of the clamp, from which it counts as moving
+    min_stroke_share = 0.1  # of the range of the clamp; smaller movements are ignored
     if clamp is None:
         return np.ones(len(time), dtype=np.bool_)
     travel = frame.to_specimen(clamp)[:, 1]
-    min_stroke = moved_share * float(np.nanmax(travel) - np.nanmin(travel))
+    min_stroke = min_stroke_share * float(np.nanmax(travel) - np.nanmin(travel))
     strokes = find_strokes(time, travel, min_stroke=min_stroke)
     return np.asarray(time < (time[strokes[0].start] if strokes else np.inf), dtype=np.bool_)
 
@@ -155,7 +157,7 @@ def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None
 def fit_specimen_shapes(
     prepared: Prepared, step: declarations.FitShape, settings: Markers
 ) -> StepOutcome:
-    """Carry out ``fit-shape``: the shape and the signal ``deflection``."""
+    """Run ``fit-shape``: fit the shape, and add the signal ``deflection``."""
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
     tracks, repaired = _require(take.tracks), _require(take.repaired)
     frame, is_at_rest = _require(take.frame), _require(take.rest)
@@ -190,20 +192,25 @@ def fit_specimen_shapes(
 
 
 def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
-    """Compute the deflection of the pull point, and its changes with other offsets and shape.
+    """Compute the deflection of the pull point, also for perturbed offsets and a perturbed shape.
 
     The change with one more term is the half-width of a rectangular distribution, whose standard
     uncertainty is 1 / sqrt(3) of the half-width.
     """
     values = compute_deflection(fit.shape, rest=rest)
     is_measured = ~np.isnan(values)
-    _, error = average_level(values[rest & is_measured], values[~rest])
-    change = fit.tip_systematic[:, 1]
-    has_change = not np.isnan(change[rest]).all()
-    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.perturbed_tip.items()}
-    if has_change:
-        moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return replace(take.make_signal(fit.shape.time, values), zero_error=error, perturbed=moved)
+    _, zero_error = average_level(values[rest & is_measured], values[~rest])
+    shape_change = fit.tip_systematic[:, 1]
+    has_shape_change = not np.isnan(shape_change[rest]).all()
+    perturbed = {
+        cause: deflection - np.nanmean(deflection[rest])
+        for cause, deflection in fit.perturbed_tip.items()
+    }
+    if has_shape_change:
+        perturbed[SHAPE] = values + (shape_change - np.nanmean(shape_change[rest])) / sqrt(3.0)
+    return replace(
+        take.make_signal(fit.shape.time, values), zero_error=zero_error, perturbed=perturbed
+    )
 
 
 def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -223,9 +230,9 @@ def _find_clamp(
     body = tracks.body(settings.clamp)
     if body is None:
         similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
-        found = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
+        listed_names = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
         raise ProcessingError.about(
-            "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=found
+            "process.no_clamp", role, "rigid bodies", clamp=settings.clamp, found=listed_names
         )
     if np.isnan(body.position).all():
         raise ProcessingError.about(
@@ -239,25 +246,35 @@ def _repair_clamp_path(
 ) -> tuple[Floats, list[Finding]]:
     """Return the path of the clamp without stale poses, short gaps interpolated linearly."""
     all_positions = np.concatenate([body.position[:, None], tracks.positions], axis=1)
-    stale = find_frozen_samples(all_positions, tracks.time, frozen=step.frozen)[:, 0]
-    path: Floats = np.where(stale[:, None], np.nan, body.position)
+    is_stale = find_frozen_samples(all_positions, tracks.time, frozen=step.frozen)[:, 0]
+    path: Floats = np.where(is_stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
-    if stale.any():
-        name, stretches, count = body.name, find_run_times(stale, tracks.time), int(stale.sum())
-        frozen = QualityNote.of("process.clamp_frozen", name, *stretches, body=name, count=count)
-        findings.append(doubt_stretches("displacement", frozen, role))
-    lost = np.isnan(path).any(axis=1)
-    if not lost.any():
+    if is_stale.any():
+        stretches, count = find_run_times(is_stale, tracks.time), int(is_stale.sum())
+        frozen_note = QualityNote.of(
+            "process.clamp_frozen", body.name, *stretches, body=body.name, count=count
+        )
+        findings.append(doubt_stretches("displacement", frozen_note, role))
+    is_missing = np.isnan(path).any(axis=1)
+    if not is_missing.any():
         return path, findings
-    seen, times = tracks.time[~lost], tracks.time[lost]
-    after = np.searchsorted(seen, times)
-    edges = np.concatenate([[-np.inf], seen, [np.inf]])
-    bridged = np.flatnonzero(lost)[edges[after + 1] - edges[after] <= step.max_gap]
+    measured_times, missing_times = tracks.time[~is_missing], tracks.time[is_missing]
+    following = np.searchsorted(measured_times, missing_times)
+    edges = np.concatenate([[-np.inf], measured_times, [np.inf]])
+    bridged_samples = np.flatnonzero(is_missing)[
+        edges[following + 1] - edges[following] <= step.max_gap
+    ]
     for axis in range(3):
-        path[bridged, axis] = np.interp(tracks.time[bridged], seen, path[~lost, axis])
-    name, gap, counts = body.name, step.max_gap, (int(lost.sum()), len(bridged))
+        path[bridged_samples, axis] = np.interp(
+            tracks.time[bridged_samples], measured_times, path[~is_missing, axis]
+        )
     note = Finding.of(
-        "process.clamp_lost", name, body=name, lost=counts[0], bridged=counts[1], gap=gap
+        "process.clamp_lost",
+        body.name,
+        body=body.name,
+        lost=int(is_missing.sum()),
+        bridged=len(bridged_samples),
+        gap=step.max_gap,
     )
     return path, [*findings, note]
 
@@ -269,7 +286,9 @@ def _select_specimen_tracks(
     patterns = ("*",) if settings.along == "all" else settings.along
     bodies = [body.name for body in tracks.bodies] if settings.along == "all" else []
     # Motive 1.2x separates body and marker by a colon, 1.1 by a hyphen.
-    prefixes = tuple(f"{name}{mark}" for name in {*bodies, settings.clamp} if name for mark in ":-")
+    prefixes = tuple(
+        f"{name}{separator}" for name in {*bodies, settings.clamp} if name for separator in ":-"
+    )
     candidates = [
         name
         for name in tracks.names
@@ -294,7 +313,7 @@ def compute_rms(values: Floats) -> float:
 
 
 _DRIFT_UNCERTAINTY = 1e-4 / sqrt(3.0)
-"""Standard uncertainty of the drift of the camera clock, which one turn does not show."""
+"""Standard uncertainty of the drift of the camera clock, which the fit takes as zero."""
 
 
 def fit_three_point_shape(
@@ -318,14 +337,14 @@ def fit_three_point_shape(
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
-        moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
-        moved = np.max(np.nan_to_num(moved), axis=1)  # at most, in each frame
+        moves = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
+        largest_moves = np.max(np.nan_to_num(moves), axis=1)  # of each frame
         shape = fit_span(
             sections,
             span=span,
             radius=settings.centre_offset,
             facing=step.facing,
-            is_bent=np.asarray(moved > 0.5 * moved.max(), dtype=np.bool_),
+            is_bent=np.asarray(largest_moves > 0.5 * largest_moves.max(), dtype=np.bool_),
         )
     except ValueError as error:
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
@@ -358,14 +377,14 @@ def _make_span_shape(
     degree = 9  # of the stored power series, which only the figure uses
     section_flags = flags[:, sections.columns]
     is_finite = np.isfinite(shape.centres).all(axis=2)
-    of_section = np.stack(
+    flags_of_sections = np.stack(
         [section_flags[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
     )
     x = sections.x - shape.mid_span
     share = np.linspace(0.0, 1.0, 61)
-    drawn = x[0] + share * (x[-1] - x[0])
+    drawn_x = x[0] + share * (x[-1] - x[0])
     to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
-    height = shape.axis.y(drawn) @ to_terms.T
+    height = shape.axis.y(drawn_x) @ to_terms.T
     coefficients = np.zeros((len(time), 3, degree + 1))
     coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
     coefficients[:, 1] = height
@@ -374,7 +393,7 @@ def _make_span_shape(
         time=time,
         positions=shape.centres,
         names=tuple(f"section {number + 1}" for number in range(sections.count)),
-        flags=np.where(is_finite, of_section, PointFlag.MISSING).astype(np.uint8),
+        flags=np.where(is_finite, flags_of_sections, PointFlag.MISSING).astype(np.uint8),
         arc_length=x - x[0],
         coefficients=coefficients,
         length=float(x[-1] - x[0]),
@@ -403,20 +422,20 @@ def align_cameras(
     if mid_span is None or mid_span.clock == motion.signal.clock:
         return prepared, {}, []
     strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
-    tops = [
+    upper_turns = [
         np.array(
-            [[x.middle, x.arrival.time_error] for x in turns if moved.strokes[x.stroke].sign > 0]
+            [[x.middle, x.arrival.time_error] for x in turns if path.strokes[x.stroke].sign > 0]
         )
-        for moved in (motion, Motion(mid_span, strokes=strokes))
-        for turns in [find_motion_turns(moved, window=window)]
+        for path in (motion, Motion(mid_span, strokes=strokes))
+        for turns in [find_motion_turns(path, window=window)]
     ]
-    first, second = (top.reshape(-1, 2) for top in tops)
-    pairs, _ = match_peaks(first[:, 0], second[:, 0])
+    motion_turns, camera_turns = (x.reshape(-1, 2) for x in upper_turns)
+    pairs, _ = match_peaks(motion_turns[:, 0], camera_turns[:, 0])
     if not len(pairs):
         prepared, findings = _reject_span(prepared, Failure.of("process.no_camera_clock"))
         return prepared, {}, findings
-    times, (cameras, errors) = first[pairs[:, 0], 0], second[pairs[:, 1]].T
-    fit = _fit_camera_clock(np.stack([times, cameras, errors]))
+    motion_times, (camera_times, errors) = motion_turns[pairs[:, 0], 0], camera_turns[pairs[:, 1]].T
+    fit = _fit_camera_clock(np.stack([motion_times, camera_times, errors]))
     shape = prepared.shape
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))

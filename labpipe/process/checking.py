@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
-from labpipe.process.output_paths import files_below
+from labpipe.process.output_paths import list_files_below
 from labpipe.process.reading import join_exports, read_role
 from labpipe.process.steps import Prepared, calibrate, run_step
 from labpipe.protocol.load import (
@@ -88,12 +88,14 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
     for path in (
         paths or [x for x in map(Path, ("protocols", "raw")) if x.is_dir()] or [Path("protocols")]
     ):
-        below = files_below(path) if path.is_dir() else [path]
-        found = [file for file in below if file.suffix in _YAML_SUFFIXES and file.is_file()]
-        files |= dict.fromkeys(found)
-        if not found:
-            other = "a folder without any" if path.is_dir() else "another file"
-            actual = other if path.exists() else "nothing of that name"
+        candidates = list_files_below(path) if path.is_dir() else [path]
+        yaml_files = [
+            file for file in candidates if file.suffix in _YAML_SUFFIXES and file.is_file()
+        ]
+        files |= dict.fromkeys(yaml_files)
+        if not yaml_files:
+            kind = "a folder without any" if path.is_dir() else "another file"
+            actual = kind if path.exists() else "nothing of that name"
             error = ProtocolError.about("process.nothing_to_check", path, found=actual)
             report.faults.append(str(error))
     for file in files:
@@ -154,7 +156,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             "process.size_missing", path, where, meaning=meaning, results=listed, example=example
         )
         report.faults.append(str(error))
-        n_faults_before += size != "gauge_length"  # strain cannot be converted without it
+        n_faults_before += size != "gauge_length"  # the steps need only the gauge length
     missing = find_missing_exports(sheet, path)
     report.faults += str(missing).splitlines() if missing else []
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
@@ -231,7 +233,7 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
     return {
         size: results
         for size, results in needs.items()
-        if not any(sizes >= {*others} for others in [[size], *alternatives.get(size, ())])
+        if not any(sizes >= {*keys} for keys in [[size], *alternatives.get(size, ())])
     }
 
 
@@ -247,7 +249,7 @@ def _find_missing_markers(
     if markers.clamp is not None and markers.clamp not in bodies:
         missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
     for kind, key, name in missing:
-        near = sort_by_likeness(name, bodies if kind == "rigid body" else names)
+        similar_names = sort_by_likeness(name, bodies if kind == "rigid body" else names)
         yield str(
             ReadError.about(
                 "process.marker_missing_in_take",
@@ -255,7 +257,7 @@ def _find_missing_markers(
                 f"{kind} {name!r}",
                 kind=kind,
                 key=key,
-                near=", ".join(map(repr, near)) or "none",
+                near=", ".join(map(repr, similar_names)) or "none",
             )
         )
 

@@ -1,4 +1,4 @@
-"""Check a record for contradictions: between cycles, rests, and force and displacement.
+"""Check whether the parts of a record agree: cycles, rests, force and displacement.
 
 Each check compares one statistic with one threshold. The thresholds are multiples of the maxima
 in real and simulated cyclic tests (docs/explanations/intervals.md), so that a clean record fails
@@ -35,7 +35,13 @@ REST_ERROR_FACTOR = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cycle:
-    """Force over displacement of a whole cycle, each branch sorted by displacement."""
+    """A loading and the unloading that follows it.
+
+    Parameters
+    ----------
+    loading, unloading : branches of the curve
+    paths : displacement and force of each branch, sorted by displacement
+    """
 
     loading: Branch
     unloading: Branch
@@ -44,7 +50,7 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A record and what several checks need of it, computed on demand.
+    """A record, and quantities that several checks use, computed on demand.
 
     Parameters
     ----------
@@ -60,12 +66,12 @@ class Record:
     earlier_findings: Findings
 
     @cached_property
-    def largest(self) -> float:
+    def largest_force(self) -> float:
         """Return the largest force without sign, N."""
         return float(np.nanmax(np.abs(self.curve.force), initial=0.0))
 
     @cached_property
-    def noise(self) -> float:
+    def force_noise(self) -> float:
         """Return the noise of the force, N."""
         return estimate_noise_level(self.curve.force)
 
@@ -86,16 +92,16 @@ class Record:
         changes = [(_find_instrument_change(self, *pair), pair) for pair in pairwise(self.cycles)]
         return [(*change, *pair) for change, pair in changes if change is not None]
 
-    def sign(self, branch: Branch) -> float:
+    def loading_sign(self, branch: Branch) -> float:
         """Return the sign in which the force changes in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
 
-    def time(self, sample: int) -> str:
+    def format_time(self, sample: int) -> str:
         """Return the time of a sample as text."""
         time = self.curve.time[sample]
         return f"{time:.3f} s" if self.curve.time_unit == "s" else f"sample {sample + 1}"
 
-    def since(self, sample: int) -> tuple[float, float]:
+    def stretch_from(self, sample: int) -> tuple[float, float]:
         """Return the stretch from a sample to the end, s."""
         return float(self.curve.time[sample]), float(self.curve.time[-1])
 
@@ -113,13 +119,13 @@ def check_consistency(record: Record) -> Iterator[Finding]:
     """
     if not record.curve.branches:
         return
-    for check in CHECKS if record.largest > 0.0 else CHECKS[:2]:
+    for check in CHECKS if record.largest_force > 0.0 else CHECKS[:2]:
         yield from check(record)
 
 
 def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
-    part = slice(branch.start, branch.stop)
-    samples = np.stack([curve.displacement[part], curve.force[part]])
+    inside = slice(branch.start, branch.stop)
+    samples = np.stack([curve.displacement[inside], curve.force[inside]])
     samples = samples[:, ~np.isnan(samples).any(axis=0)]
     max_means = 400
     size = max(1, samples.shape[1] // max_means)
@@ -155,10 +161,10 @@ def _check_repetition(record: Record) -> Iterator[Finding]:
     if len(lags) < min_repeated:
         return
     lag = int(np.argmax(np.bincount(np.abs(lags))))
-    same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    for start, stop in find_runs(same):
+    is_repeated = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
+    for start, stop in find_runs(is_repeated):
         if len(np.unique(force[start:stop])) >= min_repeated:
-            where, at, count = record.signals.force, record.time(start), stop - start
+            where, at, count = record.signals.force, record.format_time(start), stop - start
             doubtful = "force", "displacement"
             yield Finding.of(
                 "process.samples_repeated", where, *doubtful, count=count, at=at, lag=lag
@@ -172,7 +178,7 @@ def _find_jumps(
     """Find jumps of a quantity: sample and size, without jumps at the end of a frozen run."""
     max_samples_after_run = 2
     time = record.curve.time
-    stuck_until = [
+    frozen_ends = [
         int(np.searchsorted(time, doubt.during[1]))
         for finding in record.earlier_findings.entries
         for doubt in finding.doubts
@@ -181,7 +187,7 @@ def _find_jumps(
     return [
         (sample, size)
         for sample, size in find_level_jumps(time, getattr(record.curve, quantity))
-        if all(abs(sample - end) > max_samples_after_run for end in stuck_until)
+        if all(abs(sample - end) > max_samples_after_run for end in frozen_ends)
     ]
 
 
@@ -189,11 +195,11 @@ def _check_displacement_jumps(record: Record) -> Iterator[Finding]:
     """Report jumps of the displacement that no break explains."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
     jumps, force = _find_jumps(record, "displacement"), np.abs(record.curve.force)
-    falls = [force[sample - 1] - force[sample] for sample, _ in jumps]
-    if not jumps or (len(jumps) == 1 and falls[0] > break_share * record.largest):
+    force_drops = [force[sample - 1] - force[sample] for sample, _ in jumps]
+    if not jumps or (len(jumps) == 1 and force_drops[0] > break_share * record.largest_force):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-    where, mm, at = record.signals.displacement, 1e3 * size, record.time(sample)
+    where, mm, at = record.signals.displacement, 1e3 * size, record.format_time(sample)
     count = len(jumps)
     yield Finding.of("process.zero_jump", where, "displacement", "force", mm=mm, at=at, count=count)
 
@@ -202,13 +208,13 @@ def _check_rest_force(record: Record) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
     signals, curve, name = record.signals, record.curve, record.signals.force
-    before = _drop_missing(curve.force[: curve.branches[0].start])
+    rest_forces = _drop_missing(curve.force[: curve.branches[0].start])
     is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
-    if is_zeroed or len(before) < min_samples:
+    if is_zeroed or len(rest_forces) < min_samples:
         return
-    level, error = median(before), record.noise / sqrt(len(before))
-    share = abs(level) / record.largest
-    if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * record.largest):
+    level, error = median(rest_forces), record.force_noise / sqrt(len(rest_forces))
+    share = abs(level) / record.largest_force
+    if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * record.largest_force):
         return
     if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
         yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=share)
@@ -223,8 +229,9 @@ def _check_level(record: Record) -> list[Finding]:
 
 def _check_force_jumps(record: Record) -> Iterator[Finding]:
     """Report a jump of the force that no specimen causes: up in a loading, any in an unloading."""
-    turn_reach, max_jumps = 3, 2  # samples beside a turn; more jumps are of the specimen
-    sense = record.sign(record.curve.branches[0])
+    turn_reach = 3  # samples beside a turn
+    max_jumps = 2  # more jumps are caused by the specimen
+    sense = record.loading_sign(record.curve.branches[0])
     jumps = [
         (sample, size)
         for sample, size in _find_jumps(record, "force")
@@ -236,7 +243,7 @@ def _check_force_jumps(record: Record) -> Iterator[Finding]:
     ]
     if 0 < len(jumps) <= max_jumps:
         where, (sample, size) = record.signals.force, jumps[0]
-        during, at = record.since(sample), record.time(sample)
+        during, at = record.stretch_from(sample), record.format_time(sample)
         yield Finding.of("process.force_jump", where, "force", during=during, size=size, at=at)
 
 
@@ -249,17 +256,19 @@ def _check_drift(record: Record) -> Iterator[Finding]:
     return_share = 0.02  # largest distance from the first position, share of the stroke
     min_rest_samples = 3
     curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
-    before, after = map(_drop_missing, (curve.force[: first.start], curve.force[last.stop :]))
+    first_rest, last_rest = map(
+        _drop_missing, (curve.force[: first.start], curve.force[last.stop :])
+    )
     stroke = np.ptp(_drop_missing(curve.displacement))
     distance = abs(curve.displacement[last.stop - 1] - curve.displacement[first.start])
     has_returned = last.direction is Direction.UNLOADING and distance <= return_share * stroke
-    if not has_returned or min(len(before), len(after)) < min_rest_samples:
+    if not has_returned or min(len(first_rest), len(last_rest)) < min_rest_samples:
         return
-    part, level = curve.force[first.start : last.stop], median(before)
-    end = median(after[-len(before) :])  # the end of a long rest, because specimens relax
-    largest = float(np.nanmax(np.abs(part - level)))
-    error = record.noise * hypot(len(before) ** -0.5, len(after) ** -0.5)
-    change = compute_loading_sign(part) * (end - level)
+    branch_forces, level = curve.force[first.start : last.stop], median(first_rest)
+    end = median(last_rest[-len(first_rest) :])  # the end of a long rest, because specimens relax
+    largest = float(np.nanmax(np.abs(branch_forces - level)))
+    error = record.force_noise * hypot(len(first_rest) ** -0.5, len(last_rest) ** -0.5)
+    change = compute_loading_sign(branch_forces) * (end - level)
     if any(kind == "level" for kind, *_ in record.changes):
         change = abs(change)
     if change >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
@@ -279,11 +288,11 @@ def check_break(record: Record, failure: object) -> Iterator[Finding]:
     min_tail_samples = 10  # fewer may be a rebound
     if not isinstance(failure, FailurePoint):
         return
-    force, largest = record.curve.force, record.largest
-    after = _drop_missing(force[failure.sample + 1 :])
-    if len(after) < min_tail_samples:
+    force, largest = record.curve.force, record.largest_force
+    tail = _drop_missing(force[failure.sample + 1 :])
+    if len(tail) < min_tail_samples:
         return
-    level, error = median(after[len(after) // 2 :]), record.noise * sqrt(2.0 / len(after))
+    level, error = median(tail[len(tail) // 2 :]), record.force_noise * sqrt(2.0 / len(tail))
     below = -compute_loading_sign(force[: failure.sample + 1]) * level
     if below >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
         where, share = record.signals.force, below / largest
@@ -295,20 +304,21 @@ def _check_cycles(record: Record) -> Iterator[Finding]:
 
     The instruments cause them: conditioning, hardening, fatigue and permanent set change loading
     and unloading differently. Unloading is also compared alone, because a first loading differs
-    from all others. An offset of the travel looks like one of the force, but its turns, too, are
-    elsewhere.
+    from all others. An offset of the displacement looks like one of the force, but also shifts
+    the turns.
     """
     for kind, size, before, after in record.changes:
-        (old, _), (new, _) = before.paths[1], after.paths[1]
-        differs_in_turns = abs(new[-1] - old[-1]) > record.limits.cycle_change * (old[-1] - old[0])
+        (old_path, _), (new_path, _) = before.paths[1], after.paths[1]
+        max_shift = record.limits.cycle_change * (old_path[-1] - old_path[0])
+        differs_in_turns = abs(new_path[-1] - old_path[-1]) > max_shift
         is_force_alone = kind == "level" and not differs_in_turns
         yield Finding.of(
             "process.cycle_level" if kind == "level" else "process.cycle_scale",
             record.signals.force,
             *(("force",) if is_force_alone else ("force", "displacement")),
-            during=record.since(before.unloading.stop - 1),
+            during=record.stretch_from(before.unloading.stop - 1),
             cycle=after.loading.cycle,
-            at=record.time(after.loading.start),
+            at=record.format_time(after.loading.start),
             size=size,
         )
 
@@ -340,41 +350,53 @@ def _find_instrument_change(
             and recorded > scale_ratio * misfit
         ):
             return "scale", scale
-        if abs(level) > min_change * record.largest and recorded > level_ratio * level_misfit:
+        if abs(level) > min_change * record.largest_force and recorded > level_ratio * level_misfit:
             return "level", level
     return None
 
 
 def _check_turns(record: Record) -> Iterator[Finding]:
-    """Report a force that still grows after the motion has turned: it is late, or has jumped."""
+    """Report a force that still grows after a turn of the motion: it lags, or has jumped."""
     noise_factor = 8.0
     curve, where, limits = record.curve, record.signals.force, record.limits
-    sense, min_growth = record.sign(curve.branches[0]), noise_factor * record.noise
+    sense, min_growth = record.loading_sign(curve.branches[0]), noise_factor * record.force_noise
     growths = []
     for before, after in pairwise(curve.branches):
-        up = sense if before.direction is Direction.LOADING else -sense
-        tenths = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
-        end = curve.force[max(before.start, before.stop - tenths[0]) : before.stop]
-        begin = curve.force[after.start : min(after.stop, after.start + tenths[1])]
-        end, begin = up * _drop_missing(end), up * _drop_missing(begin)
-        if before.direction is after.direction or min(len(end), len(begin)) < 3:
+        growth_sign = sense if before.direction is Direction.LOADING else -sense
+        tenth_sizes = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
+        end_forces = curve.force[max(before.start, before.stop - tenth_sizes[0]) : before.stop]
+        start_forces = curve.force[after.start : min(after.stop, after.start + tenth_sizes[1])]
+        end_forces, start_forces = (
+            growth_sign * _drop_missing(end_forces),
+            growth_sign * _drop_missing(start_forces),
+        )
+        if before.direction is after.direction or min(len(end_forces), len(start_forces)) < 3:
             continue
-        width = max(1, min(len(end), len(begin)) // 10)
-        mean = np.ones(width) / width
-        last, first = (float(np.convolve(part, mean, "valid").max()) for part in (end, begin))
-        step = max(0.0, float(end[-1] - end[0])) / (len(end) - 1)
-        growths.append((after, first - last - step))  # the turn is between two samples
+        width = max(1, min(len(end_forces), len(start_forces)) // 10)
+        averaging = np.ones(width) / width
+        last_force, first_force = (
+            float(np.convolve(forces, averaging, "valid").max())
+            for forces in (end_forces, start_forces)
+        )
+        step = max(0.0, float(end_forces[-1] - end_forces[0])) / (len(end_forces) - 1)
+        growths.append((after, first_force - last_force - step))  # the turn is between two samples
     if not growths:
         return
-    usual = median(np.array([growth for _, growth in growths]))
+    median_growth = median(np.array([growth for _, growth in growths]))
     branch, growth = max(growths, key=lambda turn: turn[1])
-    if usual > max(limits.force_lag * record.largest, min_growth):
-        share = usual / record.largest
-        yield Finding.of("process.force_late", where, "clock", growth=usual, share=share)
-    elif growth > max(limits.turn_jump * record.largest, min_growth):
-        during, at, cycle = record.since(branch.start), record.time(branch.start), branch.cycle
+    if median_growth > max(limits.force_lag * record.largest_force, min_growth):
+        share = median_growth / record.largest_force
+        yield Finding.of("process.force_late", where, "clock", growth=median_growth, share=share)
+    elif growth > max(limits.turn_jump * record.largest_force, min_growth):
+        during, at = record.stretch_from(branch.start), record.format_time(branch.start)
         yield Finding.of(
-            "process.turn_jump", where, "force", during=during, growth=growth, at=at, cycle=cycle
+            "process.turn_jump",
+            where,
+            "force",
+            during=during,
+            growth=growth,
+            at=at,
+            cycle=branch.cycle,
         )
 
 
@@ -385,29 +407,31 @@ def _check_energy(record: Record) -> Iterator[Finding]:
         forces = _interpolate_common_forces(*cycle.paths)
         work_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
         if work_in:
-            gain = -record.sign(cycle.loading) * float(np.mean(forces[0] - forces[1])) / work_in
+            work_lost = record.loading_sign(cycle.loading) * float(np.mean(forces[0] - forces[1]))
+            gain = -work_lost / work_in
             gains += [(cycle, gain)] if gain > record.limits.energy_gain else []
     # If most cycles gain energy, columns may be exchanged, or the record may be reversed.
     affects_most_cycles = len(gains) > len(record.cycles) / 2
     quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
-    where, time = record.signals.force, record.curve.time
+    where, times = record.signals.force, record.curve.time
     for cycle, gain in gains[:1] if affects_most_cycles else gains:
-        inner = float(time[cycle.loading.start + 1]), float(time[cycle.unloading.stop - 2])
-        during, number = None if affects_most_cycles else inner, cycle.loading.cycle
+        first, last = cycle.loading.start + 1, cycle.unloading.stop - 2
+        inner_stretch = float(times[first]), float(times[last])
+        during, number = None if affects_most_cycles else inner_stretch, cycle.loading.cycle
         yield Finding.of(
             "process.energy_gained", where, *quantities, during=during, cycle=number, gain=gain
         )
 
 
 def _check_second_specimen(record: Record) -> Iterator[Finding]:
-    """Report a record that goes on with another specimen after the first one broke."""
+    """Report a record that continues with another specimen after the first one broke."""
     force_quantile = 0.8  # a broken specimen carries no force over this share of an unloading
     branches, limits = record.curve.branches, record.limits
     for cycle in record.cycles:
-        later = next((x for x in branches if x.start >= cycle.unloading.stop), None)
-        paths = (*cycle.paths, _make_path(record.curve, later)) if later else ()
+        next_branch = next((x for x in branches if x.start >= cycle.unloading.stop), None)
+        paths = (*cycle.paths, _make_path(record.curve, next_branch)) if next_branch else ()
         forces = _interpolate_common_forces(*paths) if paths else ()
-        if later is None or not forces:
+        if next_branch is None or not forces:
             continue
         first, back, second = (float(np.quantile(np.abs(x), force_quantile)) for x in forces)
         if back < limits.broken_force * first and second > limits.second_loading * first:
@@ -417,7 +441,7 @@ def _check_second_specimen(record: Record) -> Iterator[Finding]:
                 *("force", "displacement"),
                 cycle=cycle.loading.cycle,
                 back=back,
-                later=later.cycle,
+                later=next_branch.cycle,
                 second=second,
             )
             return

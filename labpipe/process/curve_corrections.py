@@ -81,26 +81,28 @@ def build_curve(
     time = displacement.time
     force = test.clocks.interpolate(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
-        own = test.force.time
+        force_time = test.force.time
         note = Finding.of(
             "process.no_overlap",
             "align",
             blocks=True,
-            force=own[0],
-            force_end=own[-1],
+            force=force_time[0],
+            force_end=force_time[-1],
             motion=time[0],
             motion_end=time[-1],
         )
         return None, [note]
-    moved, motion_time = motion.branches, motion.signal.time
+    branches, motion_time = motion.branches, motion.signal.time
     if len(motion_time) != len(time):  # sample numbers on the other time axis of the same clock
-        lasts = [min(branch.stop, len(motion_time)) - 1 for branch in moved]
-        starts = np.searchsorted(time, motion_time[[branch.start for branch in moved]]).tolist()
-        stops = np.searchsorted(time, motion_time[lasts]).tolist()
-        ends = zip(moved, starts, stops, strict=True)
-        moved = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ends)
-    branch, cycle = number_branches(len(time), moved)
-    return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
+        last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
+        starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
+        stops = np.searchsorted(time, motion_time[last_samples]).tolist()
+        ends = zip(branches, starts, stops, strict=True)
+        branches = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ends)
+    branch, cycle = number_branches(len(time), branches)
+    return Curve(
+        time, displacement.values, force, branch, cycle, branches, displacement.time_unit
+    ), []
 
 
 def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
@@ -176,9 +178,9 @@ def _subtract_compliance(
     signal = test.displacement.map_values(lambda displacement: displacement - value * force)
     _check_compliance(test, curve, signal.values, value)
     if compliance.uncertainty:
-        higher = value * (1.0 + compliance.uncertainty)
-        other = curve.displacement - higher * force
-        signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: other})
+        higher_compliance = value * (1.0 + compliance.uncertainty)
+        perturbed_displacement = curve.displacement - higher_compliance * force
+        signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: perturbed_displacement})
     largest = 1e6 * value * float(np.nanmax(np.abs(force)))
     where, size = test.signals.displacement, 1e6 * value
     note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
@@ -196,9 +198,9 @@ def _check_compliance(test: ReducedTest, curve: Curve, corrected: Floats, value:
     blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    travel = float(curve.displacement[top] - curve.displacement[branch.start])
-    pull = float(curve.force[top] - curve.force[branch.start])
-    most, stated = 1e6 * travel / pull, 1e6 * value
+    displacement_change = float(curve.displacement[top] - curve.displacement[branch.start])
+    force_change = float(curve.force[top] - curve.force[branch.start])
+    most, stated = 1e6 * displacement_change / force_change, 1e6 * value
     raise ProcessingError.about(
         "process.too_compliant", "curve.compliance", most=most, stated=stated
     )
@@ -214,17 +216,17 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
 
     Returns
     -------
-    Its number, or the reason why there is no loss; None without a curve or a loading.
+    Number of the sample, or why there is no loss; None without a curve or a loading.
     """
     curve, branch = test.curve, test.first_loading
     if curve is None or branch is None:
         return None
-    after = slice(branch.start, None)
-    is_back = np.zeros(len(curve.time), dtype=np.bool_)
-    for other in curve.branches:
-        is_back[other.start : other.stop] = other.direction is Direction.UNLOADING
-    force = _find_force_sign(curve) * curve.force[after]
-    sample = find_loss_start(curve.time[after], force, rule, is_back[after])
+    from_loading = slice(branch.start, None)
+    is_unloading = np.zeros(len(curve.time), dtype=np.bool_)
+    for part in curve.branches:
+        is_unloading[part.start : part.stop] = part.direction is Direction.UNLOADING
+    force = _find_force_sign(curve) * curve.force[from_loading]
+    sample = find_loss_start(curve.time[from_loading], force, rule, is_unloading[from_loading])
     return sample if isinstance(sample, Failure) else sample + branch.start
 
 
@@ -391,21 +393,21 @@ def _is_preloaded(slack: Measured, decide: Decide, trace: Trace, start: int) -> 
     straight from the first sample on, this zero lies near that sample, as after a preload. If the
     curve is steeper there than the line, this zero lies closer to the slack.
     """
-    first = float(trace.displacement[start])
-    if slack.interval.upper >= first:
+    first_displacement = float(trace.displacement[start])
+    if slack.interval.upper >= first_displacement:
         return True
     preloaded = replace(trace, force=trace.force - trace.force[start])
     region = return_failure(decide)(preloaded)
     if isinstance(region, Failure):
         return False
-    place = float(region.numbers(preloaded)[0])
-    return place - slack.value >= 0.5 * (first - slack.value)
+    preloaded_zero = float(region.numbers(preloaded)[0])
+    return preloaded_zero - slack.value >= 0.5 * (first_displacement - slack.value)
 
 
 def _shift_slip(slip: Slip, slack: float) -> Slip:
     interval = slip.position_interval
-    moved = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
-    return replace(slip, position=slip.position - slack, position_interval=moved)
+    shifted_interval = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
+    return replace(slip, position=slip.position - slack, position_interval=shifted_interval)
 
 
 def _replace_displacement(

@@ -32,11 +32,11 @@ from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sha
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
 CORNER_WIDTHS = (0.05, 0.25)
-"""s on each side of a turn in which the motion is compared with straight lines."""
+"""Widths of the stretches beside a turn where the motion is compared with straight lines, s."""
 MAX_CORNER_CUT = 5e-6
-"""m by which a motion may round a corner."""
+"""Largest distance by which a motion may round a corner, m."""
 MAX_CORNER_ERROR = 0.1
-"""s, standard error below which a corner of the force may join clocks."""
+"""Standard error below which a corner of the force may join clocks, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +125,8 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     turn; one of 50 ms is found in some tests with five turns. A dwell of fewer than three samples
     is treated as a corner.
     """
-    # Multiple of the apparent dwell that noise causes, from which a single dwell is real, and from
-    # which the median over at least three turns is: the machine then dwells at every turn.
+    # Multiples of the apparent dwell that noise causes. A longer single dwell is real. If the
+    # median over at least three turns is longer, the machine dwells at every turn.
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
@@ -135,18 +135,20 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
         ends = time[[before.start, before.stop, after.start, after.stop]].tolist()
         fit_width = min(window, 0.95 * min(ends[1] - ends[0], ends[3] - ends[2]))
         candidates += _fit_turn(signal, number, (ends[1], ends[2]), fit_width)
-    apparent = [0.0 if x is None else _estimate_apparent_dwell(signal, x) for _, x in candidates]
-    ratios = [
-        0.0 if wait is None else wait.dwell / max(by_noise, min_apparent_dwell)
-        for (_, wait), by_noise in zip(candidates, apparent, strict=True)
+    apparent_dwells = [
+        0.0 if x is None else _estimate_apparent_dwell(signal, x) for _, x in candidates
     ]
-    everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
-    shortest = min_dwell_samples * median(np.diff(time))
+    ratios = [
+        0.0 if stop is None else stop.dwell / max(noise_dwell, min_apparent_dwell)
+        for (_, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True)
+    ]
+    dwells_everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
+    min_dwell = min_dwell_samples * median(np.diff(time))
     turns = []
-    for (turn, wait), by_noise in zip(candidates, apparent, strict=True):
-        is_real = wait is not None and wait.dwell > max(min_dwell_factor * by_noise, shortest)
-        waits = wait is not None and (everywhere or is_real)
-        turns.append(wait if waits or turn is None else turn)
+    for (corner, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True):
+        is_real = stop is not None and stop.dwell > max(min_dwell_factor * noise_dwell, min_dwell)
+        has_dwell = stop is not None and (dwells_everywhere or is_real)
+        turns.append(stop if has_dwell or corner is None else corner)
     return tuple(turn for turn in turns if turn is not None)
 
 
@@ -174,22 +176,22 @@ def orient_force(force: Signal) -> Signal:
 
 
 def _fit_turn(
-    motion: Signal, number: int, near: tuple[float, float], window: float
+    motion: Signal, number: int, turn_times: tuple[float, float], window: float
 ) -> list[tuple[Turn | None, Turn | None]]:
     """Fit a turn as one corner and as a dwell; no fit if samples are missing there."""
     half_window, max_missing_share = 0.5, 0.3  # s on each side of a turn; of samples in it
     assumed_dwell = 0.2  # s, start of the fit if the strokes show no dwell
-    nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in near)
+    nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in turn_times)
     if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in nearby):
         return []
     corner_turn = None
-    if near[0] == near[1]:
-        corner = fit_corner(motion.time, motion.values, guess=near[0], window=window)
+    if turn_times[0] == turn_times[1]:
+        corner = fit_corner(motion.time, motion.values, guess=turn_times[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return []
         corner_turn = Turn(number, corner, corner)
-        near = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
-    stop = fit_stop(motion.time, motion.values, guesses=near, window=window)
+        turn_times = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
+    stop = fit_stop(motion.time, motion.values, guesses=turn_times, window=window)
     return [(corner_turn, None if stop is None else Turn(number, *stop))]
 
 
@@ -234,19 +236,26 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
 def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
     """Find a turn at which the motion rounds the corner; report it once."""
     noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
-    since, until = motion.time - turn.arrival.time, motion.time - turn.departure.time
-    lines = speeds[0] * np.minimum(since, 0.0) + speeds[1] * np.maximum(until, 0.0)
+    after_arrival, after_departure = (
+        motion.time - turn.arrival.time,
+        motion.time - turn.departure.time,
+    )
+    lines = speeds[0] * np.minimum(after_arrival, 0.0) + speeds[1] * np.maximum(
+        after_departure, 0.0
+    )
     deviations = motion.values - turn.arrival.value - lines
     for width in CORNER_WIDTHS:
-        near = deviations[(since >= -width) & (until <= width) & ~np.isnan(motion.values)]
-        if not len(near):
+        nearby = deviations[
+            (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(motion.values)
+        ]
+        if not len(nearby):
             continue
         if turn.dwell == 0.0:
-            cut = abs(float(near.mean()))
-            limit = 6.0 * noise / np.sqrt(len(near)) + MAX_CORNER_CUT
+            cut = abs(float(nearby.mean()))
+            limit = 6.0 * noise / np.sqrt(len(nearby)) + MAX_CORNER_CUT
         else:
-            cut = float(np.sqrt(np.mean(near**2)))
-            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(near)))
+            cut = float(np.sqrt(np.mean(nearby**2)))
+            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(nearby)))
             limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
         if cut > limit:
             yield Finding.of(
@@ -262,18 +271,20 @@ def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
 
 
 def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
-    """Return the speeds before arrival and after departure, by means half a second apart, m/s."""
+    """Return the speeds before arrival and after departure, m/s; means are half a second apart."""
 
-    def speed_between(*places: float) -> float:
+    def speed_between(*times: float) -> float:
         is_valid, samples = ~np.isnan(motion.values), np.stack([motion.time, motion.values])
-        parts = [samples[:, (np.abs(motion.time - x) <= 0.25) & is_valid] for x in places]
-        if not all(part.size for part in parts):
+        stretches = [samples[:, (np.abs(motion.time - x) <= 0.25) & is_valid] for x in times]
+        if not all(stretch.size for stretch in stretches):
             return float("nan")
-        time, values = (parts[1].mean(axis=1) - parts[0].mean(axis=1)).tolist()
+        time, values = (stretches[1].mean(axis=1) - stretches[0].mean(axis=1)).tolist()
         return float(values / time) if time > 0.0 else float("nan")
 
-    stop, start = turn.arrival.time, turn.departure.time
-    return speed_between(stop - 1.0, stop - 0.5), speed_between(start + 0.5, start + 1.0)
+    arrival, departure = turn.arrival.time, turn.departure.time
+    return speed_between(arrival - 1.0, arrival - 0.5), speed_between(
+        departure + 0.5, departure + 1.0
+    )
 
 
 def match_strokes(
@@ -289,17 +300,17 @@ def match_strokes(
     Returns
     -------
     pairs : number of the stroke that ends at the turn, and rough time of the peak, s
-    is_ambiguous : whether another pairing fits as well, perhaps beyond a record that begins or ends
-        in mid-test
+    is_ambiguous : whether another pairing fits as well, or may do so because a record does not
+        hold the whole test
     counted : text with the numbers of peaks
     """
     time = motion.signal.time
-    tops = {
+    turn_times = {
         number: 0.5 * float(time[before.stop] + time[after.start])
         for number, (before, after) in enumerate(pairwise(motion.strokes))
         if before.sign == sign
     }
-    numbers, times = list(tops), np.array([*tops.values()])
+    numbers, times = list(turn_times), np.array([*turn_times.values()])
     peaks = find_rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
     pairs, is_ambiguous = match_peaks(times, peaks)
     is_whole = all(_begins_and_ends_at_rest(signal) for signal in (motion.signal, force))
@@ -307,7 +318,11 @@ def match_strokes(
         lag = float(np.median(peaks[pairs[:, 1]] - times[pairs[:, 0]]))
         is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
     matched = [(numbers[first], float(peaks[second])) for first, second in pairs.tolist()]
-    return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(peaks)} of the force"
+    return (
+        matched,
+        is_ambiguous,
+        f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force",
+    )
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
@@ -334,8 +349,8 @@ def find_turn_events(
     Returns
     -------
     Shape (4, events), s: times on the clocks of motion and force, standard error of their
-    difference, and the part of its error from the unknown shape of the fall, which is common to all
-    events of a specimen and does not average out.
+    difference, and the part of its error from the unknown shape of the force after the corner,
+    which is common to all events of a specimen and does not average out.
 
     Notes
     -----
@@ -346,35 +361,35 @@ def find_turn_events(
     """
     turns = {turn.stroke: turn for turn in motion.turns}
     corners_by_turn = (
-        _find_corners(force, turns[number], near, window)
-        for number, near in pairs
+        _find_corners(force, turns[number], rough_time, window)
+        for number, rough_time in pairs
         if number in turns
     )
     events = [_average_corners(corners) for corners in corners_by_turn if len(corners)]
     return np.array(events, dtype=np.float64).reshape(-1, 4).T
 
 
-def _find_corners(force: Signal, turn: Turn, near: float, window: float) -> Floats:
-    """Return a row per corner: both times and their errors, and the error from shape, s."""
+def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
+    """Return one row per corner: both times, their errors, and the error from shape, s."""
     search_reach = 1.0  # s around the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
-    first = turning_points.find_turn_near(
-        force.time, force.values, middle=near, reach=reach, width=window, dwell=dwell
+    first_corner = turning_points.find_turn_near(
+        force.time, force.values, middle=rough_time, reach=reach, width=window, dwell=dwell
     )
-    if first is None:
+    if first_corner is None:
         return np.zeros((0, 5))
     error = max(arrival.time_error, departure.time_error)
-    guesses = [(arrival.time, error, first, dwell)]
+    guesses = [(arrival.time, error, first_corner, dwell)]
     if dwell > 2.0 * window:
-        guesses = [(arrival.time, arrival.time_error, first, 0.0)]
-        guesses.append((departure.time, departure.time_error, first + dwell, 0.0))
+        guesses = [(arrival.time, arrival.time_error, first_corner, 0.0)]
+        guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
-    for time, error, guess, wait in guesses:
-        reach = window + wait
+    for time, error, guess, fitted_dwell in guesses:
+        reach = window + fitted_dwell
         part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=wait)
+        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             corner = reversal.corner
             rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])
@@ -489,17 +504,21 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     The first cycle is omitted, because it deforms the specimen for the first time.
     """
     trim = 1.0  # s, omitted at both ends of a cycle
-    moved, tops = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
+    travel, turn_times = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
     cycles = [
-        (float(moved.time[up.start]) + trim, tops[number], float(moved.time[down.stop]) - trim)
+        (
+            float(travel.time[up.start]) + trim,
+            turn_times[number],
+            float(travel.time[down.stop]) - trim,
+        )
         for number, (up, down) in enumerate(pairwise(motion.strokes))
-        if up.sign > 0 > down.sign and number in tops
+        if up.sign > 0 > down.sign and number in turn_times
     ]
     if len(cycles) < 3:
         return None
     start, turn, stop = cycle = cycles[1]
     guess = cycles[-1][1] - turn
-    lag = clock_alignment.fit_lag(moved.time, moved.values, cycle, guess=guess, hysteresis=False)
+    lag = clock_alignment.fit_lag(travel.time, travel.values, cycle, guess=guess, hysteresis=False)
     cycle = fit.to_force_time(start), fit.to_force_time(turn), fit.to_force_time(stop)
     guess = guess * (1.0 + fit.drift)
     fit_force = partial(clock_alignment.fit_lag, cycle=cycle, guess=guess, hysteresis=True)
@@ -546,7 +565,7 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
 
 
 def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
-    """Fit clocks to events; their common error of shape is multiplied, as it does not average."""
+    """Fit clocks to events; their common error from shape is scaled so that it does not average."""
     motion, force, errors, shape_errors = events
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
@@ -557,9 +576,9 @@ def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
 def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:
     # Allowed rms residual over the rms error of the turning points: a noisy turn only widens the
     # interval of the offset.
-    chance_factor = 2.0
-    chance = chance_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
-    if fit.residual > max(align.max_residual, chance):
+    residual_factor = 2.0
+    allowed_by_noise = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
+    if fit.residual > max(align.max_residual, allowed_by_noise):
         residual, allowed = 1e3 * fit.residual, 1e3 * align.max_residual
         yield Finding.of(
             "process.alignment_residual", "align", "clock", residual=residual, allowed=allowed
@@ -629,11 +648,11 @@ def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterat
         force.time, force.values, smoothing=smoothing, share=peak_share
     )
     ends = [time[[before.stop, after.start]] for before, after in pairwise(motion.strokes)]
-    tops = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
+    turn_ends = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
     lags = [
-        max(0.0, float(np.abs(peaks - top.mean()).min()) - 0.5 * float(np.ptp(top)))
-        for top in (tops if len(peaks) else ())
-        if force.time[0] <= top[0] and top[1] <= force.time[-1]
+        max(0.0, float(np.abs(peaks - turn_end.mean()).min()) - 0.5 * float(np.ptp(turn_end)))
+        for turn_end in (turn_ends if len(peaks) else ())
+        if force.time[0] <= turn_end[0] and turn_end[1] <= force.time[-1]
     ]
     lag, error = median(np.array(lags)) if lags else 0.0, float(fit.event_errors[0])
     if lag > max_peak_lag + lag_error_factor * error:
@@ -669,16 +688,16 @@ def fit_common_start(
     lags, weights = events[1] - events[0], events[2] ** -2.0
     lag = float(np.average(lags, weights=weights)) if len(lags) else 0.0
     lag_error = float(weights.sum() ** -0.5) if len(lags) else 0.0
-    is_together = abs(lag) - 1.96 * lag_error <= align.max_offset
-    fit, channel = _fit_common_start_clock(events, align, is_together), align.channel
+    started_together = abs(lag) - 1.96 * lag_error <= align.max_offset
+    fit, channel = _fit_common_start_clock(events, align, started_together), align.channel
     within = 1e3 * align.max_offset
     if not len(lags):
         note = Finding.of("process.start_unchecked", "align", channel=channel, within=within)
         return fit, [*findings, note]
     note = Finding.of(
-        "process.common_start" if is_together else "process.not_started_together",
+        "process.common_start" if started_together else "process.not_started_together",
         "align",
-        *(() if is_together else ("clock", "force")),
+        *(() if started_together else ("clock", "force")),
         channel=channel,
         later=1e3 * lag,
         known_to=1.96e3 * lag_error,
@@ -700,13 +719,13 @@ def _find_rough_turns(
 
 
 def _fit_common_start_clock(
-    events: Floats, align: schema.AlignCommonStart, is_together: bool
+    events: Floats, align: schema.AlignCommonStart, started_together: bool
 ) -> ClockFit:
     motion, force, errors = events
     start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
     design = np.column_stack([np.ones_like(motion), motion])
     bounds = [([0.0, 1.0], drift_error)]
-    bounds += [([1.0, 0.0], start_error)] if is_together else []
+    bounds += [([1.0, 0.0], start_error)] if started_together else []
     design = np.vstack([design, *(row for row, _ in bounds)])
     differences = np.append(force - motion, np.zeros(len(bounds)))
     spread = np.append(errors, [error for _, error in bounds])
@@ -715,6 +734,6 @@ def _fit_common_start_clock(
     if not len(errors):  # the trigger
         events = np.array([[0.0], [0.0], [start_error]])
     basis = "the force's corner at the turn"
-    basis = f"common start and {basis}" if is_together else f"{basis} alone"
+    basis = f"common start and {basis}" if started_together else f"{basis} alone"
     method = f"{basis}, drift taken as zero within a bound"
     return make_clock_fit((offset, offset_error), (drift, drift_error), events, method)

@@ -102,7 +102,7 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
     return _find_files(targets, RESULT_FILE)
 
 
-def shared_folder(files: Sequence[Path]) -> Path:
+def find_shared_folder(files: Sequence[Path]) -> Path:
     """Find the deepest folder that holds all tests; of one test, its parent folder.
 
     Parameters
@@ -113,7 +113,7 @@ def shared_folder(files: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100
 
 
-def files_below(folder: Path, name: str = "") -> list[Path]:
+def list_files_below(folder: Path, name: str = "") -> list[Path]:
     """List files below a folder, except hidden ones and those in hidden folders.
 
     Parameters
@@ -126,11 +126,11 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
     The files, sorted. Unfinished results of a killed process are in hidden folders.
     """
     paths: list[Path] = []
-    for place, folders, files in os.walk(folder):
+    for parent, folders, files in os.walk(folder):
         folders[:] = [folder for folder in folders if not folder.startswith(".")]
         file_names = [name] if name else [file for file in files if not file.startswith(".")]
-        here = [Path(place, file_name) for file_name in file_names]
-        paths += [path for path in here if path.name in files or exists_or_is_staged(path)]
+        candidates = [Path(parent, file_name) for file_name in file_names]
+        paths += [path for path in candidates if path.name in files or exists_or_is_staged(path)]
     return sorted(paths)
 
 
@@ -164,15 +164,15 @@ def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
     for target in targets:
         if set(target.resolve().parts) & set(STAGES):
             raise UsageError.about("process.unfinished", target)
-        below = [target] if exists_or_is_staged(target) else files_below(target, name)
-        if not below:
-            found = "none" if target.is_dir() else "a pipe or a device"
-            found = found if target.exists() else "nothing of that name"
+        matching_files = [target] if exists_or_is_staged(target) else list_files_below(target, name)
+        if not matching_files:
+            content = "none" if target.is_dir() else "a pipe or a device"
+            content = content if target.exists() else "nothing of that name"
             raise UsageError.about(
                 "process.no_test" if name == SHEET_NAME else "process.no_result",
                 target,
-                found=found,
+                found=content,
             )
-        for file in below:
+        for file in matching_files:
             files.setdefault(file.resolve(), file)
     return list(files.values())

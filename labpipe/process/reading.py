@@ -21,7 +21,7 @@ from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
-from labpipe.readers.load_frame.cards import lab_card_files
+from labpipe.readers.load_frame.cards import list_lab_card_files
 from labpipe.readers.number_table import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
@@ -178,7 +178,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     """
     if not any("load-frame" in source.reader for source in protocol.sources.values()):
         return ()
-    return tuple(fingerprint(file, "dialect", file.name) for file in lab_card_files())
+    return tuple(fingerprint(file, "dialect", file.name) for file in list_lab_card_files())
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
@@ -210,15 +210,15 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             _require_time(path, part)
         filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
     for (path, before), (later_path, after) in pairwise(filled):
-        ends, begins = float(before.clocks[0].time[-1]), float(after.clocks[0].time[0])
-        if begins <= ends:
+        end_time, start_time = float(before.clocks[0].time[-1]), float(after.clocks[0].time[0])
+        if start_time <= end_time:
             raise ReadError.about(
                 "process.parts_overlap",
                 later_path,
                 "time",
-                ends=ends,
+                ends=end_time,
                 part=path.name,
-                begins=begins,
+                begins=start_time,
             )
     ordered = [part for _, part in filled]
     notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
@@ -331,21 +331,25 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
             faults += unit_fault
             continue
         channels.append(_convert_to_si(channel, name, spec))
-        own, stated = spec.unit, channel.unit_in_file
+        protocol_unit, export_unit = spec.unit, channel.unit_in_file
         if (
-            own
-            and stated
-            and own != stated
-            and not _are_equal_units(own, stated, _find_si_unit(spec, own))
+            protocol_unit
+            and export_unit
+            and protocol_unit != export_unit
+            and not _are_equal_units(protocol_unit, export_unit, _find_si_unit(spec, protocol_unit))
         ):
-            notes.append(QualityNote.of("process.unit_overridden", name, stated=stated, own=own))
+            notes.append(
+                QualityNote.of(
+                    "process.unit_overridden", name, stated=export_unit, own=protocol_unit
+                )
+            )
         if not is_exact_name(spec.channel, channel):
             expected_names = " or ".join(map(repr, spec.channel[:3]))
             expected_names += " ..." if len(spec.channel) > 3 else ""
-            used = channel.path
+            used_path = channel.path
             spelling_notes.append(
                 QualityNote.of(
-                    "process.channel_spelt_otherwise", name, wanted=expected_names, used=used
+                    "process.channel_spelt_otherwise", name, wanted=expected_names, used=used_path
                 )
             )
     if faults:

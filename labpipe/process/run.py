@@ -364,7 +364,7 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
         )
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
-        recording, place = raw.recordings.get(role, Recording("")), f"raw/{role}"
+        recording, group = raw.recordings.get(role, Recording("")), f"raw/{role}"
         tracks = [] if recording.markers is None else [recording.markers.time]
         times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
@@ -373,10 +373,10 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
             found = ", ".join(map(repr, names)) or "none"
             raise StoreError.about(
-                "process.bad_result", result_path, place, expected=expected, found=found
+                "process.bad_result", result_path, group, expected=expected, found=found
             )
         if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            raise StoreError.about("process.bad_times", result_path, place)
+            raise StoreError.about("process.bad_times", result_path, group)
     return raw, protocol
 
 
@@ -398,10 +398,10 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
     if source.suffix == ".h5":
         return source.parent
     folder = source.resolve().parent
-    above = [parent for parent in folder.parents if parent.name == "raw"]
-    if not above:
+    raw_folders = [parent for parent in folder.parents if parent.name == "raw"]
+    if not raw_folders:
         return Path("processed") / name()
-    return above[0].parent / "processed" / folder.relative_to(above[0])
+    return raw_folders[0].parent / "processed" / folder.relative_to(raw_folders[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -445,7 +445,7 @@ def attempt(
         A fault of labpipe itself, if the test is alone; failure.json has it as well.
     """
     try:
-        done = process(task, say)
+        processed = process(task, say)
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
     except Exception as error:
@@ -454,8 +454,10 @@ def attempt(
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
-    result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
-    return replace(done, result=result)
+    result = replace(
+        processed.result, recordings={}, aligned=None, curve=None, shape=None, bending=None
+    )
+    return replace(processed, result=result)
 
 
 def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:

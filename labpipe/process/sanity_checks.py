@@ -53,21 +53,21 @@ def check_signals(
 
 def check_rig(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those stated."""
-    rig, moved, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
+    rig, travel, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
     if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
         cycles, expected = branches[-1].cycle, rig.cycles
         yield Finding.of(
             "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=expected
         )
     if branches and rig.stroke is not None and not is_full_stroke(motion.signal, rig.stroke):
-        measured, expected_stroke = 1e3 * _measure_travel(moved.values), 1e3 * rig.stroke
+        measured, expected_stroke = 1e3 * _measure_travel(travel.values), 1e3 * rig.stroke
         yield Finding.of(
             "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected_stroke
         )
-    if branches and rig.crosshead_speed is not None and moved.has_time:
+    if branches and rig.crosshead_speed is not None and travel.has_time:
         first, speed = branches[0], rig.crosshead_speed
         duration = max(first.stop_time - first.start_time, 1e-9)
-        measured = _measure_travel(moved.values[first.start : first.stop]) / duration
+        measured = _measure_travel(travel.values[first.start : first.stop]) / duration
         if abs(measured - speed) > protocol.limits.speed_deviation * speed:
             where, measured, speed = "rig.crosshead_speed", 1e3 * measured, 1e3 * speed
             doubtful = "displacement", "force"
@@ -78,9 +78,9 @@ def check_rig(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterato
     if length is None or markers is None or markers.clamp is None or shape is None:
         return
     if abs(shape.length - length) > max(2e-3, 0.02 * length):
-        where, seen, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
+        where, measured_length, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
         yield Finding.of(
-            "process.length_unexpected", where, "displacement", seen=seen, stated=stated
+            "process.length_unexpected", where, "displacement", seen=measured_length, stated=stated
         )
 
 
@@ -102,7 +102,7 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
 
 
 def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report a force whose means over a second fall below what its load can cause."""
+    """Report a force whose one-second means are below the lowest force that its load can cause."""
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
@@ -130,10 +130,10 @@ def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    begins, ends = motion.branches[0].start_time, motion.branches[-1].stop_time
+    motion_start, motion_end = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
         start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
-        if stop > begins + overlap and start < ends - overlap:
+        if stop > motion_start + overlap and start < motion_end - overlap:
             quantity = "force" if name == signals.force else "displacement"
             yield Finding.of(
                 "process.zero_not_at_rest",
@@ -141,8 +141,8 @@ def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
                 quantity,
                 start=start,
                 stop=stop,
-                begins=begins,
-                ends=ends,
+                begins=motion_start,
+                ends=motion_end,
             )
 
 
@@ -328,14 +328,14 @@ def _read_first_branch(
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:
     """Check whether the first force of a branch is a load, not an offset of the load cell."""
-    min_load_share, min_path_share, sure_share = 0.02, 0.01, 0.1  # of the ranges
-    line_factor, near_share, min_samples = 3.0, 0.05, 4
-    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= near_share * path_range)))
+    min_load_share, min_path_share, certain_load_share = 0.02, 0.01, 0.1  # of the ranges
+    line_factor, start_share, min_samples = 3.0, 0.05, 4
+    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= start_share * path_range)))
     steps = path[:size] - path[:size].mean()
-    on_line = float(steps @ force[:size]) / max(float(steps @ steps), 1e-300) * path[0]
-    is_on_line = force[0] / line_factor <= on_line <= line_factor * force[0]
+    line_force = float(steps @ force[:size]) / max(float(steps @ steps), 1e-300) * path[0]
+    is_on_line = force[0] / line_factor <= line_force <= line_factor * force[0]
     has_moved = path[0] >= min_path_share * path_range
-    return share >= sure_share or bool(share >= min_load_share and has_moved and is_on_line)
+    return share >= certain_load_share or bool(share >= min_load_share and has_moved and is_on_line)
 
 
 _CUT_FILE_CODES = {"truncated", "rows_differ"}
@@ -383,8 +383,8 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     start, end = float(values[last.start]), float(values[~np.isnan(values)][-1])
     path = values if end > start else -values
     is_loading = last.direction is Direction.LOADING
-    turns = [] if is_loading else [float(path[branches[0].start])]
-    turns += [
+    turn_positions = [] if is_loading else [float(path[branches[0].start])]
+    turn_positions += [
         float(np.nanmax(path[branch.start : branch.stop + 1]))
         for branch in branches[:-1]
         if branch.direction is last.direction
@@ -394,7 +394,7 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     step = abs(end - start) / max(1, last.stop - last.start)
     noise = estimate_noise_level(values)
     tolerance = max(shortfall * _measure_travel(values), step, 5.0 * noise)
-    return bool(turns) and (end if end > start else -end) >= turns[-1] - tolerance
+    return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
 
 
 def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Infer a test sheet: what exports, names and other tests say, and what is left to a person."""
+"""Infer a test sheet from exports, names and other tests, and list what the user fills in."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
 
 
 def _parse_fact(key: str, text: str) -> str:
-    """Return the value of a metadata entry; empty if it was not filled in or does not fit."""
+    """Return the value of a metadata entry; empty if it is a placeholder or is not valid."""
     if key == "date":
         return parse_day(text)
     if key in _UNIT_OF_SIZE:
@@ -212,7 +212,7 @@ class ProtocolMatch:
     protocol : without overrides of a test
     files : names of the exports by role
     fits : whether all of them can be read, and the take has the clamp
-    n_used : number of the files that it reads, plus 1 if the take has its clamp
+    n_used : number of files that the protocol reads, plus 1 if the take has its clamp
     ambiguous_roles : roles with several possible exports, which are all in `files`
     reason : sentence on why it was chosen among several; empty if it was the only one
     """
@@ -269,12 +269,12 @@ def match_protocols(
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
-    top = max(((match.fits, match.n_used) for match in matches), default=None)
-    best = [match for match in matches if (match.fits, match.n_used) == top]
-    best.sort(key=lambda match: match.protocol.name)
-    by_name = {match.protocol.name: match for match in best}
+    best_score = max(((match.fits, match.n_used) for match in matches), default=None)
+    best_matches = [match for match in matches if (match.fits, match.n_used) == best_score]
+    best_matches.sort(key=lambda match: match.protocol.name)
+    by_name = {match.protocol.name: match for match in best_matches}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
-    of_length = [
+    length_matches = [
         name
         for name, match in by_name.items()
         if (stated := match.protocol.specimen.length) is not None
@@ -285,21 +285,23 @@ def match_protocols(
     rules = [
         (format_sentence("process.reason_namesake"), _find_namesakes(names, by_name)),
         (format_sentence("process.reason_standard"), standards),
-        (format_sentence("process.reason_length"), of_length),
+        (format_sentence("process.reason_length"), length_matches),
     ]
     for counts in siblings:
         name, total = find_majority(counts), sum(counts.values())
         count = counts.get(name, 0)
-        reason = format_sentence("process.reason_siblings", count=count, total=total)
-        rules.append((reason, [name] if name in by_name else []))
-    decisions = [replace(by_name[x[0]], reason=why) for why, x in rules if len(x) == 1]
-    return decisions[:1] if len(best) > 1 and decisions else best
+        sentence = format_sentence("process.reason_siblings", count=count, total=total)
+        rules.append((sentence, [name] if name in by_name else []))
+    decisions = [replace(by_name[x[0]], reason=reason) for reason, x in rules if len(x) == 1]
+    return decisions[:1] if len(best_matches) > 1 and decisions else best_matches
 
 
 def _find_namesakes(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
     """Find the protocols whose name a text contains as whole words."""
-    plain = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
-    return [name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain)]
+    plain_texts = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
+    return [
+        name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain_texts)
+    ]
 
 
 def find_majority(counts: Mapping[str, int]) -> str:
@@ -393,8 +395,10 @@ def list_test_folders(folder: Path) -> list[Path]:
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
-    below = [path for path in sorted(folder.iterdir()) if path.is_dir()]
-    return [path for path in below if not path.name.startswith(".") and list_possible_exports(path)]
+    subfolders = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    return [
+        path for path in subfolders if not path.name.startswith(".") and list_possible_exports(path)
+    ]
 
 
 def read_neighbours(campaign: Path) -> Neighbours:
@@ -430,8 +434,8 @@ def count_protocols(
     """
     return Counter(
         protocol
-        for other, (other_type, protocol) in neighbours.items()
-        if other != folder.resolve() and specimen_type in (None, other_type)
+        for other_folder, (other_type, protocol) in neighbours.items()
+        if other_folder != folder.resolve() and specimen_type in (None, other_type)
     )
 
 
@@ -507,7 +511,7 @@ def infer_test(
     """
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
-    exports, unread, others = read_folder(folder)
+    exports, unread, other_kinds = read_folder(folder)
     stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
     matches = _match_folder(folder, exports, stated, stated_files, neighbours)
     ambiguous = {
@@ -515,17 +519,17 @@ def infer_test(
         for match in matches
         for role in sorted(match.ambiguous_roles - stated_files.keys())
     }
-    unclear = {name for names in ambiguous.values() for name in names}
-    in_name = parse_folder_name(folder.name)  # the lab chose it: it has priority over exports
+    ambiguous_names = {name for names in ambiguous.values() for name in names}
+    folder_facts = parse_folder_name(folder.name)  # the lab chose it: it has priority over exports
     facts = [
         x
         for path in exports
         for x in collect_export_facts(path.name, exports[path])
-        if path.name not in unclear and x.key not in {fact.key for fact in in_name}
+        if path.name not in ambiguous_names and x.key not in {fact.key for fact in folder_facts}
     ]
-    agreed, contradictions = combine_facts([*in_name, *facts])
+    agreed, contradictions = combine_facts([*folder_facts, *facts])
     copied = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
-    values = {"test": safe_name(folder.resolve().name)}
+    values = {"test": make_test_name(folder.resolve().name)}
     values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
     values |= {fact.key: fact.value for fact in copied} | dict(stated)
     inferred_files = _assign_files(exports, matches)
@@ -537,15 +541,15 @@ def infer_test(
     required = ["protocol", "type", "spool", "sample", *sizes]
     open_keys = [key for key in required if not values.get(key)]
     open_keys += sorted(ambiguous) or ([] if files else ["files"])
-    used = unclear.union(*files.values())
-    kinds = {path.name: export.reader for path, export in exports.items()} | unread | others
+    used_names = ambiguous_names.union(*files.values())
+    kinds = {path.name: export.reader for path, export in exports.items()} | unread | other_kinds
     own_files = {role: names for role, names in inferred_files.items() if role not in stated_files}
     remarks = [
         *([] if "protocol" in stated else [_describe_matches(exports, matches)]),
         *_describe_files(own_files, ambiguous, kinds),
         *_describe_facts(copied),
         *(text for key, text in contradictions.items() if key not in stated),
-        *_describe_unused(folder, kinds, used),
+        *_describe_unused(folder, kinds, used_names),
     ]
     return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), unread)
 
@@ -680,7 +684,7 @@ def split_file_names(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(";")) if text else ()
 
 
-def safe_name(name: str) -> str:
+def make_test_name(name: str) -> str:
     """Convert any name to a valid name of a test.
 
     Parameters
@@ -689,7 +693,7 @@ def safe_name(name: str) -> str:
 
     Examples
     --------
-    >>> safe_name("Run 4, (2)"), safe_name("A2-085-1")
+    >>> make_test_name("Run 4, (2)"), make_test_name("A2-085-1")
     ('Run-4-2', 'A2-085-1')
     """
     if is_test_name(name):

@@ -245,11 +245,16 @@ def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Ite
 def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
     """Describe a column that is neither known nor a dotted key."""
     if name not in COLUMNS and "." not in name:
-        columns = sort_by_likeness(written, list(COLUMNS))
-        near, likely = ", ".join(map(repr, columns)), columns[0]
+        sorted_columns = sort_by_likeness(written, list(COLUMNS))
+        similar_columns, nearest_column = ", ".join(map(repr, sorted_columns)), sorted_columns[0]
         yield str(
             ReadError.about(
-                "process.column_unknown", file, place, near=near, name=written, likely=likely
+                "process.column_unknown",
+                file,
+                place,
+                near=similar_columns,
+                name=written,
+                likely=nearest_column,
             )
         )
 
@@ -284,10 +289,10 @@ def _list_faults(
         column = next((x for x in columns if path[: len(_find_path(x))] == _find_path(x)), path[-1])
         place = places.get(column) or places.get("test")
         place = f"{place} ({column})" if place else column
-        expected, actual, remedy = fault.expected, fault.found, fault.remedy
+        expected, content, remedy = fault.expected, fault.found, fault.remedy
         if fault.missing:
-            expected, actual, remedy = f"a value for {column!r}", "none", "Fill it in."
-        yield format_error(file, place, expected=expected, found=actual, remedy=remedy).rstrip()
+            expected, content, remedy = f"a value for {column!r}", "none", "Fill it in."
+        yield format_error(file, place, expected=expected, found=content, remedy=remedy).rstrip()
 
 
 def _write(path: Path, data: Mapping[str, object]) -> None:

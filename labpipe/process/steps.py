@@ -204,8 +204,10 @@ def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
     if not largest > MAX_SI_VALUE[quantity]:
         return
     sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    place, most = f"{place}, sample {sample + 1}", MAX_SI_VALUE[quantity]
-    raise ProcessingError.about("process.number_too_large", role, place, most=most, found=largest)
+    place, max_value = f"{place}, sample {sample + 1}", MAX_SI_VALUE[quantity]
+    raise ProcessingError.about(
+        "process.number_too_large", role, place, most=max_value, found=largest
+    )
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
@@ -228,12 +230,12 @@ def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
         raise ProcessingError.about(
             "process.few_samples_of_clock", role, "time", least=min_samples, found=len(time)
         )
-    backwards = np.flatnonzero(~(np.diff(time) > 0))
-    if len(backwards):
-        sample = int(backwards[0]) + 1
-        place, after, before = f"sample {sample + 1}", time[sample], time[sample - 1]
+    reversed_steps = np.flatnonzero(~(np.diff(time) > 0))
+    if len(reversed_steps):
+        sample = int(reversed_steps[0]) + 1
+        place, later_time, earlier_time = f"sample {sample + 1}", time[sample], time[sample - 1]
         raise ProcessingError.about(
-            "process.time_backwards", role, place, after=after, before=before
+            "process.time_backwards", role, place, after=later_time, before=earlier_time
         )
 
 
@@ -342,11 +344,11 @@ def travel_from_speed(
         return np.asarray(speed * (up - down), dtype=np.float64)
 
     values = compute_travel(0.0)
-    moved = {
+    perturbed = {
         TURN: compute_travel(corner.time_error),
         SPEED: (1.0 + step.speed_uncertainty) * values,
     }
-    signal = Signal(time, values, "m", force.clock, perturbed=moved)
+    signal = Signal(time, values, "m", force.clock, perturbed=perturbed)
     note = Finding.of(
         "process.displacement_from_speed",
         step.channel,
@@ -357,8 +359,13 @@ def travel_from_speed(
     )
     delay = float(force.time[0]) - start
     tolerance = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
-    missed = Finding.of("process.start_missed", "force", "force", delay=delay, within=tolerance)
-    return signals.add_signal(step.channel, signal), [note, missed] if delay > tolerance else [note]
+    start_finding = Finding.of(
+        "process.start_missed", "force", "force", delay=delay, within=tolerance
+    )
+    return signals.add_signal(step.channel, signal), [
+        note,
+        start_finding,
+    ] if delay > tolerance else [note]
 
 
 def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
@@ -470,7 +477,7 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     rest = signal.values[first:last]
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
-    if len(finite) < (min_samples := required_samples(other_values)):
+    if len(finite) < (min_samples := count_required_samples(other_values)):
         time_step = _median_step(signal)
         message = format_sentence(
             "process.short_stretch",
@@ -566,8 +573,8 @@ def _window_samples(span: declarations.Span, signal: Signal, protocol: Protocol)
     return seconds_to_window(travel / speed, signal.time)
 
 
-def required_samples(other_values: Floats) -> int:
-    """Find how many samples a zero needs.
+def count_required_samples(other_values: Floats) -> int:
+    """Return the number of samples that a zero needs.
 
     Parameters
     ----------
@@ -602,9 +609,9 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     stretches = _noise_for_short_stretch(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
-        half = float(fit.half_widths[0])
-        return float(fit.coefficients[0]), Interval(-half, half).standard_error
-    blocks = average_whole_blocks(values, 1000)  # correlations are then quick
+        half_width = float(fit.half_widths[0])
+        return float(fit.coefficients[0]), Interval(-half_width, half_width).standard_error
+    blocks = average_whole_blocks(values, 1000)  # fewer values make autocorrelation fast
     error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
@@ -616,7 +623,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     ----------
     values, other_values : as for `average_level`
     """
-    blocks = average_whole_blocks(values, 1000)  # correlations are then quick
+    blocks = average_whole_blocks(values, 1000)  # fewer values make autocorrelation fast
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
@@ -640,7 +647,7 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
     rest_samples : number of samples in that rest; 0 if the level is from a line
     """
     rest_samples = count_rest_samples(values)
-    if rest_samples >= required_samples(other_values):
+    if rest_samples >= count_required_samples(other_values):
         return *average_level(
             values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
         ), rest_samples
@@ -682,14 +689,14 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     branches = motion.branches
     for name, (start, stop) in signals.zero_stretches.items() if branches else ():
         raw = signals.raw[name]
-        begins, ends = (
+        motion_start, motion_end = (
             motion.clocks.from_curve(end, raw.clock)
             for end in (branches[0].start_time, branches[-1].stop_time)
         )
-        if start < begins < stop:
-            rest_stretch = (start, begins)
-        elif start < ends < stop:
-            rest_stretch = (ends, stop)
+        if start < motion_start < stop:
+            rest_stretch = (start, motion_start)
+        elif start < motion_end < stop:
+            rest_stretch = (motion_end, stop)
         else:
             continue
         inside = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])

@@ -82,7 +82,7 @@ def reduce_recordings(
     Raises
     ------
     ProcessingError
-        If a recording lacks what a step cannot do without, such as the clamp's rigid body.
+        If a recording lacks data that a step requires, such as the rigid body of the clamp.
     """
     prepared, new_findings = calibrate(recordings, protocol)
     findings = Findings() + new_findings + check_channels(prepared.signals, protocol)
@@ -193,7 +193,7 @@ def _build_reduced_test(
     findings: Findings,
     labels: Mapping[str, str],
 ) -> ReducedTest:
-    specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
+    specimen, markers, load_string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
     lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
     sizes = {**dict(lengths), "span": specimen.span, **section}
@@ -202,8 +202,8 @@ def _build_reduced_test(
         mass_per_length=specimen.mass_per_length,
         uncertainties=_collect_uncertainties(protocol),
         string=None
-        if string is None
-        else LoadString(string.length, string.counterweight, string.at_rest),
+        if load_string is None
+        else LoadString(load_string.length, load_string.counterweight, load_string.at_rest),
         has_markers=markers is not None,
         centre_offset=0.0 if markers is None else markers.centre_offset,
         offset_uncertainty=0.0 if markers is None else markers.offset_uncertainty,

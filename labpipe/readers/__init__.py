@@ -1,4 +1,4 @@
-"""Readers of exports: one per format, recognised by content, never by suffix; other files."""
+"""Find the reader of an export by its content, and describe files of unknown formats."""
 
 from __future__ import annotations
 
@@ -189,4 +189,4 @@ def _has_table(lines: Sequence[str], separator: str) -> bool:
     """Return whether two successive lines hold several numbers each."""
     rows = ([cell for cell in split_line(line, separator) if cell.strip()] for line in lines)
     are_samples = (len(row) > 1 and is_sample(row) for row in rows)
-    return any(one and two for one, two in pairwise(are_samples))
+    return any(first and second for first, second in pairwise(are_samples))

@@ -1,4 +1,4 @@
-"""Search for channels by name, unique names of channels, and quality notes on channels."""
+"""Find channels by name, make their names unique, and note faults of channels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class NoChannelError(ReadError):
 
 
 def select_channel(recording: Recording, wanted: ChannelChoice, file: object) -> Channel:
-    """Return the channel with a name.
+    """Find the channel that a name or path selects.
 
     Parameters
     ----------
@@ -128,19 +128,19 @@ def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
         if len(indices) == 1:
             return indices[0]
         if indices:
-            same, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
-            error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=same)
+            ambiguous_paths, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
+            error = NoChannelError.about(
+                "readers.ambiguous_channel", file, place, paths=ambiguous_paths
+            )
             break
     else:
         similar_paths = dict.fromkeys(
             path for name in names for path in sort_by_likeness(name, paths)
         )
-        shown, place = (
-            _quote_paths([*similar_paths][:5]) or "none",
-            f"channel {' or '.join(map(repr, names[:6]))}",
-        )
+        nearest_paths = _quote_paths([*similar_paths][:5]) or "none"
+        place = f"channel {' or '.join(map(repr, names[:6]))}"
         error = NoChannelError.about(
-            "readers.no_channel", file, place, count=len(paths), near=shown
+            "readers.no_channel", file, place, count=len(paths), near=nearest_paths
         )
     error.wanted = names
     raise error
@@ -158,7 +158,7 @@ def is_exact_name(wanted: ChannelChoice, channel: Channel) -> bool:
     return any(_find_exact(name, [(channel.name, channel.path)]) for name in names)
 
 
-def plain_name(name: str) -> str:
+def normalise_name(name: str) -> str:
     """Remove prefixes that programs add to a channel name, and normalise its spelling.
 
     Parameters
@@ -167,30 +167,32 @@ def plain_name(name: str) -> str:
 
     Examples
     --------
-    >>> plain_name("Ch 1 Kraft"), plain_name("C_1_Déplacement"), plain_name("_Load")
+    >>> normalise_name("Ch 1 Kraft"), normalise_name("C_1_Déplacement"), normalise_name("_Load")
     ('kraft', 'deplacement', 'load')
     """
-    spelt = unicodedata.normalize("NFKD", name)
-    plain = "".join(sign for sign in spelt if not unicodedata.combining(sign)).casefold()
-    before = _CHANNEL_PREFIX.match(plain)
-    rest = plain[before.end() :] if before else plain
-    return " ".join(rest.replace("_", " ").rstrip(" .").split())
+    decomposed = unicodedata.normalize("NFKD", name)
+    plain = "".join(
+        character for character in decomposed if not unicodedata.combining(character)
+    ).casefold()
+    prefix = _CHANNEL_PREFIX.match(plain)
+    remainder = plain[prefix.end() :] if prefix else plain
+    return " ".join(remainder.replace("_", " ").rstrip(" .").split())
 
 
 def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Find the indices of channels with a path or name; a path takes precedence."""
-    exact = [i for i, (_, path) in enumerate(pairs) if path == wanted]
-    spelt = [
+    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted]
+    by_spelling = [
         i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
     ]
-    named = [i for i, (name, _) in enumerate(pairs) if name == wanted]
-    return exact or spelt or named
+    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted]
+    return by_path or by_spelling or by_name
 
 
 def _find_similar(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Find the indices of channels with a name, apart from its prefix and spelling."""
-    plain = plain_name(wanted)
-    return [i for i, (name, _) in enumerate(pairs) if plain and plain_name(name) == plain]
+    plain = normalise_name(wanted)
+    return [i for i, (name, _) in enumerate(pairs) if plain and normalise_name(name) == plain]
 
 
 def _list_spellings(path: str) -> set[str]:
@@ -204,7 +206,7 @@ def _quote_paths(paths: list[str]) -> str:
     return ", ".join(f"'{path}'" for path in paths)
 
 
-def unique_names(names: Sequence[str]) -> list[str]:
+def make_names_unique(names: Sequence[str]) -> list[str]:
     """Number repeated names, and name columns without a name."""
     labels = [name or f"column {i + 1}" for i, name in enumerate(names)]
     return [

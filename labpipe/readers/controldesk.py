@@ -1,4 +1,4 @@
-"""Recordings from dSPACE ControlDesk exports: common parts of the readers of csv, mat and mf4."""
+"""Make recordings of dSPACE ControlDesk exports; the readers of csv, mat and mf4 share this."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ChannelChoice, find_channel, make_channel_notes, unique_names
+from labpipe.readers.channels import (
+    ChannelChoice,
+    find_channel,
+    make_channel_notes,
+    make_names_unique,
+)
 from labpipe.readers.recording_checks import make_clock_notes
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -83,7 +88,7 @@ def load_export(
     ReadError
         If a wanted channel does not exist, or a channel is not as long as its time axis.
     """
-    paths = unique_names([trace.path for trace in export.traces])
+    paths = make_names_unique([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
         known_traces = [(trace.name, trace.path) for trace in traces]
@@ -94,12 +99,12 @@ def load_export(
         f"{name} [{i}]" if rasters.count(name) > 1 else name
         for i, name in enumerate(rasters, start=1)
     ]
-    used = range(len(names)) if channels is None else sorted({t.clock for t in traces})
-    clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
-    channels_and_notes = [_channel(trace, clocks[trace.clock], path) for trace in traces]
+    used_axes = range(len(names)) if channels is None else sorted({t.clock for t in traces})
+    clocks = {i: Clock(names[i], _convert_samples(export.axes[i][1]())) for i in used_axes}
+    channels_and_notes = [_load_channel(trace, clocks[trace.clock], path) for trace in traces]
     loaded = [channel for channel, _ in channels_and_notes]
     notes = [note for clock in clocks.values() for note in make_clock_notes(clock)]
-    notes += [note for _, its_notes in channels_and_notes for note in its_notes]
+    notes += [note for _, channel_notes in channels_and_notes for note in channel_notes]
     version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
@@ -112,22 +117,22 @@ def load_export(
     )
 
 
-def _samples(values: object) -> Floats:
+def _convert_samples(values: object) -> Floats:
     return np.asarray(values, dtype=np.float64).ravel()
 
 
-def _channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
+def _load_channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
     """Load a channel; infinities become NaN, which are noted."""
-    values = _samples(trace.load())
+    values = _convert_samples(trace.load())
     total, notes = len(values), []
     if total != len(clock.time):
         place, n_samples = f"channel '{trace.path}'", len(clock.time)
         raise ReadError.about(
             "readers.channel_length", path, place, wanted=n_samples, axis=clock.name, total=total
         )
-    if len(blank := np.flatnonzero(~np.isfinite(values))):
+    if len(invalid_samples := np.flatnonzero(~np.isfinite(values))):
         values = np.where(np.isinf(values), np.nan, values)
-        count, first = len(blank), blank[0] + 1
+        count, first = len(invalid_samples), invalid_samples[0] + 1
         notes.append(
             QualityNote.of("readers.not_finite", trace.path, count=count, total=total, first=first)
         )
@@ -168,17 +173,17 @@ def parse_saving_day(header: str) -> date | None:
     return _day(*parsed[:3]) if parsed else None
 
 
-def resolve_date(text: str, near: date | None) -> str:
+def resolve_date(text: str, saving_day: date | None) -> str:
     """Resolve the order of day and month in a date by a known nearby day.
 
     Parameters
     ----------
     text : as ControlDesk wrote it
-    near : the day of saving, at most a few days later; None if unknown
+    saving_day : of the file, at most a few days later; None if unknown
 
     Returns
     -------
-    ISO date; empty if no order gives a date within a week of `near`.
+    ISO date; empty if no order gives a date within a week of `saving_day`.
 
     Examples
     --------
@@ -186,12 +191,12 @@ def resolve_date(text: str, near: date | None) -> str:
     '2023-05-04'
     """
     max_days_to_saving = 7
-    if near is None:
+    if saving_day is None:
         return ""
     orders = permutations(re.findall(r"\d+", text)[:3])
     days = [day for order in orders if (day := _day(*order)) is not None]
-    day = min(days, key=lambda day: abs((day - near).days), default=date.max)
-    return day.isoformat() if abs((day - near).days) <= max_days_to_saving else ""
+    day = min(days, key=lambda day: abs((day - saving_day).days), default=date.max)
+    return day.isoformat() if abs((day - saving_day).days) <= max_days_to_saving else ""
 
 
 def _day(*parts: str | int) -> date | None:

@@ -49,14 +49,14 @@ from labpipe.readers.number_table import (
     strip_brackets,
 )
 from labpipe.readers.raw_files import decode, is_binary, read_content, split_lines
-from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, workbook_cells
+from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, read_workbook_cells
 from labpipe.records.arrays import Floats
 from labpipe.units import find_si_factor, parse_count
 
 __all__ = ["CurveColumn", "read_curve"]
 
 MIN_CURVE_POINTS = 3
-"""Points of a curve."""
+"""Smallest number of points of a curve."""
 _USUAL_NAMES = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
     "force": ("force", "tip force"),
@@ -142,7 +142,7 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         for i, column in zip(columns, columns_to_read, strict=True)
     ]
     rows, points = _read_points(table, columns)
-    across, up = (
+    deflections, forces = (
         column.sign * factor * values
         for column, factor, values in zip(columns_to_read, factors, points, strict=True)
     )
@@ -150,25 +150,27 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     def place(point: int, column: int) -> str:
         return f"{table.body.place(rows[point])}, column {columns[column] + 1}"
 
-    if len(turns := np.flatnonzero(np.diff(across) <= 0.0)):
-        before, here = 1e3 * across[turns[0] :][:2]
+    if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
+        before, here = 1e3 * deflections[turns[0] :][:2]
         raise ReadError.about(
             "readers.deflection_counts_down"
-            if across[-1] < across[0]
+            if deflections[-1] < deflections[0]
             else "readers.deflection_turns",
             path,
             place(turns[0] + 1, 0),
             before=before,
             here=here,
         )
-    top = int(np.argmax(np.abs(up)))
-    if up[top] <= 0.0:
-        raise ReadError.about("readers.force_counts_down", path, place(top, 1), force=up[top])
-    return across, up
+    largest = int(np.argmax(np.abs(forces)))
+    if forces[largest] <= 0.0:
+        raise ReadError.about(
+            "readers.force_counts_down", path, place(largest, 1), force=forces[largest]
+        )
+    return deflections, forces
 
 
 def _read_sheet_table(path: Path) -> _Table:
-    unread = next((cell for row in workbook_cells(path) for cell in row if cell.unread), None)
+    unread = next((cell for row in read_workbook_cells(path) for cell in row if cell.unread), None)
     if unread is not None:
         raise ReadError.about("readers.cell_without_value", path, unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
@@ -192,30 +194,30 @@ def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -
         rows = [
             [cell.strip() for cell in split_line(line, separator)] for line in lines[:head_lines]
         ]
-        first = next(
+        first_row = next(
             (i for i, row in enumerate(rows) if sum(map(bool, row)) > 1 and is_sample(row)), None
         )
-        if first is not None:
+        if first_row is not None:
             break
     else:
         raise ReadError.about("readers.no_curve", path)
-    above = [i for i, row in enumerate(rows[:first]) if any(row)]
+    above = [i for i, row in enumerate(rows[:first_row]) if any(row)]
     units: list[str] = []
     if len(above) > 1 and are_units(rows[above[-1]]):
         units = [strip_brackets(cell) for cell in rows[above.pop()]]
     names = rows[above[-1]] if above else []
     if names:  # a comment mark may stand before them
         names[:1] = [names[0].lstrip("# ")] if names[0].lstrip("# ") else []
-    width = max(len(rows[first]), len(names))
+    width = max(len(rows[first_row]), len(names))
     body = Body(
-        data="\n".join(lines[first:]).encode(),
+        data="\n".join(lines[first_row:]).encode(),
         names=[*names, *[""] * (width - len(names))],
         columns=(),
-        first_line=first + 1,
+        first_line=first_row + 1,
         separator=separator,
         sheet=sheet,
     )
-    head = body.place((above[-1] if above else first) - first)
+    head = body.place((above[-1] if above else first_row) - first_row)
     return _Table(path, names, [*units, *[""] * (width - len(units))], head, body)
 
 
@@ -227,8 +229,9 @@ def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list
         raise ReadError.about("readers.rows_of_curve", table.path, note=notes[0].message)
     points = [arrays[i] for i in columns]
     blank = np.isnan(points)
-    if len(half := np.flatnonzero(blank[0] != blank[1])):
-        place = f"{body.place(int(half[0]))}, column {columns[int(blank[1, half[0]])] + 1}"
+    if len(half_filled := np.flatnonzero(blank[0] != blank[1])):
+        row = int(half_filled[0])
+        place = f"{body.place(row)}, column {columns[int(blank[1, row])] + 1}"
         raise ReadError.about("readers.half_a_point", table.path, place)
     rows = np.flatnonzero(~blank[0])
     if len(rows) < MIN_CURVE_POINTS:
@@ -251,13 +254,13 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     number = parse_count(wanted.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
-    near = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
+    similar_names = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
     raise ReadError.about(
         "readers.several_columns" if matches else "readers.no_column",
         table.path,
         table.head,
         name=names[0],
-        found=", ".join(str(i + 1) for i in matches) or near or "numbers alone",
+        found=", ".join(str(i + 1) for i in matches) or similar_names or "numbers alone",
         entry=f"{wanted.quantity}: {{column: 1, unit: {wanted.example}}}",
     )
 
@@ -275,11 +278,11 @@ def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
     return (name, tail) if name and tail and has_dimension_of(tail, si_unit) else (text, "")
 
 
-def _compute_unit_factor(table: _Table, at: int, wanted: CurveColumn) -> float:
+def _compute_unit_factor(table: _Table, index: int, wanted: CurveColumn) -> float:
     """Compute the factor from the unit of a column to SI; refuse contradicting units."""
-    head = table.names[at] if at < len(table.names) else ""
-    stated = _split_heading(head, wanted.si_unit)[1] or table.units[at]
-    place = f"{table.head}, column {at + 1}"
+    head = table.names[index] if index < len(table.names) else ""
+    stated = _split_heading(head, wanted.si_unit)[1] or table.units[index]
+    place = f"{table.head}, column {index + 1}"
     unit = wanted.unit or stated
     for text in {unit, stated or unit}:
         if not has_dimension_of(text, wanted.si_unit):
@@ -317,19 +320,19 @@ def _format_tip_lines(lines: Sequence[str], path: Path) -> list[str]:
     names = set[str]()
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, name, time = (group.strip() for group in match.groups())
-        second = 2 if quantity != _FORCE else 1  # behind the number of the node
+        y_column = 2 if quantity != _FORCE else 1  # behind the number of the node
         names.add(name)
-        mean = _average_block(lines, range(start, end), second, path)
+        mean = _average_block(lines, range(start, end), y_column, path)
         times.setdefault(quantity, []).append(time)
         means.setdefault(quantity, []).append(mean)
     listed = ", ".join(sorted(names))
     if len(names) > 1 or times[_DEFLECTION] != times[_FORCE]:
         found = f"{len(times[_DEFLECTION])} and {len(times[_FORCE])} of the sets {listed}"
         raise ReadError.about("readers.calculix_blocks", path, found=found)
-    share = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
+    model_factor = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = ["deflection / m\tforce / N", *[""] * len(lines)]
     for (line, deflection), (_, force) in zip(means[_DEFLECTION], means[_FORCE], strict=True):
-        table[line] = f"{deflection:.9g}\t{share * force:.9g}"
+        table[line] = f"{deflection:.9g}\t{model_factor * force:.9g}"
     return table
 
 

@@ -1,4 +1,4 @@
-"""Marker tracks from Motive's row-style exports (1.0, 1.1): each line has its own type."""
+"""Read marker tracks from Motive's row-style exports (1.0, 1.1): each line states its type."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.motive_takes import derive_rate, make_recording, unique_names
+from labpipe.readers.motive_takes import derive_rate, make_names_unique, make_recording
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -33,7 +33,15 @@ class _Body:
 
 @dataclass(slots=True)
 class _Take:
-    """State of the take while its lines are read; of a frame number, time, bodies and points."""
+    """State of the take while its lines are read.
+
+    Parameters
+    ----------
+    version, title, handedness, info : of the header
+    bodies : by name
+    frames : number, time (s), number of bodies and number of points of each frame line
+    named : positions of labelled points, by label and id, and by number of the frame line
+    """
 
     version: str = "1.0"
     title: str = ""
@@ -64,8 +72,8 @@ def parse_rows(text: str, path: Path) -> Recording:
 
     Notes
     -----
-    A lost body repeats its last pose: only frames count in which its counter of frames since it
-    was last tracked is 0. An incomplete last line is omitted.
+    A lost body repeats its last pose. Its poses count only in frames in which the counter of
+    frames since it was last tracked is 0. An incomplete last line is omitted.
     """
     take, notes = _Take(), []
     lines = text.splitlines()
@@ -96,8 +104,8 @@ def parse_rows(text: str, path: Path) -> Recording:
         "visible_markers": points,
         "frames_without_body": int((n_bodies == 0).sum()),
     }
-    notes += _notes(take, n_bodies, n_points)
-    return make_recording("motive-csv", take.version, _tracks(take), about, notes)
+    notes += _make_notes(take, n_bodies, n_points)
+    return make_recording("motive-csv", take.version, _make_tracks(take), about, notes)
 
 
 def _read_line(take: _Take, cells: list[str]) -> None:
@@ -153,9 +161,9 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
 
 def _read_body(take: _Take, cells: list[str]) -> None:
     """Read a body line: counter, model and measured markers, flags, mean error."""
-    count, model = int(cells[6]), 4 if take.version != "1.0" else 3
-    _check_length(cells, 7 + (model + 5) * count + 1)
-    start = 7 + model * count
+    count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
+    _check_length(cells, 7 + (model_cells + 5) * count + 1)
+    start = 7 + model_cells * count
     places = [_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
     error = float(cells[-1])
     if not take.frames or float(cells[1]) != take.frames[-1][0]:
@@ -168,7 +176,7 @@ def _floats(cells: Sequence[str]) -> list[float]:
     return [float(cell) for cell in cells]
 
 
-def _tracks(take: _Take) -> MarkerTracks:
+def _make_tracks(take: _Take) -> MarkerTracks:
     """Return the measured markers of the bodies, then points with another name (1.1)."""
     numbers, time = np.array(take.frames)[:, :2].T
     columns = {
@@ -178,8 +186,10 @@ def _tracks(take: _Take) -> MarkerTracks:
         for body in take.bodies.values()
         for i in range(body.n_markers)
     }
-    of_bodies = {name for name, _ in columns}
-    columns |= {label: points for label, points in take.named.items() if label[0] not in of_bodies}
+    body_markers = {name for name, _ in columns}
+    columns |= {
+        label: points for label, points in take.named.items() if label[0] not in body_markers
+    }
     positions = np.full((len(time), len(columns), 3), np.nan)
     for i, column in enumerate(columns.values()):
         positions[list(column), i] = [*column.values()] or np.empty((0, 3))
@@ -187,13 +197,13 @@ def _tracks(take: _Take) -> MarkerTracks:
         time=time,
         frames=numbers,
         rate=derive_rate(time),
-        names=unique_names([*columns]),
+        names=make_names_unique([*columns]),
         positions=positions,
-        bodies=tuple(_rigid_body(body, len(time)) for body in take.bodies.values()),
+        bodies=tuple(_make_rigid_body(body, len(time)) for body in take.bodies.values()),
     )
 
 
-def _rigid_body(body: _Body, frames: int) -> RigidBody:
+def _make_rigid_body(body: _Body, frames: int) -> RigidBody:
     # The mean error is in mm per marker, positions are in metres.
     millimetre = 1e-3
     pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
@@ -205,7 +215,7 @@ def _rigid_body(body: _Body, frames: int) -> RigidBody:
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
 
-def _notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+def _make_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
     total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
     stated = parse_count(take.info.get("framecount", ""))
@@ -215,9 +225,11 @@ def _notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]
         yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
     least, most = int(n_points.min()), int(n_points.max())
     yield QualityNote.of("readers.visible_markers", "markers", least=least, most=most)
-    of_no_body = n_points.copy()
+    points_without_body = n_points.copy()
     for body in take.bodies.values():
         for row, (_, _, points) in body.states.items():
-            of_no_body[row] -= sum(not np.isnan(point[0]) for point in points)
-    if (count := of_no_body[of_no_body > 0].sum()) and not take.named:  # 1.0: without identity
+            points_without_body[row] -= sum(not np.isnan(point[0]) for point in points)
+    if (
+        count := points_without_body[points_without_body > 0].sum()
+    ) and not take.named:  # 1.0: without identity
         yield QualityNote.of("readers.anonymous_markers", "markers", count=count)

@@ -34,7 +34,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.number_table import Body, read_columns
 from labpipe.readers.raw_files import read_content, read_head, reading
-from labpipe.readers.recording_checks import make_clock_notes, track_notes
+from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -132,10 +132,10 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
         notes.append(QualityNote.of("readers.infinite_numbers", "take", count=count))
-    tracks, track_notes = _convert_tracks(header, columns, path)
+    tracks, notes_on_tracks = _convert_tracks(header, columns, path)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
     about = {**header.about, "objects": objects}
-    notes = [*_make_header_notes(header, path), *notes, *track_notes]
+    notes = [*_make_header_notes(header, path), *notes, *notes_on_tracks]
     reader, version = "motive-xlsx" if sheet else "motive-csv", header.about["Format Version"]
     return make_recording(reader, version, tracks, about, notes)
 
@@ -154,7 +154,7 @@ def make_recording(
         program_version=version,
         markers=tracks,
         metadata=about,
-        notes=(*notes, *make_clock_notes(Clock("frames", tracks.time)), *track_notes(tracks)),
+        notes=(*notes, *make_clock_notes(Clock("frames", tracks.time)), *make_track_notes(tracks)),
     )
 
 
@@ -337,8 +337,8 @@ def _convert_tracks(
 ) -> tuple[MarkerTracks, list[QualityNote]]:
     """Convert columns to tracks in SI; return notes on the column of times and on rotations."""
     frames = columns[0]
-    if len(bad := np.flatnonzero(~np.isfinite(frames))):
-        place = f"line {header.rows + 1 + int(bad[0])}, cell 1"
+    if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
+        place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
         raise ReadError.about("readers.no_frame_number", path, place)
     time, rate, notes = _compute_time(header, columns, frames)
     markers, bodies = (
@@ -346,12 +346,12 @@ def _convert_tracks(
     )
     places = [column for group in markers for column in _find_position(group, header, path)]
     positions = _stack_columns(columns, places) * header.length_unit
-    body_names = unique_names([(group.name, group.id) for group in bodies])
+    body_names = make_names_unique([(group.name, group.id) for group in bodies])
     tracks = MarkerTracks(
         time=time,
         frames=frames,
         rate=rate,
-        names=unique_names([(group.name, group.id) for group in markers]),
+        names=make_names_unique([(group.name, group.id) for group in markers]),
         positions=positions.reshape(len(frames), len(markers), 3),
         bodies=tuple(
             _convert_body(name, group, header, columns, path)
@@ -359,9 +359,11 @@ def _convert_tracks(
         ),
         unit_in_file=header.about["Length Units"],
     )
-    if turned := ", ".join(body.name for body in bodies if _find_euler_axes(body, header.about)):
+    if converted_names := ", ".join(
+        body.name for body in bodies if _find_euler_axes(body, header.about)
+    ):
         order = header.about["Rotation Type"]
-        notes.append(QualityNote.of("readers.rotation_from_euler", turned, order=order))
+        notes.append(QualityNote.of("readers.rotation_from_euler", converted_names, order=order))
     return tracks, notes
 
 
@@ -370,7 +372,7 @@ def _stack_columns(columns: Columns, chosen: Sequence[int]) -> Floats:
     return np.transpose([columns[column] for column in chosen])
 
 
-def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """Make names unique: repeated ones get their id, and a number if that repeats as well.
 
     Parameters
@@ -383,7 +385,7 @@ def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> unique_names([("a", "1"), ("b", "2"), ("a", "3")])
+    >>> make_names_unique([("a", "1"), ("b", "2"), ("a", "3")])
     ('a 1', 'b', 'a 3')
     """
     total = Counter(name for name, _ in objects)
@@ -419,20 +421,20 @@ def _compute_time(
     # Deviations in s of the time column: 1.23 rounds to whole milliseconds.
     max_deviation, rounding = 0.6e-3, 2e-6
     where = "clock of the take"
-    written = None if header.time_column is None else columns[header.time_column]
+    stated_time = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
-        time = frames * np.nan if written is None else written
+        time = frames * np.nan if stated_time is None else stated_time
         return time, derive_rate(time), [QualityNote.of("readers.rate_not_stated", where)]
     time = frames / header.rate
-    if written is None or not len(time):
+    if stated_time is None or not len(time):
         return time, header.rate, []
-    apart = 1e3 * float(np.abs(written - time).max())  # NaN if a time is missing
-    if not apart <= 1e3 * max_deviation:
-        note = QualityNote.of("readers.time_column_differs", where, apart=apart)
-        return written, header.rate, [note]
-    if apart <= 1e3 * rounding:
+    deviation = 1e3 * float(np.abs(stated_time - time).max())  # NaN if a time is missing
+    if not deviation <= 1e3 * max_deviation:
+        note = QualityNote.of("readers.time_column_differs", where, apart=deviation)
+        return stated_time, header.rate, [note]
+    if deviation <= 1e3 * rounding:
         return time, header.rate, []
-    return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=apart)]
+    return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=deviation)]
 
 
 def derive_rate(time: Floats) -> float:
@@ -487,8 +489,8 @@ def _convert_rotation(group: Group, about: Mapping[str, str], columns: Columns) 
         degrees = _stack_columns(columns, angles)
         rows = np.isfinite(degrees).all(axis=1)
         if rows.any():
-            turned = Rotation.from_euler(about["Rotation Type"], degrees[rows], degrees=True)
-            rotation[rows] = turned.as_quat()
+            rotations = Rotation.from_euler(about["Rotation Type"], degrees[rows], degrees=True)
+            rotation[rows] = rotations.as_quat()
     return rotation
 
 

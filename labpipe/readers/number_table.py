@@ -1,4 +1,4 @@
-"""Columns of numbers from the rows of a text or a sheet; cells, units, words; omitted rows."""
+"""Read columns of numbers from the rows of a text or a sheet; omit rows that are not samples."""
 
 from __future__ import annotations
 
@@ -304,32 +304,32 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     return {column: values[:rows] for column, values in columns.items()}, notes
 
 
-def compare_row_counts(stated: int | None, held: int) -> list[QualityNote]:
+def compare_row_counts(stated: int | None, actual: int) -> list[QualityNote]:
     """Make a note if the number of rows differs from the stated one."""
-    if stated in {None, held}:
+    if stated in {None, actual}:
         return []
-    return [QualityNote.of("readers.rows_differ", "file", stated=stated, held=held)]
+    return [QualityNote.of("readers.rows_differ", "file", stated=stated, held=actual)]
 
 
 def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit rows of text (statistics, remarks) at the end, unless all rows are text."""
-    data, at, cut = body.data, len(body.data), len(body.data)
-    holding = range(len(body.names)) if body.others_numeric else body.columns
-    firsts: list[str] = []
-    while at:
-        begin = data.rfind(b"\n", 0, at - 1) + 1
-        row = body.cells(data[begin:at])
+    data, position, cut = body.data, len(body.data), len(body.data)
+    sample_columns = range(len(body.names)) if body.others_numeric else body.columns
+    first_words: list[str] = []
+    while position:
+        row_start = data.rfind(b"\n", 0, position - 1) + 1
+        row = body.cells(data[row_start:position])
         if any(cell.strip() for cell in row):
-            cells = _pick_cells(row, holding)
+            cells = _pick_cells(row, sample_columns)
             if not is_summary_row(cells):
                 break
-            firsts.insert(0, quoted([next(filter(None, cells))]))
-            cut = begin
-        at = begin
-    if not firsts or not at:
+            first_words.insert(0, quoted([next(filter(None, cells))]))
+            cut = row_start
+        position = row_start
+    if not first_words or not position:
         return body, []
-    place, names = body.place(data.count(b"\n", 0, cut)), ", ".join(firsts[:3])
-    count = f"{len(firsts)} rows from {place} on"
+    place, names = body.place(data.count(b"\n", 0, cut)), ", ".join(first_words[:3])
+    count = f"{len(first_words)} rows from {place} on"
     note = QualityNote.of("readers.summary_rows_left_out", "file", rows=count, names=names)
     return replace(body, data=data[:cut]), [note]
 
@@ -354,9 +354,11 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     if not last.strip(b"\r\0\x1a "):
         return replace(body, data=body.data[:end]), []
     count = body.data.count(b"\n")
-    near = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
-    above = [cells[-1].strip() for line in reversed(near) if (cells := body.cells(line))]
-    if count + 1 >= (body.stated_rows or 0) and _is_complete(body.cells(last), above, body):
+    preceding_lines = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
+    cells_above = [
+        cells[-1].strip() for line in reversed(preceding_lines) if (cells := body.cells(line))
+    ]
+    if count + 1 >= (body.stated_rows or 0) and _is_complete(body.cells(last), cells_above, body):
         return body, []
     note = QualityNote.of("readers.truncated", "file", line=body.first_line + count)
     return replace(body, data=body.data[:end]), [note]
@@ -365,18 +367,18 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
 def _is_complete(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     if len(last) != len(body.names) or not above:  # one more: it ends after its last separator
         return len(last) >= len(body.names) and any(cell.strip() for cell in last)
-    cells, cut = [cell for cell in _pick_cells(last, body.columns) if cell], last[-1].strip()
-    if is_missing(cut) or not all(is_number(cell) or is_missing(cell) for cell in cells):
-        return is_missing(cut) and cut in above
-    decimals, digits, exponent = _count_digits(cut)
+    cells, last_cell = [cell for cell in _pick_cells(last, body.columns) if cell], last[-1].strip()
+    if is_missing(last_cell) or not all(is_number(cell) or is_missing(cell) for cell in cells):
+        return is_missing(last_cell) and last_cell in above
+    decimals, digits, exponent = _count_digits(last_cell)
     decimals_above, digits_above, exponent_above = _count_digits(above[0])
     if exponent >= exponent_above and decimals >= decimals_above:
         return True
-    if body.as_exported or not cut[-1:].isdigit():
+    if body.as_exported or not last_cell[-1:].isdigit():
         return False
-    others = (_count_digits(cell) for cell in above if cell)
+    digit_counts = (_count_digits(cell) for cell in above if cell)
     return (exponent >= exponent_above and digits >= digits_above) or any(
-        decimals >= d and digits >= n and exponent >= e for d, n, e in others
+        decimals >= d and digits >= n and exponent >= e for d, n, e in digit_counts
     )
 
 
@@ -449,7 +451,7 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
 
 
 def _find_first_error(body: Body, path: Path) -> ReadError:
-    """Build the error on the first cell that is no number, or line with too many cells."""
+    """Build the error on the first cell that is not a number, or line with too many cells."""
     for i, row in enumerate(body.rows()):
         if any(cell.strip() for cell in row[len(body.names) :]):
             return _build_extra_cells_error(row, body, body.place(i), path)
@@ -535,9 +537,9 @@ def _find_jump(values: Floats, factor: float) -> int | None:
     size = np.abs(values)
     smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
     ratio = larger / np.maximum(smaller, min_size)
-    near: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
-    near &= (smaller >= min_size) & (values[:-1] * values[1:] > 0.0)
-    jumps = np.flatnonzero(near & (larger % 1000.0 != 0.0))
+    is_jump: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
+    is_jump &= (smaller >= min_size) & (values[:-1] * values[1:] > 0.0)
+    jumps = np.flatnonzero(is_jump & (larger % 1000.0 != 0.0))
     for up, down in pairwise(jumps):
         if down - up <= max_samples and _is_scaled_between(size[up : down + 2], factor):
             return int(up)

@@ -1,4 +1,4 @@
-"""Reading of raw files: bytes, text encodings and lines; errors of any library as `ReadError`."""
+"""Read bytes, encoding and lines of raw files; convert errors of libraries to `ReadError`."""
 
 from __future__ import annotations
 
@@ -127,14 +127,14 @@ def as_content(data: bytes) -> Content:
     The content; UTF-16, with or without a byte order mark, is converted to UTF-8.
     """
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
-    rest = data[len(mark) :]
-    encoding = encoding or _detect_utf16(rest[:HEAD_BYTES])
+    text_bytes = data[len(mark) :]
+    encoding = encoding or _detect_utf16(text_bytes[:HEAD_BYTES])
     if encoding.startswith("utf-16"):
-        even = rest[: len(rest) // 2 * 2]
-        rest = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
-    if b"\n" not in rest[:HEAD_BYTES] and b"\r" in rest[:HEAD_BYTES]:
-        rest = rest.replace(b"\r", b"\n")
-    return Content(rest, "utf-8" if encoding else "", encoding)
+        even = text_bytes[: len(text_bytes) // 2 * 2]
+        text_bytes = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
+    if b"\n" not in text_bytes[:HEAD_BYTES] and b"\r" in text_bytes[:HEAD_BYTES]:
+        text_bytes = text_bytes.replace(b"\r", b"\n")
+    return Content(text_bytes, "utf-8" if encoding else "", encoding)
 
 
 def _detect_utf16(head: bytes) -> str:

@@ -80,14 +80,21 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[Quality
     time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
     if len(time) == 0:
         return [QualityNote.of("readers.clock_empty", where)]
-    if len(bad := np.flatnonzero(~np.isfinite(time))):
-        return [QualityNote.of("readers.time_not_finite", where, count=len(bad), first=bad[0] + 1)]
-    if len(back := np.flatnonzero(steps < 0.0)):
-        count, first = len(back), back[0] + 2
+    if len(invalid_samples := np.flatnonzero(~np.isfinite(time))):
+        return [
+            QualityNote.of(
+                "readers.time_not_finite",
+                where,
+                count=len(invalid_samples),
+                first=invalid_samples[0] + 1,
+            )
+        ]
+    if len(reversed_steps := np.flatnonzero(steps < 0.0)):
+        count, first = len(reversed_steps), reversed_steps[0] + 2
         return [QualityNote.of("readers.time_not_increasing", where, count=count, first=first)]
     notes = []
-    if len(same := np.flatnonzero(steps == 0.0)):
-        count, first = len(same), same[0] + 2
+    if len(repeated_steps := np.flatnonzero(steps == 0.0)):
+        count, first = len(repeated_steps), repeated_steps[0] + 2
         notes.append(QualityNote.of("readers.time_repeats", where, count=count, first=first))
     if clock.name not in SAMPLED_ON_EVENT and len(steps) > 1:
         notes += _make_step_notes(time, steps, where, is_variable=is_variable)
@@ -117,12 +124,13 @@ def _make_step_notes(
 ) -> Iterator[QualityNote]:
     # Above this count and share of all steps, long steps are normal for the program.
     min_long_steps, min_long_share = 10, 0.05
-    regular, typical = steps, 0.0
+    regular, median_step = steps, 0.0
     if not _are_even(steps):
-        typical = median(steps)
-        if not typical > 0.0:
+        median_step = median(steps)
+        if not median_step > 0.0:
             return
-        holes, steps_text = _find_long_steps(time, steps, typical), _format_range(steps, typical)
+        holes = _find_long_steps(time, steps, median_step)
+        steps_text = _format_range(steps, median_step)
         if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
             yield QualityNote.of("readers.time_variable", where, steps=steps_text)
             return
@@ -134,16 +142,19 @@ def _make_step_notes(
             return
         if holes:
             lengths = [hole.length for hole in holes]
-            lost = sum(round(length / typical) - 1 for length in lengths)
+            lost = sum(round(length / median_step) - 1 for length in lengths)
             span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
             first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
             yield QualityNote.of(
                 "readers.time_holes", where, count=count, span=span, lost=lost, first=first
             )
         regular = np.delete(steps, [hole.after for hole in holes])
-        if max(regular.max() - typical, typical - regular.min()) > _MIN_JITTER * typical:
+        if (
+            max(regular.max() - median_step, median_step - regular.min())
+            > _MIN_JITTER * median_step
+        ):
             yield QualityNote.of(
-                "readers.time_jitter", where, steps=_format_range(regular, typical)
+                "readers.time_jitter", where, steps=_format_range(regular, median_step)
             )
     yield from _compare_with_nominal(regular, len(steps), where)
 
@@ -191,7 +202,7 @@ def find_unchanged_steps(positions: Floats) -> Flags:
 
     Parameters
     ----------
-    positions : shape (frames, 3), m; NaN is never the same as anything
+    positions : shape (frames, 3), m; NaN differs from every value
 
     Returns
     -------
@@ -205,7 +216,7 @@ def find_longest_stretch(flags: Flags) -> int:
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
-def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
+def make_track_notes(tracks: MarkerTracks) -> list[QualityNote]:
     """Make notes on marker tracks.
 
     Parameters
@@ -222,18 +233,20 @@ def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
     missing_by_name = {name: find_blank_frames(track) for name, track in (markers | bodies).items()}
-    never = [name for name in markers if len(missing_by_name[name]) and missing_by_name[name].all()]
+    never_seen = [
+        name for name in markers if len(missing_by_name[name]) and missing_by_name[name].all()
+    ]
     notes = []
-    if never:
-        notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never)))
+    if never_seen:
+        notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never_seen)))
     for name, missing in missing_by_name.items():
         if missing.any() and not missing.all():
-            count, total, most = int(missing.sum()), len(missing), find_longest_stretch(missing)
+            count, longest_gap = int(missing.sum()), find_longest_stretch(missing)
             note = QualityNote.of(
                 "readers.marker_gaps" if name in markers else "readers.body_gaps",
                 name,
-                share=f"{count} of {total} frames",
-                longest=most,
+                share=f"{count} of {len(missing)} frames",
+                longest=longest_gap,
             )
             notes.append(note)
     notes += [
@@ -256,10 +269,12 @@ def _make_frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
     # Successive unchanged steps from which a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     for name, track in objects.items():
-        still = find_unchanged_steps(track)
-        if (most := find_longest_stretch(still)) >= min_frozen_steps:
-            count, total = int(still.sum()), len(still)
-            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
+        is_unchanged = find_unchanged_steps(track)
+        if (longest_run := find_longest_stretch(is_unchanged)) >= min_frozen_steps:
+            count, total = int(is_unchanged.sum()), len(is_unchanged)
+            yield QualityNote.of(
+                "readers.frozen_pose", name, count=count, total=total, most=longest_run
+            )
 
 
 def _make_switch_notes(missing_by_name: Mapping[str, Flags]) -> Iterator[QualityNote]:
@@ -268,8 +283,12 @@ def _make_switch_notes(missing_by_name: Mapping[str, Flags]) -> Iterator[Quality
         name: missing for name, missing in missing_by_name.items() if _is_unlabelled(name)
     }
     for name, missing in missing_by_name.items():
-        others = [other for other, hidden in unlabelled.items() if np.array_equal(~hidden, missing)]
-        if name not in unlabelled and others and missing.any():
+        counterparts = [
+            counterpart
+            for counterpart, is_hidden in unlabelled.items()
+            if np.array_equal(~is_hidden, missing)
+        ]
+        if name not in unlabelled and counterparts and missing.any():
             ranges = [f"{start}-{stop - 1}" for start, stop in find_runs(missing)[:3]]
-            rows, other_names = ", ".join(ranges), ", ".join(others)
+            rows, other_names = ", ".join(ranges), ", ".join(counterparts)
             yield QualityNote.of("readers.label_switch", name, rows=rows, others=other_names)

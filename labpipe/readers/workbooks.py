@@ -1,4 +1,4 @@
-"""Cells of workbooks (xlsx, xls) and of csv files, and tables with a heading in them.
+"""Read cells of workbooks (xlsx, xls) and csv files, and tables with a heading in them.
 
 The library calamine allocates a table from the first to the last cell of a sheet: one stray cell
 needs hundreds of gigabytes. Therefore an xlsx whose cells are far apart is refused before parsing.
@@ -197,11 +197,11 @@ def read_campaign_sheet(path: Path) -> Table:
     ReadError
         If the file is neither, is damaged, has no row below a heading, or has cells beyond it.
     """
-    cells = workbook_cells(path) if is_workbook(path) else csv_cells(path)
+    cells = read_workbook_cells(path) if is_workbook(path) else read_csv_cells(path)
     return as_table(cells, path, rows_of="one row per test")
 
 
-def sheets_of(path: Path) -> dict[str, bool]:
+def list_sheets(path: Path) -> dict[str, bool]:
     """Return the names of the sheets of a workbook, and whether they are visible.
 
     Raises
@@ -218,7 +218,7 @@ def sheets_of(path: Path) -> dict[str, bool]:
         }
 
 
-def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
+def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
     """Read the filled rows of a sheet; a further row lists the cells that cannot be read.
 
     Parameters
@@ -236,21 +236,21 @@ def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Ce
     if not zipfile.is_zipfile(path):
         raise ReadError.about("readers.old_workbook", path)
     name = sheet or next(iter(sheets))
-    before = f"{where}, cell " if where else "cell "
+    place_prefix = f"{where}, cell " if where else "cell "
     with reading(path, "a whole workbook"):
         unread = [
-            Cell("", f"{before}{place}", why)
-            for place, why in _find_unread_cells(path, name).items()
+            Cell("", f"{place_prefix}{place}", reason)
+            for place, reason in _find_unread_cells(path, name).items()
         ]
-    shown = [
+    filled_rows = [
         [
-            Cell(_format_cell(value), f"{before}{column_letters(column)}{line}")
+            Cell(_format_cell(value), f"{place_prefix}{column_letters(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(sheets[name], start=1)
         if any(value != "" for value in row)
     ]
-    return [*shown, unread] if unread else shown
+    return [*filled_rows, unread] if unread else filled_rows
 
 
 def _find_unread_cells(path: Path, name: str) -> dict[str, str]:
@@ -269,7 +269,7 @@ def _find_unread_cells(path: Path, name: str) -> dict[str, str]:
         for row in formulas.iter_rows()
         for cell in row
     }
-    return {place: why for place, why in reasons.items() if why}
+    return {place: reason for place, reason in reasons.items() if reason}
 
 
 def _describe_unread(formula: Any, value: Any) -> str:
@@ -289,7 +289,7 @@ def _format_cell(value: object) -> str:
     return str(value).strip()
 
 
-def csv_cells(path: Path) -> list[list[Cell]]:
+def read_csv_cells(path: Path) -> list[list[Cell]]:
     """Read all cells of a csv; the separator is stated (``sep=;``) or the most frequent of line 1.
 
     Raises
@@ -305,7 +305,7 @@ def csv_cells(path: Path) -> list[list[Cell]]:
         separator = max(_SEPARATORS, key=first.count)
         if named := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
             separator = named[1]
-            text = text.replace(first, "\n", 1)  # blank, so that line numbers stay right
+            text = text.replace(first, "\n", 1)  # blank, so that line numbers stay correct
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
         return [
             [

@@ -219,7 +219,7 @@ class Roller:
     friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
 
 
-_ORDER = ("large-deflection", "roller-radius", "roller-friction")
+_CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -308,7 +308,7 @@ class BendingStiffness(FromStiffness):
             return 1.0, ""
         ratio, radius, friction, effects = 1.0, 0.0, 0.0, list[str]()
         roller = self.roller or Roller()
-        for name in _ORDER:
+        for name in _CORRECTION_ORDER:
             if name not in self.corrections:
                 continue
             if name == "roller-radius":
@@ -508,18 +508,18 @@ class MidSpan(Window):
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
-        outcomes, with_fewer_terms = (
+        outcomes, alternatives = (
             (
                 return_failure(self._fit_stiffness)(frames, curvature),
                 return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
             )
             for curvature in (shape.axis.mid_span, shape.fewer_terms)
         )
-        for output, (outcome, other) in enumerate(zip(outcomes, with_fewer_terms, strict=True)):
+        for output, (outcome, alternative) in enumerate(zip(outcomes, alternatives, strict=True)):
             errors: dict[str, float] = {}
-            if not (isinstance(outcome, Failure) or isinstance(other, Failure)):
+            if not (isinstance(outcome, Failure) or isinstance(alternative, Failure)):
                 # Half-widths of rectangular distributions.
-                errors[SHAPE] = abs(other.value - outcome.value) / sqrt(3.0)
+                errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
             during = test.find_loading_interval()
@@ -578,8 +578,8 @@ class _SpanFrames:
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
         values, smooth = (
-            [share * one for share, one in zip(shares, value, strict=True)]
-            for value in (values, smooth)
+            [share * signal for share, signal in zip(shares, signals, strict=True)]
+            for signals in (values, smooth)
         )
         moving = [slice(low, high) for low, high in pairwise(cuts)]
         noise = estimate_noise(
@@ -612,20 +612,22 @@ def _measure_at_turn(
     branch = frames.loading
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     time = frames.time - branch.stop_time
-    is_near = is_finite & (np.abs(time) <= window)
-    t = time[is_near]
+    is_in_window = is_finite & (np.abs(time) <= window)
+    t = time[is_in_window]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
-    ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
-    design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
+    after_turn, before_turn = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack(
+        [np.ones_like(t), after_turn, after_turn**2, before_turn, before_turn**2]
+    )
     weights = np.zeros(len(time))
-    weights[is_near] = np.linalg.pinv(design)[0]
+    weights[is_in_window] = np.linalg.pinv(design)[0]
     count = int((weights != 0.0).sum())
     weights = weights - at_rest / at_rest.sum()
     value = float(weights @ np.nan_to_num(values))
-    errors_of_draws = frames.draw([values, *similar], weights, name)
-    low, high = np.quantile(errors_of_draws, (0.025, 0.975)).tolist()
-    return Estimate(value, float(errors_of_draws.std()), count, Interval(value - high, value - low))
+    drawn_errors = frames.draw([values, *similar], weights, name)
+    low, high = np.quantile(drawn_errors, (0.025, 0.975)).tolist()
+    return Estimate(value, float(drawn_errors.std()), count, Interval(value - high, value - low))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

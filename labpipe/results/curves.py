@@ -222,7 +222,7 @@ class SampleNoise:
     cuts : samples at which a new piece begins
     blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
         the noise of single samples, and deviations are those from the smooth curve
-    chance : generator that draws the random parts, with a fixed seed
+    rng : random generator with a fixed seed
     """
 
     smooth: Floats
@@ -231,7 +231,7 @@ class SampleNoise:
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
     blocks: Ints | None
-    chance: np.random.Generator
+    rng: np.random.Generator
 
     @classmethod
     def around(
@@ -253,7 +253,7 @@ class SampleNoise:
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
         signal = _select_signal(test, quantity)
-        chance = make_generator(test.seed, f"single {quantity}")
+        rng = make_generator(test.seed, f"single {quantity}")
         block_samples = _mean_step(trace.time) / _mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
@@ -274,11 +274,11 @@ class SampleNoise:
         cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
         if _has_single_samples(test, quantity):
             rows -= rows.mean(axis=1, keepdims=True)
-            return cls(smooth, rows[0], rows[1], filters, cuts, None, chance)
+            return cls(smooth, rows[0], rows[1], filters, cuts, None, rng)
         blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
         counts = np.maximum(np.bincount(blocks), 1)
         rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
-        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, chance)
+        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, rng)
 
     def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
         """Return the effect of noise on the largest sample, shape (replicates,).
@@ -303,7 +303,7 @@ class SampleNoise:
             min(int(near_peak[-1]) + filter_reach + 1, len(smooth)),
         )
         windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
-        rows = self.chance.integers(0, len(windows), len(noise))
+        rows = self.rng.integers(0, len(windows), len(noise))
         cuts = [cut - part.start for cut in self.cuts]
         samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - part.start]
         if self.blocks is not None:
@@ -315,7 +315,7 @@ class SampleNoise:
         """Return deviations of random single samples from their block."""
         if self.blocks is None:
             return np.zeros(shape)
-        return self.chance.choice(self.deviations, size=shape)
+        return self.rng.choice(self.deviations, size=shape)
 
 
 def _read_unfiltered(
@@ -593,15 +593,15 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
-    """Return the filters of a signal for the grid; none if it was thinned."""
+    """Return the filters of a signal for the grid; none if the signal was thinned."""
     signals = test.signals
     filters, raw = signals.filters.get(name, ()), signals.raw[name].time
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
         return []
     filter_functions = list[FilterFunction]()
-    for act, stride in filters:
+    for filter_function, stride in filters:
         filter_functions.append(
-            act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw))))
+            filter_function.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw))))
         )
         raw = raw[::stride]
     return filter_functions
@@ -617,8 +617,8 @@ def _apply_filters(
     first, last = int(finite[0]), int(finite[-1]) + 1
     inner = [cut for cut in cuts if first < cut < last]
     parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
-    for act in filter_functions:
-        parts = [act(part) for part in parts]
+    for filter_function in filter_functions:
+        parts = [filter_function(part) for part in parts]
     return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
 
 
@@ -635,8 +635,8 @@ def _list_inputs(
         distribution: Distribution = "uniform" if cause == causes.SHAPE else "normal"
         yield Input(cause, partial(shift_displacement_by, by=change), distribution=distribution)
     for cause, clocks in test.clocks.perturbed.items():
-        later = clocks.to_force_times(time) - test.clocks.to_force_times(time)
-        yield Input(cause, partial(_delay_force, by=_average_blocks(later, starts)))
+        delay = clocks.to_force_times(time) - test.clocks.to_force_times(time)
+        yield Input(cause, partial(_delay_force, by=_average_blocks(delay, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
         yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
@@ -647,29 +647,33 @@ def _list_inputs(
 
     yield Input(causes.STEP, end_later, distribution="step", moves_curve=False)
     for number, slip in enumerate(_list_repaired(test), start=1):
-        is_behind = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
-        back = partial(_add_force, by=np.where(is_behind, slip.drop_interval.standard_error, 0.0))
-        yield Input(causes.REPAIRED_SLIPS, back, stream=f"{causes.REPAIRED_SLIPS} {number}")
+        is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
+        add_drop = partial(
+            _add_force, by=np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
+        )
+        yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
 def _list_scales(test: ReducedTest) -> Iterator[Input]:
-    """Yield scale and zero of both quantities, as far as they are uncertain."""
+    """Yield the uncertain scales and zeros of force and displacement."""
     force, displacement, compliance = test.raw_force, test.displacement, test.compliance
 
-    def gain(trace: Trace, x: float) -> Trace:
+    def scale_force(trace: Trace, x: float) -> Trace:
         return _add_force(trace, x, by=force.relative_error * trace.force, compliance=compliance)
 
-    def scaled(trace: Trace, x: float) -> Trace:
-        whole = trace.displacement + compliance * np.nan_to_num(trace.force)  # with the frame
-        return shift_displacement_by(trace, x * displacement.relative_error, by=whole)
+    def scale_displacement(trace: Trace, x: float) -> Trace:
+        machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
+        return shift_displacement_by(
+            trace, x * displacement.relative_error, by=machine_displacement
+        )
 
-    raised = partial(_add_force, by=force.zero_error, compliance=compliance)
-    shifted = partial(shift_displacement_by, by=displacement.zero_error)
+    shift_force = partial(_add_force, by=force.zero_error, compliance=compliance)
+    shift_displacement = partial(shift_displacement_by, by=displacement.zero_error)
     for cause, error, perturb in (
-        (causes.SCALE_OF_FORCE, force.relative_error, gain),
-        (causes.ZERO_OF_FORCE, force.zero_error, raised),
-        (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scaled),
-        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shifted),
+        (causes.SCALE_OF_FORCE, force.relative_error, scale_force),
+        (causes.ZERO_OF_FORCE, force.zero_error, shift_force),
+        (causes.SCALE_OF_DISPLACEMENT, displacement.relative_error, scale_displacement),
+        (causes.ZERO_OF_DISPLACEMENT, displacement.zero_error, shift_displacement),
     ):
         if error:
             yield Input(cause, perturb)
@@ -677,16 +681,16 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
 
 def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
-    curve, add = test.required_curve, partial(_add_force, compliance=test.compliance)
-    if test.unfiltered is not None and (coarse := _find_converter_step(test.unfiltered.values)):
+    curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
+    if test.unfiltered is not None and (step := _find_converter_step(test.unfiltered.values)):
         yield Input(
-            causes.RESOLUTION, partial(add, by=coarse / np.sqrt(12.0)), distribution="uniform"
+            causes.RESOLUTION, partial(add_force, by=step / np.sqrt(12.0)), distribution="uniform"
         )
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
-    since = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
-    for number, wave in enumerate(compute_drift_modes(since, drift), start=1):
+    time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
+    for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
         stream = f"{causes.DRIFT_OF_ZERO} {number}"
-        yield Input(causes.DRIFT_OF_ZERO, partial(add, by=wave), stream=stream)
+        yield Input(causes.DRIFT_OF_ZERO, partial(add_force, by=mode), stream=stream)
 
 
 def _list_repaired(test: ReducedTest) -> list[Slip]:
@@ -725,12 +729,12 @@ def _find_converter_step(values: Floats) -> float:
     """
     min_constant_share = 0.5
     min_levels = 10
-    moves = np.abs(np.diff(values[~np.isnan(values)]))
-    constant = moves == 0.0
-    if not min_constant_share * len(constant) < constant.sum() < len(constant):
+    changes = np.abs(np.diff(values[~np.isnan(values)]))
+    is_constant = changes == 0.0
+    if not min_constant_share * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0
-    times = int(np.sum(constant[1:] & ~constant[:-1]))
-    return float(np.median(moves[~constant])) if times >= min_levels else 0.0
+    n_constant_runs = int(np.sum(is_constant[1:] & ~is_constant[:-1]))
+    return float(np.median(changes[~is_constant])) if n_constant_runs >= min_levels else 0.0
 
 
 def _find_zero_time(test: ReducedTest) -> float:

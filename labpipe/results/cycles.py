@@ -44,7 +44,7 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
 
 
 FOOT_LIMIT_FACTOR = 5.0
-"""Multiple of the limit of zero force up to which the foot of the force is taken as straight."""
+"""Multiple of the limit of zero force up to which the foot of the force is assumed straight."""
 
 
 _TIME_BEFORE_ZERO = 1.0
@@ -84,7 +84,7 @@ def find_unloading_end(
     force: Floats,
     *,
     force_below: float,
-    like: UnloadingEnd | None = None,
+    measured_end: UnloadingEnd | None = None,
 ) -> UnloadingEnd:
     """Choose the samples for the displacement at zero force after unloading.
 
@@ -93,7 +93,7 @@ def find_unloading_end(
     time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are ignored
     force_below : N; a force within this limit counts as zero. The limit is at most a fiftieth of
         the largest force, and at least four standard deviations of the noise
-    like : the end of the measured branch, if this branch is a curve without noise
+    measured_end : the end of the measured branch, if this branch has no noise; else None
 
     Returns
     -------
@@ -112,7 +112,7 @@ def find_unloading_end(
     this is so if the line through the foot of the force would fall by three more limits up to the
     end of the branch, while the force stays within two limits of zero. Otherwise the line through
     the foot is extrapolated to zero, and so is the displacement, along a line through the second
-    before, since it may have a kink at zero force; each curve has its own foot.
+    before, since it may have a kink at zero force. The foot is chosen for each curve.
     """
     max_zero_share = 0.02  # of the largest force, up to which a force may count as zero
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
@@ -121,17 +121,17 @@ def find_unloading_end(
     curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     lowest_limit = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
-    limit = limit if like is None else like.limit
+    limit = limit if measured_end is None else measured_end.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
     falls_below_zero = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
-    if falls_below_zero if like is None else like.kind == "through zero":
+    if falls_below_zero if measured_end is None else measured_end.kind == "through zero":
         return _fit_zero_crossing(finite, t, f, limit)
-    last, far = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
-    foot = slice(int(far[-1]) if len(far) else 0, last + 1)
+    last, above_foot = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
+    foot = slice(int(above_foot[-1]) if len(above_foot) else 0, last + 1)
     from_end, zero_time, slope = t - t[last], np.nan, 0.0
     if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
         zero_time = float(curves.compute_zero_crossing(from_end[foot], -f[foot]))
@@ -141,7 +141,11 @@ def find_unloading_end(
     is_after_zero = t > zero + 0.2
     has_reached_zero = is_falling and slope * (t[-1] - zero) < -3.0 * limit
     is_at_rest = has_reached_zero and _is_resting(t, d, f, is_after_zero, limit)
-    if is_at_rest if like is None else like.kind == "at rest" and is_after_zero.any():
+    if (
+        is_at_rest
+        if measured_end is None
+        else measured_end.kind == "at rest" and is_after_zero.any()
+    ):
         at_rest = as_slice(finite[is_after_zero])
 
         def mean(displacement: Floats, force: Floats) -> Floats:
@@ -166,7 +170,7 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     samples, after = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
     weights = curves.compute_polynomial_weights(after, degree=2).T
 
-    def of(displacement: Floats, force: Floats) -> Floats:
+    def compute(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
         zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
@@ -176,18 +180,18 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
         value: Floats = place + zero * (speed + zero * curve)
         return value
 
-    return UnloadingEnd("through zero", limit, len(after), of)
+    return UnloadingEnd("through zero", limit, len(after), compute)
 
 
-def _is_resting(t: Floats, d: Floats, f: Floats, rest: Flags, limit: float) -> bool:
+def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -> bool:
     """Check whether force and displacement are constant within their noise in a part."""
-    if rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[rest]).max() > 2.0 * limit:
+    if is_rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_rest]).max() > 2.0 * limit:
         return False
-    centred_time, values = t[rest] - t[rest].mean(), d[rest]
+    centred_time, values = t[is_rest] - t[is_rest].mean(), d[is_rest]
     slope = float(curves.compute_slope(centred_time, values))
     noise = values - values.mean() - slope * centred_time
-    still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(d))
-    return abs(slope) * float(np.ptp(centred_time)) <= still
+    noise_limit = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(d))
+    return abs(slope) * float(np.ptp(centred_time)) <= noise_limit
 
 
 def _extrapolate_to_zero(
@@ -197,7 +201,7 @@ def _extrapolate_to_zero(
     displacement: Floats,
     force: Floats,
 ) -> Floats:
-    """Follow the foot of each curve to zero; NaN if its force does not return to zero.
+    """Extrapolate the foot of each curve to zero; NaN if its force does not return to zero.
 
     `given_limits` are those of zero force, with noise and without.
     """
@@ -373,7 +377,7 @@ def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
 
     Parameters
     ----------
-    curve : one
+    curve : one curve
     values : shape (n,), of the quantity
     """
     branch = curve.branches[0]
@@ -470,15 +474,15 @@ class ResidualDisplacement(PerCycle):
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples at the end of the unloading branch, as on the measured curve."""
-        like = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
-        ending, part = self._find_end(trace, number, like), select_cycle(trace, number)[1]
+        measured_end = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
+        ending, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
         return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
 
     def _find_end(
-        self, trace: Trace, number: int, like: UnloadingEnd | None = None
+        self, trace: Trace, number: int, measured_end: UnloadingEnd | None = None
     ) -> UnloadingEnd:
         parts = cut_branch(trace, require_unloading(select_cycle(trace, number)))
-        return find_unloading_end(*parts, force_below=self.force_below, like=like)
+        return find_unloading_end(*parts, force_below=self.force_below, measured_end=measured_end)
 
 
 def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
@@ -493,7 +497,7 @@ def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
+def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     At a turn of the motion, it rises up to the crossing of the lines through two samples on each
@@ -502,17 +506,17 @@ def estimate_rise_beyond_top(seen: Floats, travel: Floats) -> float:
     whole step.
     """
     break_ratio = 3.0  # of the fall after the largest sample to the rise before it
-    top = int(np.nanargmax(seen))
-    if not 0 < top < len(seen) - 1:
+    top = int(np.nanargmax(values))
+    if not 0 < top < len(values) - 1:
         return 0.0
-    up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
+    up, down = values[top] - values[top - 1], values[top] - values[top + 1]
     breaks = travel[top + 1] > travel[top] and down > break_ratio * up
     beyond_top = up if breaks else 0.5 * min(up, down)
-    if travel[top + 1] < travel[top] and 1 < top < len(seen) - 2:
-        rise, fall = seen[top - 1] - seen[top - 2], seen[top + 1] - seen[top + 2]
+    if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
+        rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
         if rise + fall > 0.0:
-            after = (seen[top + 1] - seen[top - 1] + fall - rise) / (rise + fall)
-            crossing = seen[top - 1] + rise * (1.0 + after) - seen[top]
+            after = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
+            crossing = values[top - 1] + rise * (1.0 + after) - values[top]
             beyond_top = min(beyond_top, max(crossing, 0.0))
     return float(beyond_top) if np.isfinite(beyond_top) else 0.0
 

@@ -128,21 +128,21 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
 
 def find_last_above(force: Floats, share: float) -> Ints:
     """Return the last sample with at least a share of the largest, for each row (..., n)."""
-    holds = force >= share * np.max(force, axis=-1, keepdims=True)
-    last: Ints = force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
+    is_above = force >= share * np.max(force, axis=-1, keepdims=True)
+    last: Ints = force.shape[-1] - 1 - np.argmax(is_above[..., ::-1], axis=-1)
     return last
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
     """Go back from `last` to the first sample of the loss, by its share in time or its rate."""
-    lost = rule.loss * peak
+    required_loss = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
-        higher = np.flatnonzero(f[begin:last] - f[last] >= lost)
+        higher = np.flatnonzero(f[begin:last] - f[last] >= required_loss)
         step = float(t[last] - t[last - 1])
         if len(higher):
             last = begin + int(higher[-1])
-        elif f[last - 1] - f[last] >= lost * min(1.0, step / rule.within):
+        elif f[last - 1] - f[last] >= required_loss * min(1.0, step / rule.within):
             last -= 1
         else:
             break
@@ -164,11 +164,15 @@ def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> floa
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
-    later = np.searchsorted(time, time + rule.within, side="right") - 1
-    later = np.minimum(np.maximum(later, np.arange(len(force)) + 1), len(force) - 1)
-    ahead = np.maximum.accumulate(force[::-1])[::-1][later]
-    is_lost = (force - force[later] >= rule.loss * peak) & (later > np.arange(len(force)))
-    shares = np.where(is_lost, (force - ahead) / peak if peak > 0.0 else 0.0, 0.0)
+    end_of_interval = np.searchsorted(time, time + rule.within, side="right") - 1
+    end_of_interval = np.minimum(
+        np.maximum(end_of_interval, np.arange(len(force)) + 1), len(force) - 1
+    )
+    largest_later = np.maximum.accumulate(force[::-1])[::-1][end_of_interval]
+    is_lost = (force - force[end_of_interval] >= rule.loss * peak) & (
+        end_of_interval > np.arange(len(force))
+    )
+    shares = np.where(is_lost, (force - largest_later) / peak if peak > 0.0 else 0.0, 0.0)
     largest = float(shares.max(initial=0.0))
     return largest if largest >= rule.loss else 0.0
 

@@ -142,7 +142,7 @@ class Stiffness:
     estimate : N/m
     during : s, time interval of its samples
     window : m, displacements between which it was measured
-    bends_with : m, range of displacement in which a slip affects it; None if no slip does
+    slip_range : m, range of displacement in which a slip affects it; None if no slip does
     """
 
     name: str
@@ -150,7 +150,7 @@ class Stiffness:
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]
-    bends_with: tuple[float, float] | None = None
+    slip_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Find where a loading curve bends: two lines that meet, and the onset of a plateau."""
+"""Find the kink of a loading curve by two lines that meet, and the onset of its plateau."""
 
 from __future__ import annotations
 
@@ -53,14 +53,15 @@ class Hinges:
     x : shape (k,), their displacements, scaled to -1 to 1
     places : shape (300,), on that scale
     residual : N, standard deviation of that curve about one straight line
-    moved : on that scale, from the optimum over the places to the global optimum of that curve
+    grid_correction : on that scale, from the optimum over the places to the global optimum of that
+        curve
     """
 
     path: curves.CommonPath
     x: Floats
     places: Floats
     residual: float
-    moved: float = 0.0
+    grid_correction: float = 0.0
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats) -> Hinges:
@@ -97,7 +98,7 @@ class Hinges:
         residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
         hinges = cls(curves.CommonPath.of(displacement, force, order), x, places, residual)
         best = hinges._find_global_break(residuals)
-        return replace(hinges, moved=best - float(hinges._find_breaks(y[None])[0]))
+        return replace(hinges, grid_correction=best - float(hinges._find_breaks(y[None])[0]))
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -134,7 +135,7 @@ class Hinges:
         y = self.path.move_force(force, displacement)
         shape, y, x = y.shape[:-1], y.reshape(-1, y.shape[-1]), self.x
         inside = x[_MIN_SEGMENT_SAMPLES - 1], x[-_MIN_SEGMENT_SAMPLES]
-        breaks = np.clip(self._find_breaks(y) + self.moved, *inside)
+        breaks = np.clip(self._find_breaks(y) + self.grid_correction, *inside)
         hinge, lever = np.maximum(x - breaks[:, None], 0.0), x - x.mean()
         spread, mean = lever @ lever, hinge.mean(axis=1)
         cross, along = hinge @ lever / spread, y @ lever / spread
@@ -152,15 +153,15 @@ class Hinges:
         places = self.places
         gain = self._compute_gain(y, places)
         top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
-        around = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1)
-        before, largest, behind = around.T
-        bend = 2.0 * largest - before - behind
-        off = 0.5 * (behind - before) / np.where(bend > 0.0, bend, np.inf)
-        best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
+        neighbours = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1)
+        previous, largest, following = neighbours.T
+        curvature = 2.0 * largest - previous - following
+        offset = 0.5 * (following - previous) / np.where(curvature > 0.0, curvature, np.inf)
+        best: Floats = places[top] + np.clip(offset, -1.0, 1.0) * (places[1] - places[0])
         return best
 
     def _compute_gain(self, y: Floats, places: Floats) -> Floats:
-        """Return what a hinge at each place takes off the sum of squares of curves (R, k)."""
+        """Return the reduction of the sum of squares of curves (R, k) by a hinge at each place."""
         x, lever = self.x, self.x - self.x.mean()
         starts = np.append(0, np.searchsorted(x, places))
         is_empty = np.diff(starts, append=len(x)) == 0
@@ -226,8 +227,8 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     min_bend_errors = 4.0
     first, second = float(fit.first), float(fit.second)
     bend, bends = second - first, drawn.second - drawn.first
-    middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
-    error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
+    middle, smallest = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
+    error = abs(smallest - middle) / Interval.normal_95(0.0, 1.0).upper
     if not abs(bend) > min_bend_errors * error:
         raise UnavailableError.of(
             "results.no_bend",
@@ -239,8 +240,8 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
         )
     low, high = hinges.to_displacement(hinges.places[[2, -3]])
     drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
-    likely = fit.break_point - (drawn_breaks - smooth.break_point)
-    for breaks in (drawn_breaks, likely):
+    shifted_breaks = fit.break_point - (drawn_breaks - smooth.break_point)
+    for breaks in (drawn_breaks, shifted_breaks):
         if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
@@ -259,12 +260,12 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
         ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet
         in the first or the last twentieth of the stretch.
     """
-    straight = return_failure(require_bend)(fit, smooth, drawn, hinges)
-    if straight is not None:
+    no_bend = return_failure(require_bend)(fit, smooth, drawn, hinges)
+    if no_bend is not None:
         start, stop = (1e3 * end for end in hinges.ends)
         rms = hinges.residual
         raise UnavailableError.of(
-            "results.no_kink", rms=rms, start=start, stop=stop, why=straight.message
+            "results.no_kink", rms=rms, start=start, stop=stop, why=no_bend.message
         )
     first, second, place = float(fit.first), float(fit.second), 1e3 * float(fit.break_point)
     if second >= first:
@@ -359,8 +360,8 @@ class _TwoLines(Window):
 def _make_lines(
     numbers: tuple[Measured, ...], hinges: Hinges, names: tuple[str, str]
 ) -> tuple[FittedLine, ...]:
-    """Return the lines before and behind a break with their names."""
-    (place, first, second, level), (start, stop) = (one.value for one in numbers), hinges.ends
+    """Return the named lines before and after a break."""
+    (place, first, second, level), (start, stop) = (number.value for number in numbers), hinges.ends
     return (
         FittedLine(names[0], first, level - first * (place - start), start, place),
         FittedLine(names[1], second, level, place, stop),
@@ -614,13 +615,13 @@ class Tangents:
 
 
 def _find_first_place(places: Floats, slopes: Floats, required: Floats) -> Floats:
-    """Return the first place (p,) at which slopes (R, p) reach wanted ones (R,), or NaN."""
+    """Return the first of places (p,) at which slopes (R, p) reach required ones (R,), or NaN."""
     is_steep = slopes >= required[:, None]
     number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
-    ahead = np.maximum(number - 1, 0)
-    rise = slopes[rows, number] - slopes[rows, ahead]
-    share = (required - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
-    place = places[ahead] + share * (places[number] - places[ahead])
+    previous = np.maximum(number - 1, 0)
+    rise = slopes[rows, number] - slopes[rows, previous]
+    share = (required - slopes[rows, previous]) / np.where(number > 0, rise, np.inf)
+    place = places[previous] + share * (places[number] - places[previous])
     reached: Floats = np.where(is_steep[rows, number], place, np.nan)
     return reached
 
@@ -757,7 +758,7 @@ class Plateau(Kind):
         initial = test.require(test.stiffnesses.get(self.of), missing)
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         first, during = test.cycles[0][:1], test.find_loading_interval()
-        slips, gap = find_marked_slips(test, initial.bends_with), _find_gap_at_end(test, first[0])
+        slips, gap = find_marked_slips(test, initial.slip_range), _find_gap_at_end(test, first[0])
         doubts = slips or find_cut_cycle(test, first, CURVE) or gap
         end = self.make_result(test, outcome, during=during, doubts=doubts)
         yield end
@@ -813,10 +814,10 @@ class Plateau(Kind):
         From the step before: the machine turned somewhere between two samples.
         """
         d, f = _read_loading(trace)
-        before = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
-        if isinstance(before, Failure):
+        earlier_tangents = return_failure(Tangents.of)(d[:-1], f[:-1], length=self.over)
+        if isinstance(earlier_tangents, Failure):
             return 0.0
-        return float(tangents.fit_end_slope(f) - before.fit_end_slope(f[:-1]))
+        return float(tangents.fit_end_slope(f) - earlier_tangents.fit_end_slope(f[:-1]))
 
     def _decide_onset(
         self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
@@ -828,22 +829,25 @@ class Plateau(Kind):
         choice = self._choose_tangents(trace, initial)
         tangents, slope = choice
 
-        def plain(trace: Trace) -> tuple[Floats, Floats]:
+        def compute_onset(trace: Trace) -> tuple[Floats, Floats]:
             (d, f), begin = _read_loading(trace), slope.numbers(trace)[0]
             return tangents.find_onset(f, begin, d, slope_below=self.slope_below)
 
-        if np.isnan(plain(trace)[1]):
+        if np.isnan(compute_onset(trace)[1]):
             raise UnavailableError.of("results.no_onset")
         if corner is None:
-            return Reading(plain, len(tangents.last))
+            return Reading(compute_onset, len(tangents.last))
 
         def numbers(trace: Trace) -> tuple[Floats, Floats]:
-            (place, level), shorter = plain(trace), trace.sizes.get(TANGENT, 0.0)
+            (place, level), shorter = compute_onset(trace), trace.sizes.get(TANGENT, 0.0)
             return place + shorter * corner.size[0], level + shorter * corner.size[1]
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
-            by = corner.in_noise(self._measure_corners(trace, choice))
-            return tuple(value + shift for value, shift in zip(plain(trace), by, strict=True))
+            corner_errors = corner.in_noise(self._measure_corners(trace, choice))
+            return tuple(
+                value + shift
+                for value, shift in zip(compute_onset(trace), corner_errors, strict=True)
+            )
 
         return Reading(numbers, len(tangents.last), in_noise)
 
@@ -851,7 +855,7 @@ class Plateau(Kind):
         """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
         # In multiples of the change with tangents of half the length. A corner is smeared in
         # proportion to the length, so it is twice that change away; a smooth bend in proportion to
-        # its square, so it is 4/3 of it away.
+        # its square, so it is 4/3 of that change away.
         smearing_factor = 3.0
         cut_factor = 2.0  # the force from half the length loses once or a third of its change
         (tangents, slope), (d, f) = choice, _read_loading(trace)
@@ -864,7 +868,7 @@ class Plateau(Kind):
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
     def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
-        """Return that error for the measured curve, less noise.
+        """Return the error of the onset for the measured curve, less noise.
 
         The smooth curve may have no corners of this size.
         """

@@ -40,11 +40,11 @@ from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw,
 from labpipe.records.quality import Reason
 
 N_FIT_MEANS = 80
-"""Means over consecutive frames for the fit of the first loading."""
+"""Number of means over consecutive frames for the fit of the first loading."""
 N_CLOUD_ROWS = 50
-"""Rows of the cloud in the first loading."""
+"""Number of rows of the cloud in the first loading."""
 N_CLOUD_STATIONS = 17
-"""Places along the specimen."""
+"""Number of places along the specimen in the cloud."""
 RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
 """Standard deviation of a rectangular distribution of half-width one."""
 
@@ -167,7 +167,7 @@ class FittedFrames:
     branch : shape (n,)
     markers : shape (n, markers, 3), m, from the clamped end; NaN if a marker was not measured in
         every frame of the mean
-    per_mean : frames
+    per_mean : frames of each mean
     coefficients : shape (n, 3, terms), m
     finer : shape (n, 3, terms + 1), m; None if the markers do not determine one more coefficient
     tip_gain : shape (n,), standard error of the tip per standard deviation of a marker coordinate
@@ -284,9 +284,9 @@ class BendingTest:
         direction = shape.coefficients[fitted[0], :, 1] / shape.length
         return EndConditions(length=shape.length, direction=direction, free_tip=self.free_tip)
 
-    def fit_curves(self, markers: Floats, *, more: int = 0) -> FrameFits:
-        """Fit the curve through markers of shape (n, markers, 3), with `more` coefficients."""
-        terms = int(self.shape.coefficients.shape[2]) + more
+    def fit_curves(self, markers: Floats, *, extra_terms: int = 0) -> FrameFits:
+        """Fit the curve through markers of shape (n, markers, 3), with extra coefficients."""
+        terms = int(self.shape.coefficients.shape[2]) + extra_terms
         return fit_frames(markers, self.marker_places, self.centre_offset, self.ends, terms=terms)
 
     @cached_property
@@ -306,7 +306,7 @@ class BendingTest:
         return SpecimenAtRest(
             markers=middle,
             coefficients=fit.coefficients.mean(axis=0)[None],
-            finer=self.fit_curves(middle[None], more=min(fit.n_spare, 1)).coefficients,
+            finer=self.fit_curves(middle[None], extra_terms=min(fit.n_spare, 1)).coefficients,
             frames=len(markers),
             noise=fit.noise(slice(None)),
         )
@@ -337,7 +337,7 @@ class BendingTest:
             markers=markers,
             per_mean=per_mean,
             coefficients=fit.coefficients[usable],
-            finer=self.fit_curves(markers, more=1).coefficients if fit.n_spare > 0 else None,
+            finer=self.fit_curves(markers, extra_terms=1).coefficients if fit.n_spare > 0 else None,
             tip_gain=fit.gain[usable, :2].max(axis=1),
         )
 
@@ -374,7 +374,7 @@ class BendingTest:
 
         Parameters
         ----------
-        markers : shape (n, markers, 3), of the fitted curves; NaN where not in sight
+        markers : shape (n, markers, 3), of the fitted curves; NaN where not visible
         shape : the curves at the stations
         arc_length : shape (stations,), m
 
@@ -462,8 +462,8 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     def compute_curvature(coefficients: Floats) -> Floats:
         return evaluate_curves(coefficients, length, places).curvature
 
-    now = evaluate_curves(frames.coefficients, length, places)
-    curvature = now.curvature - compute_curvature(rest.coefficients)
+    loaded_curves = evaluate_curves(frames.coefficients, length, places)
+    curvature = loaded_curves.curvature - compute_curvature(rest.coefficients)
     systematic = np.full(curvature.shape, np.nan)
     if frames.finer is not None:
         finer = compute_curvature(frames.finer) - compute_curvature(rest.finer)
@@ -471,11 +471,11 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     at_rest = test.compute_moments(rest.coefficients, np.zeros(1), places)[0]
     moment = test.compute_moments(frames.coefficients, frames.force, places) - at_rest
     share = np.sqrt(1.0 / frames.per_mean + 1.0 / rest.frames)
-    gain = test.compute_curvature_gain(frames.markers, now, places)
-    push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(frames.per_mean))
-    push_error = push * (now.x[:, -1:] - now.x)
+    gain = test.compute_curvature_gain(frames.markers, loaded_curves, places)
+    force_error = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(frames.per_mean))
+    push_error = force_error * (loaded_curves.x[:, -1:] - loaded_curves.x)
     # With markers farther from the axis, the lever is shorter by the angle of the tip.
-    centre = errors.centre * np.sin(now.angle[:, -1])
+    centre = errors.centre * np.sin(loaded_curves.angle[:, -1])
     noise = rest.noise * frames.tip_gain / np.sqrt(frames.per_mean)
     place_error = np.hypot(np.hypot(errors.offset, centre), noise) * frames.force
     squares = push_error**2 + (errors.force_scale * moment) ** 2 + place_error[:, None] ** 2
@@ -571,39 +571,41 @@ def _list_alternatives(
     def recompute(
         test: BendingTest = test,
         curves: Floats = frames.coefficients,
-        still: Floats = rest.coefficients,
-        more: float = 0.0,
+        at_rest: Floats = rest.coefficients,
+        force_change: float = 0.0,
     ) -> LawData:
         return replace(
             loaded,
-            moment=test.compute_moments(curves, frames.force + more, places),
-            moment_at_rest=test.compute_moments(still, no_load, places)[0],
+            moment=test.compute_moments(curves, frames.force + force_change, places),
+            moment_at_rest=test.compute_moments(at_rest, no_load, places)[0],
         )
 
-    yield recompute(more=errors.force_zero), 1.0
+    yield recompute(force_change=errors.force_zero), 1.0
     if errors.other_tension_at_rest is not None:
         pull = replace(test.pull, tension_at_rest=errors.other_tension_at_rest)
         yield recompute(replace(test, pull=pull)), RECTANGULAR_DEVIATION
     if frames.finer is not None:
-        yield recompute(curves=frames.finer, still=rest.finer), RECTANGULAR_DEVIATION
+        yield recompute(curves=frames.finer, at_rest=rest.finer), RECTANGULAR_DEVIATION
     if errors.offset > 0.0:  # the clamped end farther back, the pull point farther out
         first = places[line.markers[0]]
-        more = errors.offset * np.minimum(places / first, 1.0)
-        moment = test.compute_moments(frames.coefficients, frames.force, places + more - more[-1])
-        yield replace(loaded, line=replace(line, arc_length=places + more), moment=moment), 1.0
+        displaced = errors.offset * np.minimum(places / first, 1.0)
+        moment = test.compute_moments(
+            frames.coefficients, frames.force, places + displaced - displaced[-1]
+        )
+        yield replace(loaded, line=replace(line, arc_length=places + displaced), moment=moment), 1.0
         tip = evaluate_curves(frames.coefficients, length, np.array([length]))
         force = test.pull.compute_force(frames.force, tip.x[:, 0])
         lever = force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle)
         yield replace(loaded, moment=loaded.moment + errors.offset * lever), 1.0
     if errors.centre > 0.0:  # marker centres farther from the axis
-        other = replace(test, centre_offset=test.centre_offset + errors.centre)
-        along = evaluate_curves(rest.coefficients, length, np.zeros(1)).angle[0, 0]
-        lift = errors.centre * np.array([-np.sin(along), np.cos(along), 0.0])
-        curves = other.fit_curves(frames.markers + lift).coefficients
-        still = other.fit_curves(rest.markers[None] + lift).coefficients
-        angle = evaluate_curves(still, length, places).angle[0]
-        changed = recompute(other, curves, still)
-        yield replace(changed, angle_at_rest=angle, centre_offset=other.centre_offset), 1.0
+        with_offset = replace(test, centre_offset=test.centre_offset + errors.centre)
+        clamp_angle = evaluate_curves(rest.coefficients, length, np.zeros(1)).angle[0, 0]
+        marker_shift = errors.centre * np.array([-np.sin(clamp_angle), np.cos(clamp_angle), 0.0])
+        curves = with_offset.fit_curves(frames.markers + marker_shift).coefficients
+        at_rest = with_offset.fit_curves(rest.markers[None] + marker_shift).coefficients
+        angle = evaluate_curves(at_rest, length, places).angle[0]
+        changed = recompute(with_offset, curves, at_rest)
+        yield replace(changed, angle_at_rest=angle, centre_offset=with_offset.centre_offset), 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

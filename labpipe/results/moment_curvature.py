@@ -50,28 +50,28 @@ State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
 @dataclass(frozen=True, slots=True)
 class RestEvidence:
-    """What a test shows about its string and wire at rest.
+    """Evidence of a test on its string and wire at rest.
 
     Parameters
     ----------
-    ahead : m, by which the clamp is ahead of the tip early in the first loading; NaN without a
-        travel of the clamp
+    clamp_lead : m, travel of the clamp less deflection of the tip early in the first loading; NaN
+        without a travel of the clamp
     sag : m, of the tip below the axis of the clamp at rest; NaN without a shape
     reach : m, deflection at which the force is the load at the tip, or the largest
     weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
-    lowest : N, lowest force after the first loading, less that at rest; NaN if unknown
-    slackened : N, force while the string is slack after the first loading, less that at rest; NaN
+    lowest_force : N, lowest force after the first loading, less that at rest; NaN if unknown
+    slack_force : N, force while the string is slack after the first loading, less that at rest; NaN
         if it never is
     error : N, standard error of these two
     own_weight : N, part of the load that is the wire's weight
     """
 
-    ahead: float
+    clamp_lead: float
     sag: float
     reach: float
     weight: float
-    lowest: float = float("nan")
-    slackened: float = float("nan")
+    lowest_force: float = float("nan")
+    slack_force: float = float("nan")
     error: float = 0.0
     own_weight: float = 0.0
 
@@ -97,19 +97,19 @@ class RestEvidence:
     @property
     def tension(self) -> float:
         """Return the tension at rest, N, from the force of the slack string, or NaN."""
-        return -self.slackened
+        return -self.slack_force
 
     @property
     def has_lost_tension(self) -> bool:
         """Check whether the force falls below that at rest: the string was then under tension."""
-        return self.lowest < -max(0.05 * self.weight, 5.0 * self.error)
+        return self.lowest_force < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
-        """Return the state by the evidence, the most direct first."""
+        """Return the state of the string, from the most direct evidence that there is."""
         all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
-        carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.has_lost_tension
-        if np.isfinite(self.slackened):
+        carried_nothing = self.clamp_lead > MIN_SLACK_TRAVEL and not self.has_lost_tension
+        if np.isfinite(self.slack_force):
             if self.tension >= all_share * self.weight:
                 return "taut"
             if self.tension > none_share * self.weight:
@@ -119,7 +119,7 @@ class RestEvidence:
             if self.share > HANGING_SHARE:
                 return "slack"
             return "off the wire" if abs(self.share) <= LEANING_SHARE else "unknown"
-        if self.share > HANGING_SHARE:  # it just spans to a wire that hangs, or the wire is curled
+        if self.share > HANGING_SHARE:  # the string just reaches a hanging wire, or it is curled
             return "unknown" if self.has_lost_tension else "slack"
         return "taut" if self.has_lost_tension or abs(self.share) <= straight_share else "unknown"
 
@@ -130,22 +130,22 @@ class RestEvidence:
         if np.isfinite(self.sag):
             sag, reach, load = 1e3 * self.sag, 1e3 * self.reach, self.load_name
             facts.append(format_sentence("results.tip_below", sag=sag, load=load, reach=reach))
-        if np.isfinite(self.ahead):
-            facts.append(format_sentence("results.clamp_ahead", ahead=1e3 * self.ahead))
-        if np.isfinite(self.slackened):
-            facts.append(format_sentence("results.slackened", force=1e3 * self.slackened))
-        elif np.isfinite(self.lowest):
-            facts.append(format_sentence("results.lowest_force", force=1e3 * self.lowest))
+        if np.isfinite(self.clamp_lead):
+            facts.append(format_sentence("results.clamp_ahead", ahead=1e3 * self.clamp_lead))
+        if np.isfinite(self.slack_force):
+            facts.append(format_sentence("results.slackened", force=1e3 * self.slack_force))
+        elif np.isfinite(self.lowest_force):
+            facts.append(format_sentence("results.lowest_force", force=1e3 * self.lowest_force))
         return "; ".join(facts) or format_sentence("results.no_evidence")
 
     @property
-    def why_not_straight(self) -> str:
-        """Return why the wire was not straight before the first loading; empty if it was."""
+    def bend_at_rest(self) -> str:
+        """Return a sentence on a wire that was bent before the first loading; empty if straight."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
-        sag, ahead, reach = 1e3 * self.sag, 1e3 * self.ahead, 1e3 * self.reach
-        if self.ahead > MIN_SLACK_TRAVEL:
+        sag, ahead, reach = 1e3 * self.sag, 1e3 * self.clamp_lead, 1e3 * self.reach
+        if self.clamp_lead > MIN_SLACK_TRAVEL:
             below = "" if np.isnan(self.sag) else f", its tip {sag:.3g} mm below"
             return format_sentence(
                 "results.string_was_slack", ahead=ahead, load=self.load, below=below
@@ -181,27 +181,27 @@ def collect_rest_evidence(
     path = curve.displacement[part]
     deflection, force = (average_blocks(values, n_blocks) for values in (path, curve.force[part]))
     reached = deflection[force >= weight]
-    ahead = sag = slackened = lowest = float("nan")
+    clamp_lead = sag = slack_force = lowest_force = float("nan")
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
         is_early = (path > early_deflections[0]) & (path < early_deflections[1])
-        ahead = median(_select_finite((travel.values[part] - path)[is_early]))
-        slackened = median(_read_slack_forces(travel.values, curve, first))
+        clamp_lead = median(_select_finite((travel.values[part] - path)[is_early]))
+        slack_force = median(_read_slack_forces(travel.values, curve, first))
     if shape is not None and len(shape.names):
         heights = shape.positions[shape.time < first.start_time, :, 1]
         sag = median(_select_finite(heights[:, 0] - heights[:, -1]))
     stretches = slice(first.start), slice(first.stop, None)
     at_rest, later = (_select_finite(curve.force[stretch]) for stretch in stretches)
     if len(later) >= _MEAN_SAMPLES:
-        lowest = float(average_blocks(later, len(later) // _MEAN_SAMPLES).min())
+        lowest_force = float(average_blocks(later, len(later) // _MEAN_SAMPLES).min())
     scatter = float(at_rest.std()) if len(at_rest) else 0.0
     return RestEvidence(
-        ahead=ahead,
+        clamp_lead=clamp_lead,
         sag=sag,
         reach=float(reached[0]) if len(reached) else float(np.nanmax(deflection)),
         weight=weight,
-        lowest=lowest,
-        slackened=slackened,
+        lowest_force=lowest_force,
+        slack_force=slack_force,
         error=scatter / sqrt(min(len(at_rest), _MEAN_SAMPLES) or 1),
         own_weight=own_weight,
     )
@@ -213,7 +213,7 @@ def _select_finite(values: Floats) -> Floats:
 
 def list_rest_notes(test: str, rest: RestEvidence) -> Iterator[QualityNote]:
     """Yield notes on a wire that is assumed to have been straight at rest."""
-    if np.isnan([rest.ahead, rest.sag]).all():
+    if np.isnan([rest.clamp_lead, rest.sag]).all():
         yield QualityNote.of("results.rest_unknown", test)
     elif rest.sag > LEANING_SHARE * rest.reach:
         sag, load = 1e3 * rest.sag, rest.load_name
@@ -257,15 +257,15 @@ class StringState:
         ``unknown``: not known from the test
     tension : N, in the string at rest
     weight : N, at the tip
-    other : N, alternative tension at rest that is in the intervals, or None
-    why : in words, with the numbers
+    alternative_tension : N, alternative tension at rest that is in the intervals, or None
+    evidence : in a sentence, with the numbers
     """
 
     state: State
     tension: float
     weight: float
-    other: float | None
-    why: str
+    alternative_tension: float | None
+    evidence: str
 
     @property
     def note(self) -> QualityNote:
@@ -274,7 +274,7 @@ class StringState:
         return QualityNote.of(
             "results.string_not_known" if is_unknown else "results.string_at_rest",
             "rig.string",
-            why=self.why,
+            why=self.evidence,
         )
 
 
@@ -291,16 +291,16 @@ def decide_string_state(rest: RestEvidence) -> StringState:
     """
     load, state = rest.weight, rest.state
     weight, carried = load - rest.own_weight, {"taut": load, "part": rest.tension}.get(state, 0.0)
-    other, load_text, facts = None, rest.load, rest.summary
+    alternative, load_text, facts = None, rest.load, rest.summary
     if state == "unknown":
-        carried, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
-        taken = "all of it" if carried else "nothing"
+        carried, alternative = (0.0, load) if rest.clamp_lead > MIN_SLACK_TRAVEL else (load, 0.0)
+        assumed_load = "all of it" if carried else "nothing"
         remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence(
-            "results.string_unknown", load=load_text, taken=taken, facts=facts, remedy=remedy
+            "results.string_unknown", load=load_text, taken=assumed_load, facts=facts, remedy=remedy
         )
     elif state == "part":
-        other = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+        alternative = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
             "results.string_carried_part", tension=tension, load=load_text, facts=facts
@@ -313,7 +313,7 @@ def decide_string_state(rest: RestEvidence) -> StringState:
             load=load_text,
             facts=facts,
         )
-    return StringState(state, carried, weight, other, why)
+    return StringState(state, carried, weight, alternative, why)
 
 
 def make_stated_state(
@@ -328,8 +328,8 @@ def make_stated_state(
     own_weight : N, part of the wire's weight on a prop at its tip
     """
     tension = weight + own_weight if at_rest == "taut" else 0.0
-    held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
-    carried = held_up if at_rest == "taut" else "nothing"
+    full_load = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
+    carried = full_load if at_rest == "taut" else "nothing"
     why = format_sentence("results.string_stated", state=at_rest, carried=carried)
     return StringState(at_rest, tension, weight, None, why)
 
@@ -348,7 +348,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
     is_at_rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, notes = _make_tip_pull(test, curve, shape, first, is_at_rest)
+    pull, alternative_tension, notes = _make_tip_pull(test, curve, shape, first, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     force_at_rest = _select_finite(force[is_at_rest])
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
@@ -361,7 +361,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list
         force_zero=test.force.zero_error,
         force_scale=test.force.relative_error,
         offset=test.setup.offset_uncertainty,
-        other_tension_at_rest=other,
+        other_tension_at_rest=alternative_tension,
         centre=test.setup.centre_uncertainty,
     )
     frames = BendingTest(
@@ -406,8 +406,13 @@ def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, and an equally probable tension at rest."""
-    still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
-    tip = float(evaluate_curves(still, shape.length, np.array([shape.length])).x[0, 0])
+    coefficients_at_rest, string = (
+        np.nanmean(shape.coefficients[rest], axis=0)[None],
+        test.setup.string,
+    )
+    tip = float(
+        evaluate_curves(coefficients_at_rest, shape.length, np.array([shape.length])).x[0, 0]
+    )
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
     own_weight = compute_prop_force(self_weight, shape.length)
     if string is None:
@@ -423,4 +428,4 @@ def _make_tip_pull(
             collect_rest_evidence(test.aligned, shape, curve, first, weight, own_weight=own_weight)
         )
     pull = TipPull(string.length, state.weight, state.tension, tip, self_weight)
-    return pull, state.other, [Finding(state.note)]
+    return pull, state.alternative_tension, [Finding(state.note)]

@@ -192,19 +192,22 @@ class _Window:
     def _whiten(self, values: Floats) -> Floats:
         return values[1:] - self.factor * values[:-1]
 
-    def _measure_drop(self, best: Floats, allowed: Floats, whole: Floats) -> LoadDrop | None:
+    def _measure_drop(self, best: Floats, possible: Floats, whole: Floats) -> LoadDrop | None:
         """Measure the most probable drop, with allowance for all possible ones."""
         pull, low, high = self.pull, self.low, self.high
         start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
-        first = int(np.floor(allowed[:, 0].min())) + 1 - pull.blurred
-        last = int(np.ceil(allowed.sum(axis=1).max())) + pull.blurred
+        first = int(np.floor(possible[:, 0].min())) + 1 - pull.blurred
+        last = int(np.ceil(possible.sum(axis=1).max())) + pull.blurred
         if min(first - 1 - low, high - last) < 4:
             return None
         rows, f = np.arange(low, high), pull.f[low:high]
-        behind, powers = (rows >= stop).astype(np.float64), _make_powers(pull.d[rows], self.degree)
+        is_after, powers = (
+            (rows >= stop).astype(np.float64),
+            _make_powers(pull.d[rows], self.degree),
+        )
         # A sample that may be inside has its own level, else the loss would be too small.
         inside = np.eye(len(rows))[:, first - low : last - low]
-        design = np.column_stack([behind, *powers, inside])
+        design = np.column_stack([is_after, *powers, inside])
         outside = [
             stretch
             for part in (pull.f[:low], pull.f[high:])
@@ -216,7 +219,7 @@ class _Window:
         is_lost = drop.interval is not None and drop.interval.upper < 0.0
         if drop.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
             return None
-        lines = np.column_stack([*powers[:2], behind, powers[1] * behind, inside])
+        lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside])
         slopes = fit_linear(lines, f)
         before, change = (float(slopes.coefficients[number]) for number in (1, 3))
         error = float(np.sqrt(slopes.covariance[3, 3]))
@@ -271,12 +274,12 @@ def _estimate_correlation(f: Floats) -> float:
     estimated_correlation = float(
         np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power)
     )
-    factors, expected = _expected_correlations(width)
+    factors, expected = _compute_expected_correlations(width)
     return float(np.interp(estimated_correlation, expected, factors))
 
 
 @cache
-def _expected_correlations(width: int) -> tuple[Floats, Floats]:
+def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     """Return lag-one correlations of noise, and the expected ones of residuals about a cubic.
 
     Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
@@ -338,7 +341,7 @@ def find_slips(
     samples around it.
     """
     finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
-    finite = finite[~_is_outlier(force[finite])]
+    finite = finite[~_flag_outliers(force[finite])]
     if len(finite) < _MIN_SEARCHED_SAMPLES:
         count, where = len(finite), " in the branch"
         return Failure.of(
@@ -354,8 +357,8 @@ def find_slips(
     slips = list[Slip]()
     for drop in _confirm_drops(pull, min_drop):
         largest = largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
-        is_held = f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max()
-        if not (min_drop <= drop.drop <= largest and drop.continues and is_held):
+        is_carried = f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max()
+        if not (min_drop <= drop.drop <= largest and drop.continues and is_carried):
             continue
         low, high = float(d[drop.earliest]), float(d[drop.latest])
         middle, half = 0.5 * (low + high), 0.475 * (high - low)
@@ -381,23 +384,23 @@ def count_samples_before(slips: Sequence[Slip], count: int) -> int:
     return min((slip.start + 1 for slip in slips), default=count)
 
 
-def _is_outlier(f: Floats) -> Flags:
+def _flag_outliers(f: Floats) -> Flags:
     """Flag samples far from the median of five, whose neighbours agree with each other."""
     if len(f) < _MIN_SEARCHED_SAMPLES:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
-    usual = median(steps)
+    usual_step = median(steps)
     from scipy.ndimage import median_filter
 
-    off = np.abs(f - median_filter(f, 5, mode="nearest"))
-    spread = MAD_FACTOR * median(np.abs(steps - usual))
-    is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
-    if not is_off.any():
-        return is_off
+    deviation = np.abs(f - median_filter(f, 5, mode="nearest"))
+    spread = MAD_FACTOR * median(np.abs(steps - usual_step))
+    is_far: Flags = deviation > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
+    if not is_far.any():
+        return is_far
     pairs = 0.5 * (f[1:] + f[:-1])
     neighbour_change = np.full(len(f), np.inf)
-    neighbour_change[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
-    return is_off & (neighbour_change < 0.5 * off)
+    neighbour_change[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual_step)
+    return is_far & (neighbour_change < 0.5 * deviation)
 
 
 def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
@@ -631,15 +634,15 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
 
 def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     """Add the effect of an input on the slack to its effect on the curve."""
-    base = return_failure(slack)(smooth)
-    if isinstance(base, Failure):
+    reading = return_failure(slack)(smooth)
+    if isinstance(reading, Failure):
         return quantity
-    decided = SmoothNumbers.of(slack, smooth, base)
-    less, more = (float(decided.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
+    smooth_slack = SmoothNumbers.of(slack, smooth, reading)
+    lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
         return curves.shift_displacement_by(
-            quantity.perturb(trace, x), x, by=less if x <= 0.0 else -more
+            quantity.perturb(trace, x), x, by=lower if x <= 0.0 else -upper
         )
 
     return replace(quantity, perturb=moved)

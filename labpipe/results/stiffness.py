@@ -730,7 +730,7 @@ class FromStiffness(Kind):
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_number)(test, stiffness)
         context = {"during": stiffness.during, **self.find_context(test, stiffness)}
-        slips = kinds.find_marked_slips(test, stiffness.bends_with)
+        slips = kinds.find_marked_slips(test, stiffness.slip_range)
         context["doubts"] = slips + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 

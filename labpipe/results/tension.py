@@ -37,7 +37,7 @@ from labpipe.uncertainty.noise_model import compute_drift_modes
 
 MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_SHARE = 0.1
-"""Least range of stress of an elastic line, as a share of the largest stress."""
+"""Smallest range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
 """Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
 MAX_EXTENSION = 1.1
@@ -45,7 +45,7 @@ MAX_EXTENSION = 1.1
 MAX_YIELD_ONSET = 5e-3
 """Largest plastic strain at an upper yield stress."""
 MIN_YIELD_STRAIN = 5e-4
-"""Least plastic strain of a yield with a falling stress."""
+"""Smallest plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
 """Smaller jumps of the strain are ignored."""
 MAX_CHANGE_BY_BEND = 0.005
@@ -54,13 +54,13 @@ MAX_CHANGE_BY_BEND = 0.005
 
 @dataclass(frozen=True, slots=True)
 class ElasticWindow:
-    """Part of the curve that the elastic line is fitted to.
+    """Part of the curve to which the elastic line is fitted.
 
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : what a stated window is counted in: strain, or share of the largest stress
-    straight : least square of the correlation coefficient of the longest straight part
+    of : quantity of the ends of a stated window: strain, or share of the largest stress
+    straight : smallest square of the correlation coefficient of the longest straight part
     """
 
     start: float | None
@@ -87,7 +87,7 @@ class Pull:
     strain_noise : 1, the same of the strain
     slope : Pa, of the elastic line; ``slope_estimate`` has its interval
     centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
-    without_line : why there is no elastic line; None with one
+    without_line : reason why there is no elastic line; None if there is one
     """
 
     time: Floats
@@ -160,12 +160,12 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         stress=stress,
         window=slice(0, 0),
         is_straight=choice.start is None,
-        noise=_noise(stress),
-        strain_noise=_noise(strain),
+        noise=_estimate_noise(stress),
+        strain_noise=_estimate_noise(strain),
     )
     try:
         window = _choose_elastic_part(strain, stress, choice)
-        x, y = _few_samples(strain[window], stress[window])
+        x, y = _average_blocks(strain[window], stress[window])
         require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
         fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
         if fit.coefficients[1] <= 0.0:
@@ -202,12 +202,12 @@ def _select_new_strains(trace: Trace) -> Ints:
     return np.concatenate(samples)
 
 
-def _noise(values: Floats) -> float:
+def _estimate_noise(values: Floats) -> float:
     finite = values[~np.isnan(values)]
     return float(estimate_fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
 
 
-def _few_samples(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
+def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     """Return means over blocks of samples, at most 1000 of them."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     strain, stress = strain[is_finite], stress[is_finite]
@@ -220,7 +220,7 @@ def _few_samples(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
 def _choose_elastic_part(strain: Floats, stress: Floats, choice: ElasticWindow) -> slice:
     """Choose the samples of the elastic line: a stated window, or the longest straight part."""
     if choice.start is None or choice.stop is None:
-        return _longest_straight(strain, stress, choice.straight)
+        return _find_longest_straight_part(strain, stress, choice.straight)
     scale = float(np.nanmax(stress)) if choice.of == "strength" else 1.0
     values = stress if choice.of == "strength" else strain
     above = values > choice.stop * scale
@@ -229,8 +229,10 @@ def _choose_elastic_part(strain: Floats, stress: Floats, choice: ElasticWindow) 
     return slice(int(np.argmax(values >= choice.start * scale)), int(np.argmax(above)))
 
 
-def _longest_straight(strain: Floats, stress: Floats, straight: float) -> slice:
-    """Find the longest range of stress whose least-squares line has a correlation of `straight`.
+def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation: float) -> slice:
+    """Find the longest range of stress in which the curve is straight.
+
+    The square of its correlation coefficient is at least `min_correlation`.
 
     One minus the square of the correlation coefficient is the normalised residual of slope
     determination by analysis of residuals (ASTM E3076; described by the package sdarr), which takes
@@ -251,12 +253,12 @@ def _longest_straight(strain: Floats, stress: Floats, straight: float) -> slice:
     n, sx, sy, sxx, sxy, syy = (
         np.subtract.outer(total, total).T for total in (count, *sums)
     )  # [start, stop]
-    enough = n >= MIN_ELASTIC_SAMPLES
-    n = np.where(enough, n, 1.0)
+    is_enough = n >= MIN_ELASTIC_SAMPLES
+    n = np.where(is_enough, n, 1.0)
     spread = (sxx - sx * sx / n) * (syy - sy * sy / n)
-    correlated = (sxy - sx * sy / n) ** 2 >= straight * spread
+    is_straight = (sxy - sx * sy / n) ** 2 >= min_correlation * spread
     shares = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
-    shares = np.where(enough & correlated & (spread > 0.0), shares, -1.0)
+    shares = np.where(is_enough & is_straight & (spread > 0.0), shares, -1.0)
     start, stop = np.unravel_index(int(np.argmax(shares)), shares.shape)
     if shares[start, stop] < MIN_ELASTIC_SHARE:
         why = f"no part over {MIN_ELASTIC_SHARE:.0%} of the largest stress is straight"
@@ -284,7 +286,7 @@ def find_gauge_length(sizes: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensionNumber:
-    """A number of a pull, and what it rests on.
+    """A number of a pull, and the samples and errors on which it depends.
 
     Parameters
     ----------
@@ -329,7 +331,7 @@ class TensionResult(Kind):
             change = number.compute(changed) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
         outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-        if number.compute is _slope:
+        if number.compute is _read_slope:
             outcome = pull.slope_estimate
         elif number.has_line:
             steeper = replace(pull, slope=pull.slope + pull.slope_estimate.error)
@@ -366,7 +368,7 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
 
 def _add_stress(pull: Pull, by: Floats) -> Pull:
     """Return the pull with a stress added to every sample, and the elastic line of its window."""
-    x, y = _few_samples(pull.strain[pull.window], by[pull.window])
+    x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
     slope, level = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
     return replace(
         pull, stress=pull.stress + by, slope=pull.slope + slope, level=pull.level + level
@@ -384,7 +386,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
         for half in (~is_upper, is_upper):
-            x, y = _few_samples(strain[half], stress[half])
+            x, y = _average_blocks(strain[half], stress[half])
             slope, centre, level = float(np.polyfit(x, y, 1)[0]), float(x.mean()), float(y.mean())
             halves.append(number(replace(pull, slope=slope, centre=centre, level=level)))
         value, change = number(pull), halves[1] - halves[0]
@@ -392,7 +394,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
         if abs(change) > limit * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
         later = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
-        largest = float(np.fmax.reduce(_rise_above_line(pull)[later], initial=-np.inf))
+        largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[later], initial=-np.inf))
         if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
@@ -408,7 +410,7 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
             yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
 
 
-def _jump_of_strain(pull: Pull, stop: int) -> tuple[Reason, ...]:
+def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
     strain = pull.strain[: stop + 1]
     steps = np.diff(strain[~np.isnan(strain)])
@@ -445,8 +447,8 @@ class ElasticModulus(TensionResult):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the slope of the elastic line, whose residuals may be correlated."""
         del test
-        window, doubts = pull.window, _jump_of_strain(pull, pull.window.stop)
-        return [TensionNumber(_slope, (window.start, window.stop), doubts=doubts)]
+        window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
+        return [TensionNumber(_read_slope, (window.start, window.stop), doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and return the line for figures."""
@@ -461,7 +463,7 @@ class ElasticModulus(TensionResult):
         yield FittedLine("elastic_modulus", slope, level, low, high)
 
 
-def _slope(pull: Pull) -> float:
+def _read_slope(pull: Pull) -> float:
     return pull.slope
 
 
@@ -480,24 +482,27 @@ class ProofStress(TensionResult):
         del test
 
         def interpolate(pull: Pull) -> float:
-            after, above = _meeting_sample(pull, self.offset), _rise_above_line(pull, self.offset)
+            after, above = (
+                _find_meeting_sample(pull, self.offset),
+                _compute_stress_above_line(pull, self.offset),
+            )
             share = float(above[after - 1] / (above[after - 1] - above[after]))
             before, behind = pull.stress[after - 1 : after + 1]
             return float(before + share * (behind - before))
 
-        crossing = _meeting_sample(pull, self.offset)
-        doubts = _jump_of_strain(pull, crossing)
+        crossing = _find_meeting_sample(pull, self.offset)
+        doubts = _find_strain_jump(pull, crossing)
         return [TensionNumber(interpolate, (pull.window.start, crossing), doubts=doubts)]
 
 
-def _rise_above_line(pull: Pull, offset: float = 0.0) -> Floats:
+def _compute_stress_above_line(pull: Pull, offset: float = 0.0) -> Floats:
     """Return the stress above the elastic line shifted by a strain, Pa, of every sample."""
     return pull.stress - pull.slope * (pull.strain - pull.toe - offset)
 
 
-def _meeting_sample(pull: Pull, offset: float) -> int:
+def _find_meeting_sample(pull: Pull, offset: float) -> int:
     """Find the first sample on or below the elastic line shifted by a strain."""
-    below = _rise_above_line(pull, offset) <= 0.0
+    below = _compute_stress_above_line(pull, offset) <= 0.0
     below[: pull.window.stop] = False
     if not below.any():
         last = np.nanmax(pull.strain) - pull.toe
@@ -524,7 +529,7 @@ class YieldStress(TensionResult):
         del test
         return [
             TensionNumber(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
-            for sample in _yield_samples(pull)
+            for sample in _find_yield_samples(pull)
         ]
 
 
@@ -532,7 +537,7 @@ def _read_stress(pull: Pull, sample: int) -> float:
     return float(pull.stress[sample])
 
 
-def _yield_samples(pull: Pull) -> tuple[int, int]:
+def _find_yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than noise and a thousandth.
@@ -583,11 +588,11 @@ class TensileStrength(TensionResult):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the largest stress."""
         strength, during = partial(_read_stress, sample=pull.peak), (0, pull.peak)
-        doubts = _ends_at_peak(test, pull)
+        doubts = _find_end_at_peak(test, pull)
         return [TensionNumber(strength, during, has_line=False, doubts=doubts)]
 
 
-def _ends_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     """Return a doubt if the record ends without a break: the force may rise again."""
     if isinstance(test.failure, kinds.FailurePoint):
         return ()
@@ -617,15 +622,17 @@ class MaximumForceElongation(TensionResult):
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the strain at the largest force; noise may have chosen a neighbour of it."""
         around = slice(max(pull.peak - 50, 0), pull.peak + 50)
-        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _noise(pull.stress[around])
+        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _estimate_noise(
+            pull.stress[around]
+        )
         # The samples, from the first to the last, that noise may have made the largest.
         first, last = np.flatnonzero(is_near_peak)[[0, -1]].tolist()
         if np.isnan(pull.strain[[first, last]]).any():
-            raise _off_before(pull, "the largest force")
+            raise _make_extensometer_error(pull, "the largest force")
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
         # The second moment about the sample, if every strain between the ends is as likely.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
-        during, doubts = (pull.window.start, last + 1), _ends_at_peak(test, pull)
+        during, doubts = (pull.window.start, last + 1), _find_end_at_peak(test, pull)
         return _list_elongations(pull.peak, during, {causes.PEAK: spread}, doubts)
 
 
@@ -647,7 +654,7 @@ def _list_elongations(
     return [TensionNumber(number, during, errors=errors, doubts=doubts) for number in numbers]
 
 
-def _off_before(pull: Pull, what: str) -> UnavailableError:
+def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
     """Return the error for an extensometer that comes off before an event."""
     last = float(np.nanmax(pull.strain)) - pull.toe
     return UnavailableError.of("results.extensometer_off", what=what, last=last)
@@ -675,7 +682,7 @@ class BreakElongation(TensionResult):
         test.require(test.failure)
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
-            raise _off_before(pull, "the break")
+            raise _make_extensometer_error(pull, "the break")
         # The break is as likely anywhere between this sample and the next one.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
         return _list_elongations(last, (pull.window.start, last), {causes.STEP: error})

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
 from labpipe.readers.load_frame import read, recognise_card
-from labpipe.readers.load_frame.cards import shipped_cards
+from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from tests.builders import load_frames as frames
@@ -232,7 +232,7 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def test_every_card_has_an_example_and_is_documented(repository: Path) -> None:
-    assert {*shipped_cards()} == {*EXAMPLES}
+    assert {*load_shipped_cards()} == {*EXAMPLES}
     pages = [path.read_text(encoding="utf-8") for path in (repository / "docs").rglob("*.md")]
     for dialect in EXAMPLES:
         assert any(f"`{dialect}`" in page for page in pages), dialect
@@ -261,7 +261,7 @@ def test_no_vendor_s_card_reads_another_s_export(examples: dict[str, Path], dial
     assert read(file, dialect=dialect).channels
     refusal = r": expected .+, found .+\. .+\.$"
     for asked in {*EXAMPLES} - {dialect}:
-        if not shipped_cards()[dialect].fallback:
+        if not load_shipped_cards()[dialect].fallback:
             message = f"dialect {asked}, found one of the dialect {dialect}"
             with pytest.raises(ReadError, match=message):
                 read(file, dialect=asked)

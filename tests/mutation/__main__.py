@@ -2,7 +2,7 @@
 
 ``python -m tests.mutation`` tries what has not been tried, for an hour at most, and writes down
 what notices each fault, in ``tests/mutation/tried.jsonl``. ``--again`` tries those again that
-survived, ``--again`` all. ``--report`` prints the score, ``--publish`` puts it into
+survived, ``--all`` tries all again. ``--report`` prints the score, ``--publish`` puts it into
 docs/explanations/coverage.md. What survives is explained in ``tests/mutation/explained.toml``, or
 is a test that is missing.
 """
@@ -41,7 +41,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=3600.0, help="go on for so long")
     parser.add_argument("--demo", type=Path, default=DEMO, help="folder of the demo's exports")
     parser.add_argument("--again", action="store_true", help="try again what survived")
-    parser.add_argument("--again", action="store_true", help="try all again")
+    parser.add_argument("--all", action="store_true", help="try all again")
     parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name has this")
     parser.add_argument("--report", action="store_true", help="print the score")
     parser.add_argument("--publish", action="store_true", help="put the score into the docs")
@@ -49,7 +49,7 @@ def main() -> int:
     drawn = sampled(REPOSITORY / "labpipe")
     if not (options.report or options.publish):
         known = tried()
-        if options.again:
+        if options.all:
             known = {}
         if options.again:
             why = explained()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 LAYERS = (
-    *("results", "bending", "signal", "markers"),
+    *("results", "signal", "markers"),
     *("statistics", "uncertainty", "mechanics/wire", "mechanics/law"),
 )
 SEED, COUNT = 20261122, 400

@@ -16,11 +16,11 @@ import pytest
 from labpipe import __version__
 from labpipe.errors import CODES, StoreError, UsageError
 from labpipe.process.output_paths import (
-    files_below,
     find_copies,
     find_results,
     find_tests,
     identify_recording,
+    list_files_below,
     refuse_duplicates,
 )
 from labpipe.process.run import Processed, Refused, Task, attempt, process_test
@@ -266,7 +266,7 @@ def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
     assert find_results([tmp_path]) == [tmp_path / "T-1" / "result.h5"]
     assert find_tests([tmp_path]) == [tmp_path / "T-1" / "test.yaml"]
     (tmp_path / "T-1" / ".hidden.yaml").touch()
-    names = [path.name for path in files_below(tmp_path)]
+    names = [path.name for path in list_files_below(tmp_path)]
     assert names == ["result.h5", "test.yaml"]
 
 

@@ -13,9 +13,9 @@ from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
 from labpipe.process.steps import (
     average_level,
+    count_required_samples,
     fit_end_level,
     measure_moving_zero,
-    required_samples,
     rezero_at_rest,
 )
 from labpipe.process.story import reduce_recordings
@@ -137,7 +137,7 @@ def test_short_rests_leave_results_as_good(repository: Path) -> None:
 
 
 def test_a_short_record_says_nothing_of_its_noise() -> None:
-    assert (required_samples(TIME[:24]), required_samples(TIME[:25])) == (8, 3)
+    assert (count_required_samples(TIME[:24]), count_required_samples(TIME[:25])) == (8, 3)
 
 
 @pytest.mark.parametrize("rest", [0, 2, 5, 20, 100, 199])

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_rows import parse_rows
-from labpipe.readers.motive_takes import Header, derive_rate, parse_header, unique_names
-from labpipe.readers.recording_checks import track_notes
+from labpipe.readers.motive_takes import Header, derive_rate, make_names_unique, parse_header
+from labpipe.readers.recording_checks import make_track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
 from tests.approved import Approve
@@ -204,9 +204,9 @@ def test_what_is_odd_is_noted(tmp_path: Path, code: str) -> None:
 
 
 def test_names_become_unique() -> None:
-    assert unique_names([("a", "1"), ("a", "1"), ("b", "")]) == ("a 1 #1", "a 1 #2", "b")
-    assert unique_names([("a", ""), ("a", "")]) == ("a #1", "a #2")
-    assert unique_names([("a", "1"), ("a", "2")]) == ("a 1", "a 2")
+    assert make_names_unique([("a", "1"), ("a", "1"), ("b", "")]) == ("a 1 #1", "a 1 #2", "b")
+    assert make_names_unique([("a", ""), ("a", "")]) == ("a #1", "a #2")
+    assert make_names_unique([("a", "1"), ("a", "2")]) == ("a 1", "a 2")
 
 
 def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
@@ -403,7 +403,7 @@ def test_notes_on_tracks() -> None:
     still[10:30] = still[10]
     clamp = RigidBody("Clamp", still, np.full((40, 4), np.nan), np.full(40, np.nan))
     take = MarkerTracks(frames / 50.0, frames, 50.0, names, stack, (clamp,))
-    assert {f"{note.code} {note.where}": note.message for note in track_notes(take)} == {
+    assert {f"{note.code} {note.where}": note.message for note in make_track_notes(take)} == {
         "marker_blank markers": "never seen: base",
         "marker_gaps tip": "missing in 3 of 40 frames, the longest gap 2 frames",
         "marker_gaps label": "missing in 12 of 40 frames, the longest gap 12 frames",

@@ -19,12 +19,12 @@ from labpipe.readers.workbooks import (
     Table,
     as_table,
     clear_sheet_cache,
-    csv_cells,
     is_workbook,
+    list_sheets,
     open_sheets,
     read_campaign_sheet,
-    sheets_of,
-    workbook_cells,
+    read_csv_cells,
+    read_workbook_cells,
 )
 from tests.approved import Approve
 from tests.readers.load_frame.exports import (
@@ -117,7 +117,7 @@ def refusal(read: Callable[[Path], object], path: Path) -> str:
 
 
 def wires(path: Path) -> Table:
-    rows = workbook_cells(path) if path.suffix == ".xlsx" else csv_cells(path)
+    rows = read_workbook_cells(path) if path.suffix == ".xlsx" else read_csv_cells(path)
     return as_table(rows, path, rows_of="one row per wire")
 
 
@@ -153,9 +153,9 @@ def test_sheets_by_number_and_by_name(tmp_path: Path) -> None:
     path = workbook(
         tmp_path / "a.xlsx", {"notes": [["a note"]], "wires": [["wire", "strands"], ["A1", 7]]}
     )
-    assert sheets_of(path) == {"notes": True, "wires": True}
-    assert workbook_cells(path) == [[Cell("a note", "cell A1")]]
-    first, second = workbook_cells(path, "wires", "sheet 'wires'")[1]
+    assert list_sheets(path) == {"notes": True, "wires": True}
+    assert read_workbook_cells(path) == [[Cell("a note", "cell A1")]]
+    first, second = read_workbook_cells(path, "wires", "sheet 'wires'")[1]
     assert (first, second.text) == (Cell("A1", "sheet 'wires', cell A2"), "7")
 
 
@@ -171,7 +171,7 @@ def test_formulas_with_a_stored_value(tmp_path: Path, stored: str, unread: str) 
     path = workbook(tmp_path / "a.xlsx", {"Sheet": [["wire", "=80+5"]]})
     pattern = r'(<c r="B1")[^>]*><f>80\+5</f><v\s*(?:/>|></v>)'
     changed(path, lambda text: re.sub(pattern, r"\1 " + stored, text))
-    cells = [cell.unread for row in workbook_cells(path) for cell in row]
+    cells = [cell.unread for row in read_workbook_cells(path) for cell in row]
     assert [text for text in cells if text] == ([unread] if unread else [])
 
 

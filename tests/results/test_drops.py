@@ -22,7 +22,7 @@ from labpipe.results.slack_and_slips import (
     PullCurve,
     _choose_block_size,
     _estimate_correlation,
-    _is_outlier,
+    _flag_outliers,
     _Window,
     count_samples_before,
     find_slips,
@@ -249,7 +249,7 @@ def test_a_sample_six_deviations_of_the_steps_off_stands_alone(
     steps = np.diff(force)
     force[200] = deviations * 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
     force[[198, 199, 201, 202]] = 0.0
-    assert bool(_is_outlier(force)[200]) is stands
+    assert bool(_flag_outliers(force)[200]) is stands
 
 
 COUNT, STEP = 400, 1e-4

@@ -147,7 +147,9 @@ WAYS = {
 
 
 def decided(path: Floats, force: Floats, like: UnloadingEnd | None = None) -> UnloadingEnd:
-    found = return_failure(find_unloading_end)(TIME, path, force, force_below=LIMIT, like=like)
+    found = return_failure(find_unloading_end)(
+        TIME, path, force, force_below=LIMIT, measured_end=like
+    )
     assert not isinstance(found, Failure), found
     return found
 
@@ -234,7 +236,9 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     found = decided(path[10], force[10])
     assert found.kind == "followed"
     for d, f, each in zip(path[10:], force[10:], found.compute(path[10:], force[10:]), strict=True):
-        alone = return_failure(find_unloading_end)(TIME, d, f, force_below=LIMIT, like=found)
+        alone = return_failure(find_unloading_end)(
+            TIME, d, f, force_below=LIMIT, measured_end=found
+        )
         if isinstance(alone, Failure):
             assert np.isnan(each)
         else:

@@ -270,10 +270,10 @@ def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> N
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
         *(seen(ahead=0.0, sag=6.5e-3), seen(ahead=0.0, sag=2e-3), seen(), weak),
     ):
-        numbers = (1e3 * number for number in (rest.ahead, rest.sag, rest.reach))
+        numbers = (1e3 * number for number in (rest.clamp_lead, rest.sag, rest.reach))
         lines.append(" ".join(f"{number:.4g}" for number in numbers) + f" mm: {rest.state}")
-        known = not np.isnan([rest.ahead, rest.sag]).all()
-        lines.append(f"  known: {known}; {rest.why_not_straight or 'straight'}")
+        known = not np.isnan([rest.clamp_lead, rest.sag]).all()
+        lines.append(f"  known: {known}; {rest.bend_at_rest or 'straight'}")
         lines += [
             f"  {note.code} of {note.where}: {note.message}" for note in list_rest_notes("T1", rest)
         ]
@@ -316,24 +316,26 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
 def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) -> None:
     found = moved(tension=tension, slack_for=3e-3)
     assert found.tension == pytest.approx(tension, abs=3e-4)
-    assert found.lowest == pytest.approx(-tension, abs=3e-4)
+    assert found.lowest_force == pytest.approx(-tension, abs=3e-4)
     assert found.error < 2e-4
     assert found.has_lost_tension is (tension > 0.0)
 
 
 def test_two_quarters_of_a_millimetre_of_slack_tell() -> None:
-    assert moved(tension=WEIGHT, slack_for=0.6e-3).slackened == pytest.approx(-WEIGHT, abs=3e-4)
-    assert np.isnan(moved(tension=WEIGHT, slack_for=0.3e-3).slackened)
+    assert moved(tension=WEIGHT, slack_for=0.6e-3).slack_force == pytest.approx(-WEIGHT, abs=3e-4)
+    assert np.isnan(moved(tension=WEIGHT, slack_for=0.3e-3).slack_force)
 
 
 def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
     found = moved(tension=0.02)
-    assert np.isnan(found.slackened)
-    assert found.lowest == pytest.approx(-0.015, abs=2e-3)
+    assert np.isnan(found.slack_force)
+    assert found.lowest_force == pytest.approx(-0.015, abs=2e-3)
     assert found.has_lost_tension
 
 
-EVIDENCE = RestEvidence(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, error=5e-5)
+EVIDENCE = RestEvidence(
+    clamp_lead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest_force=-1e-4, error=5e-5
+)
 
 
 NAN = float("nan")
@@ -360,16 +362,20 @@ def test_what_the_evidence_says(state: str) -> None:
     """The force of a slack string before its lowest force, that before the clamp, then the sag."""
     for numbers in AHEAD_SAG_LOWEST_AND_SLACKENED[state]:
         ahead, sag, lowest, slackened = (1e-3 * number for number in numbers)
-        rest = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
+        rest = replace(
+            EVIDENCE, clamp_lead=ahead, sag=sag, lowest_force=lowest, slack_force=slackened
+        )
         assert rest.state == state
         straight = state in ("taut", "off the wire") or bool(np.isnan(sag))
         straight |= state == "unknown" and ahead == 0.0 and sag < 4e-3
-        assert (rest.why_not_straight == "") is straight
+        assert (rest.bend_at_rest == "") is straight
         stiff = replace(rest, reach=0.2e-3)  # hangs too little to be told by its sag
         assert np.isnan(stiff.share)
 
 
-TAUT_REST = RestEvidence(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
+TAUT_REST = RestEvidence(
+    clamp_lead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest_force=-0.0084, error=1e-4
+)
 
 
 @pytest.mark.parametrize(
@@ -378,25 +384,29 @@ TAUT_REST = RestEvidence(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=
 def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
     ahead: float, tension: float
 ) -> None:
-    found = decide_string_state(replace(EVIDENCE, ahead=ahead, sag=2e-3))
-    assert (found.state, found.tension, found.other) == ("unknown", tension, WEIGHT - tension)
+    found = decide_string_state(replace(EVIDENCE, clamp_lead=ahead, sag=2e-3))
+    assert (found.state, found.tension, found.alternative_tension) == (
+        "unknown",
+        tension,
+        WEIGHT - tension,
+    )
 
 
 def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
     """Forces in mN: at the wire's tip, of the weight that hangs, and what else it may be."""
-    slack = replace(TAUT_REST, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5)
-    unknown = replace(TAUT_REST, ahead=0.0, sag=1.6e-3, lowest=0.0)
+    slack = replace(TAUT_REST, clamp_lead=1.2e-3, sag=5.5e-3, lowest_force=0.0, slack_force=-1e-5)
+    unknown = replace(TAUT_REST, clamp_lead=0.0, sag=1.6e-3, lowest_force=0.0)
     strings = (
         *(
             decide_string_state(TAUT_REST),
             decide_string_state(slack),
-            decide_string_state(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0)),
+            decide_string_state(replace(TAUT_REST, clamp_lead=1.2e-3, lowest_force=0.0)),
         ),
         *(
-            decide_string_state(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013)),
+            decide_string_state(replace(TAUT_REST, sag=2.5e-3, slack_force=-0.013)),
             decide_string_state(unknown),
         ),
-        decide_string_state(replace(unknown, ahead=1e-3)),
+        decide_string_state(replace(unknown, clamp_lead=1e-3)),
         *(
             decide_string_state(replace(rest, weight=0.0309, own_weight=0.0044))
             for rest in (TAUT_REST, slack)
@@ -411,7 +421,8 @@ def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
         assert (string.note.code, string.note.where) == ("string_at_rest", "rig.string")
     approved(
         f"{string.state} {1e3 * string.tension:.4g} {1e3 * string.weight:.4g} "
-        f"{string.other and round(1e3 * string.other, 3)} {string.note.severity}: {string.why}"
+        f"{string.alternative_tension and round(1e3 * string.alternative_tension, 3)} "
+        f"{string.note.severity}: {string.evidence}"
         for string in strings
     )
 

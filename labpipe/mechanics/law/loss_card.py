@@ -1,4 +1,4 @@
-"""A law in each form that simulation programs offer, with the error of each form.
+"""Fit a law in each form that simulation programs offer, and compute the error of each form.
 
 All errors are the largest distance from the law's moment on first loading over a range of
 curvatures, as a share of that moment, for the best fit of each form. A loss card lists them.
@@ -66,7 +66,7 @@ class LossCard:
     Parameters
     ----------
     first, last : 1/m, the range
-    stiffness : N m^2, the best constant one
+    stiffness : N m^2, the constant stiffness with the smallest error
     constant : error of the constant stiffness
     dahl : the best Dahl law
     sliders : number of sliders and error of each fit; fewer sliders than requested if the law
@@ -114,12 +114,12 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
 
 @dataclass(frozen=True, slots=True)
 class TurnLoss:
-    """Largest error of unbending, as a share of the moment at the turn.
+    """Largest error of unbending, as a share of the moment at the reversal.
 
     Parameters
     ----------
     curve : of a law without memory
-    curve_at : 1/m, curvature of the turn
+    curve_at : 1/m, curvature of the reversal
     isotropic : of isotropic hardening
     isotropic_at : 1/m
     """
@@ -140,11 +140,12 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
 
     Notes
     -----
-    The wire is turned at curvatures up to half of the range, so that a hardening law stays within
-    it, and straightened; it follows Masing's rule, M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic
-    hardening M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0; beyond it yields the
-    other way, shifted by the plastic part of the first loading: M = -M(2 kappa_0 - kappa - 2 M_0 /
-    S).
+    The bending is reversed at curvatures up to half of the range, so that a hardening law stays
+    within the range, and the wire is straightened. It follows Masing's rule,
+    M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic hardening
+    M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0. Below -M_0 the wire
+    yields in the opposite direction, shifted by the plastic part of the first loading:
+    M = -M(2 kappa_0 - kappa - 2 M_0 / S).
     """
     n_turns = 40
     n_points = 41
@@ -177,10 +178,10 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     -----
     For each of many decays the minimax spring and slider are found by exchange of the three points
     of equal error with alternating sign (Stiefel, Numerische Mathematik 1 (1959) 1-28); the optimum
-    is unique because the ratio of the two functions falls. Negative springs and sliders are left
-    out.
+    is unique because the ratio of the two functions falls. Fits with a negative spring or slider
+    are discarded.
     """
-    if len(curvature) < 3:  # the exchange needs three points
+    if len(curvature) < 3:  # the exchange requires three points
         middle = 0.5 * (curvature[0] + curvature[-1])
         moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
         curvature = np.insert(curvature, 1, middle)
@@ -199,17 +200,19 @@ def _best_dahl(
     slider = -np.expm1(-curvature / decay[:, None]) / moment
     points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_N_DECAYS, 1))
     for _ in range(max_exchanges):
-        sides = [np.take_along_axis(column, points, axis=1) for column in (spring, slider)]
+        columns = [np.take_along_axis(column, points, axis=1) for column in (spring, slider)]
         signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
-        level = np.linalg.solve(np.stack([*sides, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
-        stiffness, height, even = level[..., 0].T
+        solution = np.linalg.solve(np.stack([*columns, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
+        stiffness, height, equal_error = solution[..., 0].T
         errors = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
         worst = np.argmax(np.abs(errors), axis=1)
         largest_error = np.take_along_axis(errors, worst[:, None], axis=1)[:, 0]
-        is_moving = np.abs(largest_error) > np.abs(even) * (1.0 + tolerance) + tolerance
+        is_moving = np.abs(largest_error) > np.abs(equal_error) * (1.0 + tolerance) + tolerance
         if not is_moving.any():
             break
-        swapped = _exchange(points, worst, np.sign(largest_error), np.sign(even[:, None]) * signs)
+        swapped = _exchange(
+            points, worst, np.sign(largest_error), np.sign(equal_error[:, None]) * signs
+        )
         points = np.where(is_moving[:, None], swapped, points)
     error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(largest_error), np.inf)
     best = int(np.argmin(error))
@@ -217,7 +220,7 @@ def _best_dahl(
 
 
 def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
-    """Exchange the worst point in, keeping alternating signs."""
+    """Exchange one of three points for the worst point, so that the signs still alternate."""
     place = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
     below, above = np.maximum(place - 1, 0), np.minimum(place, 2)
@@ -232,7 +235,7 @@ def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
 
 
 SLIDERS = 12
-"""With fewer, the error of the residual curvature after unloading exceeds 2 %."""
+"""Default number of sliders: with fewer, the residual curvature after unloading is off by > 2 %."""
 
 
 @lru_cache(maxsize=16)  # tables are hashed by identity
@@ -377,9 +380,9 @@ def fit_equivalent_material(
 
 
 def _bounded_slopes(parts: Floats, target: Floats) -> Floats:
-    """Solve least squares with bounded slopes; by NNLS where that meets the upper bound."""
-    max_slope = 0.999  # of the modulus: as steep as it, a curve has no plastic strain
-    rounds_per_slope = 20  # with the default of one some searches stop early
+    """Solve least squares with bounded slopes; NNLS suffices where it meets the upper bound."""
+    max_slope = 0.999  # of the modulus: a slope equal to the modulus leaves no plastic strain
+    rounds_per_slope = 20  # with the default of one, some searches stop early
     max_iterations = rounds_per_slope * parts.shape[1]
     slopes = nnls(parts, target, maxiter=max_iterations)[0]
     if np.any(slopes > max_slope):
@@ -389,7 +392,7 @@ def _bounded_slopes(parts: Floats, target: Floats) -> Floats:
 
 
 def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
-    """Return the moment of a bar of unit modulus, perfectly plastic from a strain on.
+    """Return the moment of a bar of unit modulus that is perfectly plastic beyond a strain.
 
     With c = strain / (kappa R) the half-height of the elastic core, as a share of the radius:
     M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).

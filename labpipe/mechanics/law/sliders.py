@@ -132,7 +132,7 @@ class GrowingSlider(ArrayRecord):
         return np.asarray(moment - self.stiffness * grown)
 
     def slide(self, curvature: Floats, history: Floats) -> SliderResponse:
-        """Compute the step to new curvatures in one plane.
+        """Compute the moments after a step to new curvatures in one plane.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class GrowingSlider(ArrayRecord):
         return SliderResponse(self.stiffness * (curvature - rest), tangent, history)
 
     def slide_vector(self, curvature: Floats, history: Floats) -> SliderResponse:
-        """Compute the step to new curvature vectors, each along a straight line.
+        """Compute the moments after a step to new curvature vectors, each along a straight line.
 
         Parameters
         ----------
@@ -253,19 +253,19 @@ class SliderLaw(ArrayRecord):
 
 
 def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> SliderLaw:
-    """Give a part of the hardening of the strands in a law a limit that grows.
+    """Replace a share of the strands' hardening in a law by a slider whose limit grows.
 
     Parameters
     ----------
     law : whose sliders contain the strands' own bending
-    strands : growing slider that holds the whole of it
+    strands : growing slider of their whole bending
     share : isotropic share, from 0 to 1; with 0 the law is returned as it is
 
     Returns
     -------
     A law with the same moments of first loading at its slip curvatures and at the end of its range.
     """
-    min_slider_share = 1e-9  # of the first stiffness, for a slider that the law does not need
+    min_slider_share = 1e-9  # of the first stiffness: sliders have a positive stiffness
     if share == 0.0:
         return law
     growing = strands.scaled(share)
@@ -283,7 +283,7 @@ def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> Sli
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PresentSliders:
-    """All sliders of a law as they are now; the limits of growing ones stay as they are.
+    """All sliders of a law with their present limits, constant ones and growing ones.
 
     Parameters
     ----------
@@ -354,12 +354,12 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
     stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
     response = SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
-    steps = [slider.slide(curvature, own) for slider, own in _growing_histories(law, rests)]
+    steps = [slider.slide(curvature, history) for slider, history in _growing_histories(law, rests)]
     return _add_steps(response, steps)
 
 
 def _growing_histories(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
-    """Yield the growing sliders with their own part of the history."""
+    """Yield each growing slider with its part of the history."""
     for start, slider in zip(
         range(len(law.stiffnesses), law.history_size, 2), law.growing, strict=True
     ):
@@ -367,7 +367,7 @@ def _growing_histories(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingS
 
 
 def _add_steps(response: SliderResponse, steps: list[SliderResponse]) -> SliderResponse:
-    """Add the responses of growing sliders to that of the others."""
+    """Add the responses of growing sliders to that of the sliders with constant limits."""
     if not steps:
         return response
     moment, stiffness, rests = response.moment, response.stiffness, [response.rests]
@@ -394,15 +394,15 @@ def bend_to_moment(
 
     Notes
     -----
-    From its present value the moment is a concave function of the change of curvature, and of
-    straight parts: Newton's method converges from below in a finite number of steps. It begins with
-    the stiffness of sliders that all stick, whichever way the curvature changes.
+    From its present value the moment is a concave, piecewise linear function of the change of
+    curvature: Newton's method converges from below in a finite number of steps. It begins with
+    the stiffness of sliders that all stick, in whichever direction the curvature changes.
     """
     max_iterations = 60
     count = len(law.stiffnesses)
     present = law.stiffness * curvature + (curvature[:, None] - rests[:, :count]) @ law.stiffnesses
-    for slider, own in _growing_histories(law, rests):
-        present = present + slider.stiffness * (curvature - own[:, 0])
+    for slider, history in _growing_histories(law, rests):
+        present = present + slider.stiffness * (curvature - history[:, 0])
     rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(present).max(initial=0.0))
     missing, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
@@ -442,7 +442,10 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
     response = SliderResponse(moment, stiffness, curvature[:, None, :] - slider_curvature)
-    steps = [slider.slide_vector(curvature, own) for slider, own in _growing_histories(law, rests)]
+    steps = [
+        slider.slide_vector(curvature, history)
+        for slider, history in _growing_histories(law, rests)
+    ]
     return _add_steps(response, steps)
 
 
@@ -590,7 +593,7 @@ def make_mixed_law(
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
     sliders = SliderLaw(
-        max(float(slopes.min()), 0.0),  # nothing but rounding remains of a bare solid wire
+        max(float(slopes.min()), 0.0),  # a bare solid wire has only rounding here
         slope_drops[has_slider],
         corners[:-1][has_slider],
         0.0,
@@ -604,7 +607,7 @@ def make_mixed_law(
 
 
 MAX_SCALAR_SLIDERS = 16
-"""Largest number in each direction."""
+"""Largest number of scalar sliders in each direction."""
 TURNS = (0.0, 0.5, 0.25, 0.75)
 """Turns of successive nodes, as shares of the angle between two directions."""
 
@@ -664,11 +667,13 @@ def fit_directions(
     Notes
     -----
     Non-negative least squares of the moment along the curvature, relative to that of the vector
-    sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest
-    ones are merged until few enough are left.
+    sliders and as a mean over all directions, on a grid of slip curvatures; then the two
+    nearest slip curvatures are merged until at most `max_sliders` remain.
     """
     n_slips = 48  # slip curvatures to choose from
-    last_factor = 1.6  # vector sliders slide together, scalar ones only until there
+    last_factor = (
+        1.6  # times the last slip curvature: scalar sliders slide later than vector sliders
+    )
     require("directions", directions, ">= 2", holds=directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
     size = _curvatures(law)
@@ -680,20 +685,20 @@ def fit_directions(
         slips = np.geomspace(*ends, n_slips)
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
-            slips = _fewer_slips(slips, stiffnesses[1:])
+            slips = _reduce_slips(slips, stiffnesses[1:])
             stiffnesses = _fit_stiffnesses(size, target, slips, directions)
     springs = 2.0 * stiffnesses / directions
     scalar_law = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
-    return _with_errors(law, scalar_law)
+    return _set_errors(law, scalar_law)
 
 
-def turn_directions(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
-    """Return the mean of neighbouring nodes whose directions are turned by `TURNS`.
+def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
+    """Average the laws of neighbouring nodes whose directions are turned by `TURNS`.
 
     Parameters
     ----------
     law : vector sliders
-    few : scalar sliders of each node
+    node_law : scalar sliders of each node
 
     Returns
     -------
@@ -701,12 +706,12 @@ def turn_directions(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
     """
     count = len(TURNS)
     mean = replace(
-        few,
-        directions=count * few.directions,
-        stiffness=few.stiffness / count,
-        stiffnesses=few.stiffnesses / count,
+        node_law,
+        directions=count * node_law.directions,
+        stiffness=node_law.stiffness / count,
+        stiffnesses=node_law.stiffnesses / count,
     )
-    return _with_errors(law, mean)
+    return _set_errors(law, mean)
 
 
 def _curvatures(law: SliderLaw) -> Floats:
@@ -714,26 +719,28 @@ def _curvatures(law: SliderLaw) -> Floats:
     return np.geomspace(law.first, law.last, n_sizes)
 
 
-def _with_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
-    """Return the law with its largest errors."""
-    size = _curvatures(law)
-    target = compute_slider_moment(law, size)
-    along, aside = _components(scalar_law, size)
+def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
+    """Return the scalar law with its errors computed against the vector sliders."""
+    curvature = _curvatures(law)
+    target = compute_slider_moment(law, curvature)
+    along, across = _components(scalar_law, curvature)
     return replace(
         scalar_law,
         error=float(np.max(np.abs(along / target[:, None] - 1.0))),
-        sideways=float(np.max(np.abs(aside / target[:, None]))),
+        sideways=float(np.max(np.abs(across / target[:, None]))),
     )
 
 
 def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
     """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
-    columns = np.column_stack([size, _mean_held(size, slips, directions)]) / target[:, None]
+    columns = (
+        np.column_stack([size, _mean_slider_curvature(size, slips, directions)]) / target[:, None]
+    )
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
 
 
-def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
-    """Return the mean held curvature along the curvature, over all its directions, 1/m.
+def _mean_slider_curvature(size: Floats, slips: Floats, directions: int) -> Floats:
+    """Return the mean slider curvature along the curvature, over all its directions, 1/m.
 
     Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
     on: sorted by p, those that slide are the last ones.
@@ -748,7 +755,7 @@ def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
     return 2.0 / directions / len(turn) * (squares * size[:, None] + sliding * slips)
 
 
-def _fewer_slips(slips: Floats, stiffnesses: Floats) -> Floats:
+def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
     """Drop slip curvatures without stiffness; if there is none, merge the two nearest."""
     loaded = slips[stiffnesses > 0.0]
     if len(loaded) < len(slips):
@@ -764,14 +771,14 @@ def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
     Angles go from a direction to the middle between two; the rest follows by symmetry.
     """
     turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
-    towards = np.column_stack([np.cos(turn), np.sin(turn)])
-    parts = towards @ law.normals.T
+    unit = np.column_stack([np.cos(turn), np.sin(turn)])
+    parts = unit @ law.normals.T
     corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])
     slider_moment = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
     component = size[:, None, None] * parts
     moment = np.sign(component) * np.interp(
         np.abs(component), corners, law.stiffness * corners + slider_moment
     )
-    along = np.sum((moment @ law.normals) * towards, axis=2)
-    aside = np.column_stack([-towards[:, 1], towards[:, 0]])
-    return along, np.sum((moment @ law.normals) * aside, axis=2)
+    along = np.sum((moment @ law.normals) * unit, axis=2)
+    across = np.column_stack([-unit[:, 1], unit[:, 0]])
+    return along, np.sum((moment @ law.normals) * across, axis=2)

@@ -1,4 +1,4 @@
-"""Thinning of a concave law to few points with the smallest error of linear interpolation."""
+"""Choose the few points of a concave law whose linear interpolation has the smallest error."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
 
     Returns
     -------
-    The points. Each slope is below the one before by at least a millionth: programs that take the
-    first slope as the elastic one require it.
+    The points. Each slope is smaller than the preceding slope by at least a millionth, as required
+    by programs that take the first slope as the elastic stiffness.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     _require_law(curvature, moment, max_points)
     corners = find_hull(curvature, moment)
     x, y = curvature[corners], moment[corners]
-    chosen = np.arange(len(x)) if len(x) <= max_points else _fewest_error(x, y, max_points)
+    chosen = np.arange(len(x)) if len(x) <= max_points else _choose_corners(x, y, max_points)
     return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
 
 
@@ -96,20 +96,20 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     """
     x, y = curvature.tolist(), moment.tolist()  # lists are faster for single numbers
     corners: list[int] = [0]
-    for new in range(1, len(x)):
+    for point in range(1, len(x)):
         while len(corners) > 1:
             second, last = corners[-2], corners[-1]
-            arrives = (y[last] - y[second]) / (x[last] - x[second])
-            leaves = (y[new] - y[last]) / (x[new] - x[last])
-            if leaves < arrives * (1.0 - min_slope_drop):
+            slope_in = (y[last] - y[second]) / (x[last] - x[second])
+            slope_out = (y[point] - y[last]) / (x[point] - x[last])
+            if slope_out < slope_in * (1.0 - min_slope_drop):
                 break
             corners.pop()
-        corners.append(new)
+        corners.append(point)
     return np.array(corners, dtype=np.int64)
 
 
 def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
-    """Refuse a law that stiffens too much.
+    """Refuse a law whose concave hull lies too far above it.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
     ValueError
         If the hull is more than 1 % of the moment above the law; the message states the curvature.
     """
-    max_bridged_share = 0.01  # of the moment: more would be another law
+    max_bridged_share = 0.01  # of the moment
     bridged = np.interp(curvature[1:], curvature[hull], moment[hull])
     excess = bridged / moment[1:] - 1.0
     if np.any(excess > max_bridged_share):
@@ -156,20 +156,20 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     return make_polygon_law(x[hull][1:], y[hull][1:])
 
 
-def _fewest_error(x: Floats, y: Floats, max_points: int) -> Ints:
+def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
-    end_share = 1e-6  # of the tolerance, at which halving ends
-    near_share = 0.03  # of the tolerance, below which errors are tried one by one
-    first_cut = 0.1  # of the tolerance, until one is too small
+    end_share = 1e-6  # of the tolerance, at which bisection ends
+    probe_share = 0.03  # of the tolerance: in shorter brackets the upper end is tested, too
+    initial_reduction = 0.1  # factor on the tolerance until it is too small
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _largest_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
     is_probe = False
     while high - low > end_share * high:
-        # possible errors are discrete: near the end, test whether there is one below the last
-        is_probe = not is_probe and high - low < near_share * high
+        # errors are discrete: in a short bracket, test whether any error is below the upper end
+        is_probe = not is_probe and high - low < probe_share * high
         middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
-        middle = middle if low > 0.0 else first_cut * high
+        middle = middle if low > 0.0 else initial_reduction * high
         choice = _skip_corners(plain_x, plain_y, middle, max_points)
         if len(choice) > max_points:
             low = middle
@@ -180,20 +180,20 @@ def _fewest_error(x: Floats, y: Floats, max_points: int) -> Ints:
 
 
 def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: int) -> list[int]:
-    """Skip as many corners as the tolerance allows; stop with one too many."""
-    chosen, steepest, share = [0], -np.inf, 1.0 - tolerance
-    at_x, at_y = x[0], y[0]
-    for new in range(1, len(x)):
-        width, to = x[new] - at_x, y[new]
-        # a chord passes below the corners it skips: each of them limits its slope from below
-        if to - at_y < steepest * width:
-            chosen.append(new - 1)
+    """Choose the fewest corners within a tolerance; stop at one more than `max_points`."""
+    chosen, min_slope, share = [0], -np.inf, 1.0 - tolerance
+    start_x, start_y = x[0], y[0]
+    for point in range(1, len(x)):
+        width, moment = x[point] - start_x, y[point]
+        # a chord lies below the skipped corners: each corner sets a lower limit to its slope
+        if moment - start_y < min_slope * width:
+            chosen.append(point - 1)
             if len(chosen) == max_points:
                 break
-            at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
-            width = x[new] - at_x
-        slope = (share * to - at_y) / width
-        steepest = slope if slope > steepest else steepest  # faster than `max`
+            start_x, start_y, min_slope = x[point - 1], y[point - 1], -np.inf
+            width = x[point] - start_x
+        slope = (share * moment - start_y) / width
+        min_slope = slope if slope > min_slope else min_slope  # faster than `max`
     return [*chosen, len(x) - 1]
 
 

@@ -46,7 +46,7 @@ from labpipe.mechanics.wire.wire_table import (
     wire_table,
 )
 from labpipe.messages import format_sentence
-from labpipe.process.output_paths import find_results, refuse_duplicates, shared_folder
+from labpipe.process.output_paths import find_results, find_shared_folder, refuse_duplicates
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.quality import QualityNote
@@ -139,7 +139,7 @@ def calibrate_tests(
     ]
     calibration = replace(calibration, share=share, notes=tuple(notes))
     calibrated = Calibrated(
-        folder=shared_folder(files) / "calibration" if out is None else out,
+        folder=find_shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
         left_out=left_out | copies,

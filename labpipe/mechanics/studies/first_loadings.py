@@ -381,8 +381,8 @@ def _check_rest(
     evidence = collect_rest_evidence(
         result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
     )
-    if evidence.why_not_straight:
-        raise NotUsableError.of("mechanics.studies.sagged", reason=evidence.why_not_straight)
+    if evidence.bend_at_rest:
+        raise NotUsableError.of("mechanics.studies.sagged", reason=evidence.bend_at_rest)
     return tuple(list_rest_notes(result.test, evidence))
 
 

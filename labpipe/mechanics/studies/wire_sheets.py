@@ -44,10 +44,10 @@ from labpipe.readers.workbooks import (
     Cell,
     Table,
     as_table,
-    csv_cells,
     is_workbook,
-    sheets_of,
-    workbook_cells,
+    list_sheets,
+    read_csv_cells,
+    read_workbook_cells,
 )
 from labpipe.records.wire import WireSpec
 
@@ -309,8 +309,8 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
                 path, [(place, Fault.of("mechanics.studies.csv_elsewhere", name=name.text))]
             )
         neighbour = path.with_name(name.text)
-        return as_table(csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
-    sheets = list(sheets_of(path))
+        return as_table(read_csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
+    sheets = list(list_sheets(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
         similar_names = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
@@ -318,7 +318,7 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
         raise_faults(path, [(place, fault)])
     chosen = name.text if name.text in matches else matches[0]
     sheet_place = f"sheet '{chosen}'"
-    cells = workbook_cells(path, chosen, sheet_place)
+    cells = read_workbook_cells(path, chosen, sheet_place)
     return as_table(cells, path, rows_of=rows_of, place=sheet_place), path
 
 
@@ -477,15 +477,15 @@ def _list_table_names(row: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
 def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
     """Read the cells of the sheet; return them with its place in the file, empty for a csv."""
     if not is_workbook(path):
-        return csv_cells(path), ""
-    sheets = sheets_of(path)
+        return read_csv_cells(path), ""
+    sheets = list_sheets(path)
     if not sheets:
         raise ReadError.about("mechanics.studies.no_sheets", path)
     visible = [name for name, is_shown in sheets.items() if is_shown]
     named_wires = [name for name in sheets if name.casefold() == "wires"]
     name = [*named_wires, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
-    return workbook_cells(path, name, where), where
+    return read_workbook_cells(path, name, where), where
 
 
 def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:

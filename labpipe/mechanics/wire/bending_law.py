@@ -1,4 +1,4 @@
-"""Bending of a stranded wire: friction, the moment-curvature law, and its plays (PHYSICS 4).
+"""Compute the moment-curvature law of a stranded wire with friction (PHYSICS 4).
 
 Axial forces of the strands. Stick (3.7): T = E A kappa r sin(theta) cos^2(alpha), beside the
 strand's share F0 of the wire's own tension. Slip (3.14), with k = mu_inner |sin alpha| and
@@ -7,9 +7,9 @@ c = (mu_outer + mu_inner) H:
     S = (c + k F0) theta_e expm1(k theta_e) / (k theta_e),   theta_e = arcsin(sin theta),
 
 which is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The
-force is the smaller of the two by absolute value, with the sign of T (3.16). The dissertation uses
-theta raw, so that strands with the same sine get different friction; and the smaller of the two
-with their signs, which is never friction on the side in compression.
+force has the smaller of the two absolute values and the sign of T (3.16). The dissertation uses
+theta itself, so that strands with the same sine have different friction, and the smaller signed
+force, which on the side in compression is never friction.
 
 Pressure on a strand of layer q, per radian of its lay (3.11), never negative:
 
@@ -23,8 +23,8 @@ The moment is that of eq. (3.17), with the cos(alpha) of its appendix for the ax
 
     M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
 
-with the strands' own moments m of `wire.materials`. The strands' axial stiffness stays elastic, as
-in the dissertation.
+with the moments m of the strands about their own axes, of `wire.materials`. The axial stiffness of
+the strands stays elastic, as in the dissertation.
 
 On paths that unload, friction and insulation follow Masing's rule. Of the moment of the strands
 about their own axes, the isotropic share has a limit that grows as they yield (PHYSICS 13), so that
@@ -103,14 +103,14 @@ def make_contacts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """One ring, with the demand on its strands and their friction limit at each angle needed.
+    """A ring, with the demand on its strands and their friction limit at each angle.
 
-    Forces are evaluated at the angles of its own strands and, since they press on the rings
-    inside, at those of all inner strands: at the first `end` angles, its own being the last.
+    Forces are evaluated at the angles of the ring's strands and, since they press on inner rings,
+    at the angles of all inner strands: the first `end` angles, of which the last are the ring's.
 
     Parameters
     ----------
-    start, end : which strands are its own, counted over all rings from the innermost
+    start, end : range of the ring's strands, counted over all rings from the innermost
     demand : shape (end,), |T| / kappa, N m
     per_pressure : shape (end,), |S| / H, positive
     per_tension : shape (end,), |S| where H = 0, N
@@ -195,7 +195,7 @@ def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
 def arrange_rings(
     section: CrossSection, contacts: Contacts, sine: Floats, *, tension: float = 0.0
 ) -> Bundle:
-    """Compute what does not depend on the curvature.
+    """Compute demand and friction limit of each ring, which do not depend on the curvature.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def arrange_rings(
     Notes
     -----
     Strands of a ring may differ in radius (a hexagon, a packing). Their own demand is taken at
-    their own radius; where a ring presses on an inner one, at its root-mean-square radius.
+    their own radius; where a ring presses on an inner ring, at its root-mean-square radius.
     """
     first = int(section.has_core)
     layers = section.layers[first:]
@@ -221,27 +221,27 @@ def arrange_rings(
         raise ValueError(message)
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
-    means = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
+    mean_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
     lays = np.array([layer.lay_angle for layer in layers])
     counts = np.array([layer.count for layer in layers])
-    presses = np.abs(np.sin(lays)) * counts
+    pressure_factors = np.abs(np.sin(lays)) * counts
     if contacts.lay_lengths:
-        presses *= np.tan(np.abs(lays)) / np.array(means)
+        pressure_factors *= np.tan(np.abs(lays)) / np.array(mean_radii)
     strain, rings = compute_axial_strain(section, tension), []
     for q, layer in enumerate(layers):
         end, inner = int(counts[: q + 1].sum()), contacts.inner[q]
         rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
-        own_radius = np.where(index == q, radius, means[q])[:end]
+        own_radius = np.where(index == q, radius, mean_radii[q])[:end]
         k = inner * abs(np.sin(layer.lay_angle))
-        reach = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
-        lay = np.tan(abs(layer.lay_angle)) / means[q] if contacts.lay_lengths else 1.0
-        shares = np.where(np.arange(len(layers)) > q, presses, 0.0) / (layer.count * lay)
+        friction_angle = np.abs(compute_friction_angle(k, np.arcsin(sine[:end])))
+        lay = np.tan(abs(layer.lay_angle)) / mean_radii[q] if contacts.lay_lengths else 1.0
+        shares = np.where(np.arange(len(layers)) > q, pressure_factors, 0.0) / (layer.count * lay)
         ring = Ring(
             start=end - layer.count,
             end=end,
             demand=rigidity * own_radius * np.abs(sine[:end]),
-            per_pressure=(inner + contacts.outer[q]) * reach,
-            per_tension=k * rigidity * strain * reach,
+            per_pressure=(inner + contacts.outer[q]) * friction_angle,
+            per_tension=k * rigidity * strain * friction_angle,
             tension=rigidity * strain,
             base=contacts.radial_force * layers[-1].count / layer.count,
             shares=tuple(shares.tolist()),
@@ -273,23 +273,23 @@ def compute_axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     shape = (len(curvature), n_strands)
     force, slope, stuck = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
     outer: list[Floats] = []
-    rises: list[Floats] = []
+    ring_slopes: list[Floats] = []
     for q in reversed(range(len(bundle.rings))):
         ring, sign = bundle.rings[q], bundle.sign[: bundle.rings[q].end]
         pressure = compute_ring_pressure(bundle, q, outer)
-        outer_rises = enumerate(rises, start=q + 1)
-        slopes = [ring.shares[k] * rise[:, : ring.end] for k, rise in outer_rises]
-        pressure_slope = np.where(pressure > 0.0, np.sum(slopes, axis=0), 0.0)  # 0: lifted off
+        outer_rises = enumerate(ring_slopes, start=q + 1)
+        slopes = [ring.shares[k] * ring_slope[:, : ring.end] for k, ring_slope in outer_rises]
+        pressure_slope = np.where(pressure > 0.0, np.sum(slopes, axis=0), 0.0)  # 0: no contact
         demand = curvature[:, : ring.end] * ring.demand
-        hold = pressure * ring.per_pressure + ring.per_tension
-        sticks = demand < hold
-        present = np.where(sticks, demand, hold) * sign
-        rise = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
+        friction_limit = pressure * ring.per_pressure + ring.per_tension
+        sticks = demand < friction_limit
+        ring_force = np.where(sticks, demand, friction_limit) * sign
+        ring_slope = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
         columns = slice(ring.start, ring.end)
-        force[:, columns], slope[:, columns] = present[:, columns], rise[:, columns]
+        force[:, columns], slope[:, columns] = ring_force[:, columns], ring_slope[:, columns]
         stuck[:, columns] = sticks[:, columns]
-        outer.insert(0, present)
-        rises.insert(0, rise)
+        outer.insert(0, ring_force)
+        ring_slopes.insert(0, ring_slope)
     return AxialForces(force, slope, stuck)
 
 
@@ -336,20 +336,20 @@ def find_slip_onsets(
     stated in 3.2.1 of the dissertation.
     """
     min_sine = 1e-9
-    rounds = 8  # each to a 128th: to rounding
+    rounds = 8  # each reduces the bracket to a 128th, down to rounding
     sine = compute_sines(section, orientation)
-    near_sine = np.where(sine == 0.0, min_sine, sine)
-    bundle = arrange_rings(section, contacts, near_sine, tension=tension)
-    strand = np.arange(len(near_sine))
+    nonzero_sine = np.where(sine == 0.0, min_sine, sine)
+    bundle = arrange_rings(section, contacts, nonzero_sine, tension=tension)
+    strand = np.arange(len(nonzero_sine))
     guesses = np.concatenate([[0.0], 1e-9 * 4.0 ** np.arange(61)])  # 1/m
     curvatures = np.broadcast_to(guesses[:, None], (len(guesses), len(strand)))
     never = np.zeros(len(strand), dtype=np.bool_)
     for number in range(rounds + 1):
-        slips = ~compute_axial_forces(bundle, curvatures[1:]).stuck
-        slips[-1] |= number > 0  # the end of a bracket
-        never |= ~slips.any(axis=0)
-        first = slips.argmax(axis=0)
-        lower, upper = curvatures[first, strand], curvatures[first + 1, strand]
+        is_slipping = ~compute_axial_forces(bundle, curvatures[1:]).stuck
+        is_slipping[-1] |= number > 0  # the upper end of a bracket slips
+        never |= ~is_slipping.any(axis=0)
+        first_slipping = is_slipping.argmax(axis=0)
+        lower, upper = curvatures[first_slipping, strand], curvatures[first_slipping + 1, strand]
         curvatures = lower + (upper - lower) * np.arange(129)[:, None] / 128.0
     return np.where(never, np.inf, lower)
 
@@ -560,11 +560,11 @@ def find_orientation_range(
     symmetry = math.gcd(*rings) if rings and section.kind != "packed" else 1
     turns = 2.0 * np.pi * np.arange(n_orientations) / n_orientations
     turns = np.unique(np.round(turns % (2.0 * np.pi / symmetry), 12))
-    rest = curve.bending + curve.plastic + curve.insulation
+    moment_without_axial_forces = curve.bending + curve.plastic + curve.insulation
     moments = []
     for turn in turns.tolist():
         stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
-        moments.append(stick + slip + rest)
+        moments.append(stick + slip + moment_without_axial_forces)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 
 
@@ -603,12 +603,12 @@ def fit_play_law(
     0.3 %.
     """
     decades = 4.0  # of curvature below the largest
-    min_spacing = 1e-6  # relative; closer corners are one
+    min_spacing = 1e-6  # relative; closer corners are merged
     require_positive("largest_curvature", largest_curvature)
-    even = np.geomspace(10.0**-decades, 1.0, n_plays + 1) * largest_curvature
+    grid = np.geomspace(10.0**-decades, 1.0, n_plays + 1) * largest_curvature
     onsets = find_slip_onsets(section, contacts, tension=tension, orientation=orientation)
-    inside = onsets[(onsets > even[0]) & (onsets < even[-1])]
-    knots = np.union1d(even, inside)
+    onsets_in_range = onsets[(onsets > grid[0]) & (onsets < grid[-1])]
+    knots = np.union1d(grid, onsets_in_range)
     knots = knots[np.diff(knots, prepend=0.0) > min_spacing * knots]
     moment = compute_moment_curve(
         section, contacts, knots, tension=tension, orientation=orientation
@@ -617,7 +617,7 @@ def fit_play_law(
 
 
 LOOP_RANGE = 8.0
-"""Curvature that strands slide in loops, as a multiple of the range of the law."""
+"""End of the strands' curve in loops, as a multiple of the range of the law."""
 
 
 def cyclic_law(
@@ -633,7 +633,7 @@ def cyclic_law(
 
     Parameters
     ----------
-    section, contacts, tension, orientation : as for `wire.bending_law.compute_moment_curve`
+    section, contacts, tension, orientation : as for `compute_moment_curve`
     isotropic_share : m, from 0 (Masing's rule, the plays of `fit_play_law`) to 1
     largest_curvature : 1/m, end of the range of the law
 
@@ -660,14 +660,14 @@ def cyclic_law(
 def harden(
     plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
 ) -> MixedLaw:
-    """Give a law of first loading the hardening of its strands.
+    """Make the law with partly isotropic hardening of the strands from a law of first loading.
 
     Parameters
     ----------
     plays : of the section
     section : with the materials of its strands
     isotropic_share : above 0 and at most 1
-    factor : on the moments of the strands, as of `plays`
+    factor : on the moments of the strands; the same as in `plays`
     """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
     continued_curvature, strands = continue_strands(section, curvature)
@@ -675,7 +675,7 @@ def harden(
 
 
 def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
-    """Compute the moments of the strands about their own axes, for loops beyond a range, too.
+    """Compute the moments of the strands about their own axes, in a range and beyond it for loops.
 
     Parameters
     ----------
@@ -684,8 +684,8 @@ def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, 
 
     Returns
     -------
-    Curvatures, of which the first are those given and the others reach eight times the range, or as
-    far as the materials are known; and moments, N m.
+    Curvatures, 1/m: those given, then more up to eight times the range or to the end of the
+    materials' curves; and moments, N m.
     """
     known_curvature = min(
         2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers

@@ -1,4 +1,4 @@
-"""The clamped wire in large deflection (PHYSICS 5, 8): one solver, and paths with history.
+"""Solve a clamped wire in large deflection, at many loads at once or along a path (PHYSICS 5, 8).
 
 The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
 bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the
@@ -7,14 +7,15 @@ tip and the wire's own weight w per length along -y,
     M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
     theta(s) = integral of kappa(M).
 
-Unknown are the moments at Chebyshev-Lobatto stations and one load, which a condition at the tip
-fixes; Newton's method solves many equilibria at once. Unlike the dissertation it uses no series and
-no single stiffness for the whole wire. `wire.first_loading` solves whole loading curves this way.
+The unknowns are the moments at Chebyshev-Lobatto stations and one load, which a condition at the
+tip determines; Newton's method solves many equilibria at once. Unlike the dissertation it uses no
+series and no single stiffness for the whole wire. `wire.first_loading` solves loading curves in
+this way.
 
 A path with any history is followed in steps that are halved where Newton's method fails. The clamp
-is driven down, which in its own frame lifts the anchor of the string. The string is taut or slack;
-the counterweight always hangs at the tip. A wire with weight is mounted level and bends under its
-weight before the test: its path starts from this equilibrium and its history.
+moves down; in the frame of the clamp, the anchor of the string moves up. The string is taut or
+slack; the counterweight always hangs at the tip. A wire with weight is mounted level and bends
+under its weight before the test: its path starts from this equilibrium and its history.
 """
 
 from __future__ import annotations
@@ -146,7 +147,7 @@ class StringRig:
 
 
 class TipForce(NamedTuple):
-    """Force of a condition at the tip of n equilibria, and how far the condition is missed.
+    """Force of a condition at the tip of n equilibria, and the residual of the condition.
 
     Parameters
     ----------
@@ -167,7 +168,7 @@ class TipForce(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipCondition:
-    """What holds the tips of n equilibria: one of deflection, travel and dead force.
+    """What fixes the tips of n equilibria: one of deflection, travel and dead force.
 
     Parameters
     ----------
@@ -183,32 +184,32 @@ class TipCondition:
     dead_force: Floats | None = None
 
     def pull(self, tip: Floats, load: Floats, rows: Ints) -> TipForce:
-        """Compute the force, and how far the condition is missed.
+        """Compute the force at the tip, and the residual of the condition.
 
         Parameters
         ----------
         tip : shape (n, 2), m
         load : shape (n,), N
-        rows : shape (n,), which of the equilibria these are
+        rows : shape (n,), indices of these equilibria
         """
         x, y = tip.T
-        none, one = np.zeros_like(tip), np.ones_like(x)
+        zeros, ones = np.zeros_like(tip), np.ones_like(x)
         if self.dead_force is not None:
-            return TipForce(none + self.dead_force, none, none, load, none, gap_by_load=1.0)
-        lean, rise, by_x, weight, reach = 0.0 * one, one, none, 0.0, 0.0 * one
+            return TipForce(zeros + self.dead_force, zeros, zeros, load, zeros, gap_by_load=1.0)
+        lean, rise, by_x, weight, reach = 0.0 * ones, ones, zeros, 0.0, 0.0 * ones
         if self.rig is not None:
             weight, length = self.rig.weight, self.rig.string_length
             lean = (self.rig.anchor_x - x) / length
             rise = np.sqrt(1.0 - lean**2)
-            by_x = (load / length)[:, None] * np.stack([-one, lean / rise], axis=1)
+            by_x = (load / length)[:, None] * np.stack([-ones, lean / rise], axis=1)
             reach = length * rise - self.rig.anchor_height
         direction = np.stack([lean, rise], axis=1)
         force = load[:, None] * direction - np.array([0.0, weight])
         if self.deflection is not None:
-            gap, gap_by_x = y - self.deflection[rows], 0.0 * one
+            gap, gap_by_x = y - self.deflection[rows], 0.0 * ones
         else:
             gap, gap_by_x = y + reach - self.travel, lean / rise
-        return TipForce(force, direction, by_x, gap, np.stack([gap_by_x, one], axis=1))
+        return TipForce(force, direction, by_x, gap, np.stack([gap_by_x, ones], axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,8 +224,8 @@ class BentWire:
     cos, sin : of the angle
     levers : shape (n, stations, 2), m, of forces along x and y at the tip
     tip : shape (n, 2), m
-    beyond : shape (stations,), N, weight beyond each station
-    held : by the condition
+    weight_beyond : shape (stations,), N, weight beyond each station
+    tip_force : of the condition at the tip
     """
 
     stations: Stations
@@ -236,35 +237,35 @@ class BentWire:
     sin: Floats
     levers: Floats
     tip: Floats
-    beyond: Floats
-    held: TipForce
+    weight_beyond: Floats
+    tip_force: TipForce
 
     @property
     def lateral(self) -> Floats:
         """Return the derivative of the moments by a turn of the wire, N: the force along it."""
-        along, up = self.held.force.T[..., None]
-        return np.asarray((self.beyond - up) * self.sin - along * self.cos)
+        along, up = self.tip_force.force.T[..., None]
+        return np.asarray((self.weight_beyond - up) * self.sin - along * self.cos)
 
     def find_residual(self) -> Floats:
-        """Return what the moments, N m, and the condition miss: shape (n, stations + 1)."""
-        bending = (self.levers @ self.held.force[:, :, None])[:, :, 0]
-        bending -= (self.beyond * self.cos) @ self.stations.to_tip.T
-        return np.column_stack([self.moment - bending, self.held.gap])
+        """Return the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
+        bending = (self.levers @ self.tip_force.force[:, :, None])[:, :, 0]
+        bending -= (self.weight_beyond * self.cos) @ self.stations.to_tip.T
+        return np.column_stack([self.moment - bending, self.tip_force.gap])
 
     def find_jacobian(self) -> Floats:
         """Return the derivatives of the residual, shape (n, stations + 1, stations + 1)."""
-        stations, held, n = self.stations, self.held, len(self.beyond)
+        stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
         turning = stations.from_clamp * self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
         tip_by_moment = across @ turning
         derivatives = np.empty((len(self.tip), n + 1, n + 1))
         derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
-        if np.any(held.by_x):
-            derivatives[:, :n, :n] -= (self.levers @ held.by_x[:, :, None]) * tip_by_moment[:, :1]
+        if np.any(pull.by_x):
+            derivatives[:, :n, :n] -= (self.levers @ pull.by_x[:, :, None]) * tip_by_moment[:, :1]
         derivatives[:, range(n), range(n)] += 1.0
-        derivatives[:, :n, n] = -(self.levers @ held.by_load[:, :, None])[:, :, 0]
-        derivatives[:, n, :n] = (held.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
-        derivatives[:, n, n] = held.gap_by_load
+        derivatives[:, :n, n] = -(self.levers @ pull.by_load[:, :, None])[:, :, 0]
+        derivatives[:, n, :n] = (pull.gap_by_tip[:, None, :] @ tip_by_moment)[:, 0]
+        derivatives[:, n, n] = pull.gap_by_load
         return derivatives
 
     def find_sensitivity(self, curvature_changes: Floats) -> Floats:
@@ -277,22 +278,22 @@ class BentWire:
         curvature_changes : shape (parameters, n, stations), derivatives of the curvature at
             constant moment
         """
-        stations, held, n = self.stations, self.held, len(self.beyond)
+        stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
         turn = curvature_changes @ stations.from_clamp.T
         tip_x, tip_y = ((turn * side) @ stations.weights for side in (-self.sin, self.cos))
         bending = (turn * self.lateral) @ stations.to_tip.T
-        bending += (self.levers @ held.by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
+        bending += (self.levers @ pull.by_x[:, :, None])[:, :, 0] * tip_x[:, :, None]
         missing = np.zeros((1 + len(curvature_changes), len(self.tip), n + 1))
         missing[0, :, n] = -1.0
         missing[1:, :, :n] = -bending
-        missing[1:, :, n] = held.gap_by_tip[:, 0] * tip_x + held.gap_by_tip[:, 1] * tip_y
+        missing[1:, :, n] = pull.gap_by_tip[:, 0] * tip_x + pull.gap_by_tip[:, 1] * tip_y
         solution = -np.linalg.solve(self.find_jacobian(), np.moveaxis(missing, 0, 2))
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cantilever:
-    """A wire in search of n equilibria.
+    """A wire of which n equilibria are sought.
 
     Parameters
     ----------
@@ -309,7 +310,7 @@ class Cantilever:
     condition: TipCondition
 
     @property
-    def beyond(self) -> Floats:
+    def weight_beyond(self) -> Floats:
         """Return the weight beyond each station, N."""
         position = self.stations.position
         return np.asarray(self.self_weight * (position[-1] - position))
@@ -329,19 +330,19 @@ class Cantilever:
         cos, sin = np.cos(angle), np.sin(angle)
         levers = np.stack([-(sin @ stations.to_tip.T), cos @ stations.to_tip.T], axis=-1)
         tip = np.stack([cos @ stations.weights, sin @ stations.weights], axis=-1)
-        held = self.condition.pull(tip, load[rows], rows)
+        tip_force = self.condition.pull(tip, load[rows], rows)
         bent = moment[rows], load[rows], curvature, slope
-        return BentWire(stations, *bent, cos, sin, levers, tip, self.beyond, held)
+        return BentWire(stations, *bent, cos, sin, levers, tip, self.weight_beyond, tip_force)
 
     def solve(
         self, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
     ) -> BentWire | None:
-        """Find the equilibria next to a start, each of which converges on its own.
+        """Find the equilibria near a first guess by Newton's method, each with its own convergence.
 
         Parameters
         ----------
         moment, load : first guess, shape (n, stations), N m, and (n,), N
-        tolerance : last change of the moments, as a share of the largest; the next is of its square
+        tolerance : last change of the moments, as a share of the largest; convergence is quadratic
         floor : N m, added to the largest moment
 
         Returns
@@ -351,20 +352,20 @@ class Cantilever:
         max_iterations = 40
         max_turn = 0.7  # rad, of any part of the wire in one step
         moment, load = np.array(moment), np.array(load)
-        left, length = np.arange(len(load)), self.stations.position[-1]
+        unconverged, length = np.arange(len(load)), self.stations.position[-1]
         for _ in range(max_iterations):
-            bent = self.bend(moment, load, left)
-            missing = bent.find_residual()
-            if not np.isfinite(missing).all():
+            bent = self.bend(moment, load, unconverged)
+            residual = bent.find_residual()
+            if not np.isfinite(residual).all():
                 return None
-            step = -np.linalg.solve(bent.find_jacobian(), missing[:, :, None])[:, :, 0]
+            step = -np.linalg.solve(bent.find_jacobian(), residual[:, :, None])[:, :, 0]
             turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
             step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
-            moment[left] += step[:, :-1]
-            load[left] += step[:, -1]
-            largest = np.max(np.abs(moment[left]), axis=1) + floor
-            left = left[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
-            if not left.size:
+            moment[unconverged] += step[:, :-1]
+            load[unconverged] += step[:, -1]
+            largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
+            unconverged = unconverged[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
+            if not unconverged.size:
                 return self.bend(moment, load)
         return None
 
@@ -495,10 +496,10 @@ def bend_under_force(
 
     def step(present: WireState, share: float) -> WireState | None:
         condition = TipCondition(dead_force=start + share * (target - start))
-        return _settle(law, present, length, condition, travel=share)
+        return _solve_next(law, present, length, condition, travel=share)
 
     place = f"force={target.tolist()}"
-    return _within_law(law, _walk_to(step, replace(state, travel=0.0), 1.0, place), length, place)
+    return _within_law(law, _step_to(step, replace(state, travel=0.0), 1.0, place), length, place)
 
 
 def bend_to_deflection(
@@ -544,9 +545,9 @@ def deflect(
 
     def step(present: WireState, travel: float) -> WireState | None:
         condition = TipCondition(rig, deflection=np.array([travel]))
-        return _settle(law, present, length, condition, travel=travel)
+        return _solve_next(law, present, length, condition, travel=travel)
 
-    return _walk_to(step, state, deflection, f"deflection={deflection!r}")
+    return _step_to(step, state, deflection, f"deflection={deflection!r}")
 
 
 def bend_to_travel(
@@ -574,18 +575,20 @@ def bend_to_travel(
     slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
-        solution = _settle(law, present, length, TipCondition(rig, travel=travel), travel=travel)
+        solution = _solve_next(
+            law, present, length, TipCondition(rig, travel=travel), travel=travel
+        )
         return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = TipCondition(dead_force=np.array([0.0, -rig.weight]))
-        solution = _settle(law, present, length, weight, travel=travel)
+        solution = _solve_next(law, present, length, weight, travel=travel)
         if solution is None:
             return None
         tip = compute_shape(solution, length)
         if rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1])) < travel - slack_tolerance:
             return None
-        # exactly zero, without the rounding error of the solution
+        # exactly zero, without rounding
         return replace(solution, load=0.0)
 
     def step(present: WireState, travel: float) -> WireState | None:
@@ -596,7 +599,7 @@ def bend_to_travel(
     require_positive("length", length)
     require_finite("travel", travel)
     place = f"travel={travel!r}"
-    return _within_law(law, _walk_to(step, state, travel, place), length, place)
+    return _within_law(law, _step_to(step, state, travel, place), length, place)
 
 
 def _within_law(law: PlayLaw, state: WireState, length: float, place: str) -> CantileverShape:
@@ -610,12 +613,12 @@ def compute_shape(state: WireState, length: float) -> CantileverShape:
     return CantileverShape(stations.position, *stations.bend(state.curvature), state)
 
 
-def _settle(
+def _solve_next(
     law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
-    """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
+    """Find the next equilibrium; None if Newton's method fails or ends far away (a curl)."""
     max_turn = 1.0  # rad, of any part of the wire in one step
-    tolerance = 1e-7  # last change of the moments; the next is of its square
+    tolerance = 1e-7  # last change of the moments; convergence is quadratic
     floor = 1e-9 * law.stiffness / length  # of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
@@ -632,21 +635,21 @@ def _settle(
     turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(turn)) > max_turn:
         return None
-    history, force = responses[-1].plays, bent.held.force[0]
+    history, force = responses[-1].plays, bent.tip_force.force[0]
     return WireState(
         *(bent.moment[0], bent.curvature[0], history, force),
         *(float(bent.load[0]), travel, state.self_weight),
     )
 
 
-def _walk_to(step: Step, state: WireState, goal: float, context: str) -> WireState:
-    """Step the state to the goal; halve a step that fails."""
+def _step_to(step: Step, state: WireState, target: float, context: str) -> WireState:
+    """Advance the state to the target travel; halve a step that fails."""
     min_step_share = 2.0**-12
-    start, distance = state.travel, goal - state.travel
+    start, distance = state.travel, target - state.travel
     step_share, done_share = 1.0, 0.0
     while done_share < 1.0:
         next_share = min(1.0, done_share + step_share)
-        next_state = step(state, goal if next_share == 1.0 else start + next_share * distance)
+        next_state = step(state, target if next_share == 1.0 else start + next_share * distance)
         if next_state is not None:
             state, done_share, step_share = next_state, next_share, min(1.0, 2.0 * step_share)
         elif step_share <= min_step_share:

@@ -1,4 +1,4 @@
-"""Loading curves of a clamped wire, all deflections at once (PHYSICS 5, 8).
+"""Compute loading curves of a clamped wire, all deflections at once (PHYSICS 5, 8).
 
 At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
 With weight, or where parts near the tip unload, Newton's method solves for the moments at the
@@ -57,11 +57,11 @@ N_LOADING_STATIONS = 24
 PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 _N_COARSE_STATIONS = 24
-"""From whose solution that of more stations starts."""
+"""Number of stations of the solution from which a solution with more stations starts."""
 _MOMENT_TOLERANCE = 1e-5
-"""Last change of moments, as a share of the largest; the next would be 1e-9."""
+"""Last change of moments, as a share of the largest; convergence is quadratic."""
 END_OF_FIRST_LOADING = 0.7
-"""Deflection over length at which parts near the tip begin to unload, about."""
+"""Approximate deflection over length at which parts near the tip begin to unload."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +80,7 @@ class LoadingCurve(ArrayRecord):
     stiffness : N/m, slope of tension against deflection
     tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
         constant deflection, by each of the law's parameters
-    whole : the curve of which this is the first part, from which a similar law is solved faster
+    whole : the curve of which this is the first part; the solution of a similar law starts from it
     """
 
     deflection: Vector
@@ -132,7 +132,7 @@ def load_cantilever(
     self_weight: float,
     deflection: float,
     *,
-    near: LoadingCurve | None = None,
+    similar: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Load a wire from rest to a deflection.
 
@@ -144,7 +144,7 @@ def load_cantilever(
         load normal to the clamped axis that holds the tip level at rest
     self_weight : N/m, may be 0
     deflection : m, of the tip from rest
-    near : of a similar law, otherwise the same, to start from
+    similar : curve of the same cantilever with a similar law, to start from
 
     Returns
     -------
@@ -156,11 +156,11 @@ def load_cantilever(
         If no equilibrium is found.
     """
     n_points = 32 if self_weight > 0.0 else 44
-    crowding = 2.75  # power by which they are denser towards rest, where strands begin to slip
+    spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
-    deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** crowding
-    near = None if near is None else near.whole
-    curve = load_to(table, length, rig, self_weight, deflections, near=near)
+    deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
+    similar = None if similar is None else similar.whole
+    curve = load_to(table, length, rig, self_weight, deflections, similar=similar)
     return curve.cut(curve.count_loading())
 
 
@@ -172,7 +172,7 @@ def load_to(
     deflections: Floats,
     *,
     n_stations: int | None = None,
-    near: LoadingCurve | None = None,
+    similar: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Find the equilibria of a wire at rest and at given deflections.
 
@@ -183,7 +183,7 @@ def load_to(
     n_stations : along the wire; parts near the tip may then unload, which follows from the largest
         moment at the deflections so far, and there are no derivatives. None for first loading
         alone
-    near : curve at these deflections of a similar law, to start from
+    similar : curve at these deflections of a similar law, to start from
 
     Raises
     ------
@@ -191,10 +191,10 @@ def load_to(
         If no equilibrium is found.
     """
     if n_stations is None and self_weight == 0.0 and len(deflections):
-        curve = _load_weightless(table, length, rig, deflections, near)
+        curve = _load_weightless(table, length, rig, deflections, similar)
         if curve is not None:
             return curve
-        near = None
+        similar = None
     count = n_stations or N_LOADING_STATIONS
     stations = make_stations(count, length)
     level = Cantilever(
@@ -204,9 +204,9 @@ def load_to(
         TipCondition(rig, np.zeros(1)),
     )
     tip_force = 0.375 * self_weight * length
-    start = (tip_force - 0.5 * level.beyond) * (length - stations.position)
-    begin = tip_force + (0.0 if rig is None else rig.weight)
-    at_rest = _solve(level, start[None], np.array([begin]), 0.0)
+    initial_moment = (tip_force - 0.5 * level.weight_beyond) * (length - stations.position)
+    initial_load = tip_force + (0.0 if rig is None else rig.weight)
+    at_rest = _solve(level, initial_moment[None], np.array([initial_load]), 0.0)
     rest = at_rest.moment[0]
 
     def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
@@ -221,11 +221,11 @@ def load_to(
     loaded = replace(level, law=bend_on, condition=condition)
     wire = loaded if is_first_loading else replace(loaded, law=bend_back)
     bent = None
-    if near is None and count > _N_COARSE_STATIONS:
+    if similar is None and count > _N_COARSE_STATIONS:
         coarse = table, length, rig, self_weight, deflections
-        near = load_to(*coarse, n_stations=_N_COARSE_STATIONS)
-    if near is not None:
-        bent = _solve_near(wire, near)
+        similar = load_to(*coarse, n_stations=_N_COARSE_STATIONS)
+    if similar is not None:
+        bent = _solve_from_similar(wire, similar)
     if bent is None:
         clamp = _guess_clamp(table, length, deflections)[0]
         moment = rest + clamp[:, None] * (1.0 - stations.position / length)
@@ -243,18 +243,18 @@ def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> B
     return solution
 
 
-def _solve_near(wire: Cantilever, near: LoadingCurve) -> BentWire | None:
-    """Solve from a similar law; None where that leads far away, such as to a curl."""
+def _solve_from_similar(wire: Cantilever, similar: LoadingCurve) -> BentWire | None:
+    """Solve from a similar law; None where that ends in a distant equilibrium, such as a curl."""
     max_change_share = 0.3  # of the largest moment
-    start, unit = near.moment[1:], wire.stations.position / wire.stations.position[-1]
+    start, unit = similar.moment[1:], wire.stations.position / wire.stations.position[-1]
     if start.shape[1] != len(unit):
         start = start @ make_interpolation_matrix(start.shape[1], unit).T
-    solution = wire.solve(start, near.tension[1:], tolerance=_MOMENT_TOLERANCE)
+    solution = wire.solve(start, similar.tension[1:], tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
     change = np.abs(solution.moment - start).max(axis=1)
-    is_near = change <= max_change_share * np.abs(start).max(axis=1)
-    return solution if is_near.all() else None
+    is_close = change <= max_change_share * np.abs(start).max(axis=1)
+    return solution if is_close.all() else None
 
 
 def _make_curve(
@@ -276,7 +276,7 @@ def _make_curve(
     moment, tension, curvature, cos, sin, tip = (
         np.concatenate([getattr(at_rest, name), getattr(bent, name)]) for name in names
     )
-    pull = np.concatenate([at_rest.held.force, bent.held.force])
+    pull = np.concatenate([at_rest.tip_force.force, bent.tip_force.force])
     rise = (tension[1] - tension[0]) / deflections[0] if len(deflections) else np.nan  # before slip
     return LoadingCurve(
         deflection=np.append(0.0, deflections),
@@ -296,18 +296,18 @@ def _load_weightless(
     length: float,
     rig: StringRig | None,
     deflections: Floats,
-    near: LoadingCurve | None,
+    similar: LoadingCurve | None,
 ) -> LoadingCurve | None:
-    """Find the equilibria of a wire without weight, with the moments at its clamp alone.
+    """Find the equilibria of a wire without weight from the moments at its clamp.
 
     None where there is no convergence, such as where parts near the tip unload.
     """
-    min_excess = 0.1  # of the force over the smallest that can hold the moment
+    min_excess = 0.1  # of the force over the smallest one in equilibrium with the moment
     weight, solution = 0.0 if rig is None else rig.weight, None
-    if near is not None:
-        clamp = _find_moments(table, near.clamp_curvature[1:])
-        load = weight + near.force[1:] * clamp / near.clamp_moment[1:]
-        start = np.array([clamp, near.x[1:], load])
+    if similar is not None:
+        clamp = _find_moments(table, similar.clamp_curvature[1:])
+        load = weight + similar.force[1:] * clamp / similar.clamp_moment[1:]
+        start = np.array([clamp, similar.x[1:], load])
         solution = _solve_weightless(table, length, rig, deflections, start)
     if solution is None:
         clamp, x = _guess_clamp(table, length, deflections)
@@ -317,8 +317,8 @@ def _load_weightless(
     if solution is None:
         return None
     (clamp, x, tension), change = solution
-    tip, at = np.column_stack([x, deflections]), TipCondition(rig, deflections)
-    force = at.pull(tip, tension, np.arange(len(x))).force
+    tip, condition = np.column_stack([x, deflections]), TipCondition(rig, deflections)
+    force = condition.pull(tip, tension, np.arange(len(x))).force
     size, along = np.linalg.norm(force, axis=1), table.energy(clamp)[:, 0] + force[:, 0]
     tip_angle = np.arctan2(force[:, 1], force[:, 0]) - np.arccos(along / size)
     return LoadingCurve(
@@ -414,34 +414,34 @@ def _solve_weightless(
     the law's parameters, shape (1 + parameters, n). None if there is no convergence.
     """
     max_iterations = 40
-    tolerance = 1e-4  # last change, as a share; the next would be 1e-9
+    tolerance = 1e-4  # last change, as a share; convergence is quadratic
     max_change = 0.5  # of the logarithms in one step
     max_turn = 0.999  # sine of the angle by which the force turns the wire
     state, rows = np.array(start.T), np.arange(len(deflections))
-    at = TipCondition(rig, deflections)
+    condition = TipCondition(rig, deflections)
     for _ in range(max_iterations):
         moment, x, load = state.T
         tip = np.column_stack([x, deflections])
-        force = at.pull(tip, load, rows).force
+        force = condition.pull(tip, load, rows).force
         turning = table.energy(moment)[:, 0] + force[:, 0]
-        lacking = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
-        load += 2.0 * lacking
-        held = at.pull(tip, load, rows)
-        values, changes = _integrate(table, moment, held.force)
+        missing_force = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
+        load += 2.0 * missing_force
+        tip_force = condition.pull(tip, load, rows)
+        values, changes = _integrate(table, moment, tip_force.force)
         by_state = np.zeros((len(rows), 3, 3))  # of moment and force, by moment, x and load
         by_state[:, 0, 0] = 1.0
-        by_state[:, 1:, 1], by_state[:, 1:, 2] = held.by_x, held.by_load
+        by_state[:, 1:, 1], by_state[:, 1:, 2] = tip_force.by_x, tip_force.by_load
         matrix = changes[:, :, :3] @ by_state
         matrix[:, 1, 1] -= 1.0
-        causes = changes[:, :, 1:]
-        causes[:, :, 0] = values - np.column_stack([np.full_like(x, length), tip])
-        causes[:, :, 1] = 0.0, 0.0, -1.0
-        if not np.isfinite(causes).all():
+        right_sides = changes[:, :, 1:]
+        right_sides[:, :, 0] = values - np.column_stack([np.full_like(x, length), tip])
+        right_sides[:, :, 1] = 0.0, 0.0, -1.0
+        if not np.isfinite(right_sides).all():
             return None
-        steps = -np.linalg.solve(matrix, causes)
+        steps = -np.linalg.solve(matrix, right_sides)
         change = steps[:, :, 0] / state
         state *= np.exp(np.clip(change, -max_change, max_change))
-        if np.max(np.abs(change)) <= tolerance and not lacking.any():
+        if np.max(np.abs(change)) <= tolerance and not missing_force.any():
             return state.T, np.asarray(steps[:, 2, 1:].T, dtype=np.float64)
     return None
 
@@ -524,7 +524,7 @@ def compute_end_load_path(
 
     Notes
     -----
-    The points are solved at once as long as the deflections grow; from there on one by one.
+    Increasing deflections are solved together, later ones one by one.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
@@ -532,21 +532,21 @@ def compute_end_load_path(
     cantilever = LoadingTable.of_plays(law), length, None, self_weight
     rises = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
     growing = deflections[: int(np.argmin(rises))]
-    load, clamp, exact, shape = np.zeros(0), np.zeros(0), 0, None
+    load, clamp, n_loading, shape = np.zeros(0), np.zeros(0), 0, None
     if self_weight == 0.0:
         first = load_to(*cantilever, growing[growing <= END_OF_FIRST_LOADING * length])
-        exact = first.count_loading()
-        load, clamp = first.tension[:exact], first.clamp_moment[:exact]
-    if exact <= len(deflections):
+        n_loading = first.count_loading()
+        load, clamp = first.tension[:n_loading], first.clamp_moment[:n_loading]
+    if n_loading <= len(deflections):
         curve, rows = _load_and_unload(cantilever, growing, n_stations)
-        load = np.append(load, curve.tension[rows[exact:]])
-        clamp = np.append(clamp, curve.clamp_moment[rows[exact:]])
+        load = np.append(load, curve.tension[rows[n_loading:]])
+        clamp = np.append(clamp, curve.clamp_moment[rows[n_loading:]])
         state = make_straight(law, n_stations, self_weight=self_weight)
-        state = _reach(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
+        state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
         shape = _shape_at_rest(state, length) if self_weight > 0.0 else None
         state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
         end = float(curve.tension[-1]), float(curve.deflection[-1])
-        state = _reach(law, state, curve.moment[-1], *end)
+        state = _make_state(law, state, curve.moment[-1], *end)
     for deflection in deflections[len(growing) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp = np.append(load, state.load), np.append(clamp, state.moment[0])
@@ -559,7 +559,7 @@ def compute_end_load_path(
 def _load_and_unload(
     cantilever: tuple[LoadingTable, float, None, float], growing: Floats, n_stations: int
 ) -> tuple[LoadingCurve, Ints]:
-    """Load to deflections and to others between them, where parts near the tip turn back.
+    """Load to given deflections and to a grid between them, where parts near the tip unload.
 
     Returns
     -------
@@ -572,10 +572,10 @@ def _load_and_unload(
     return load_to(*cantilever, grid, n_stations=n_stations), rows
 
 
-def _reach(
+def _make_state(
     law: PlayLaw, state: WireState, moment: Floats, load: float, deflection: float
 ) -> WireState:
-    """Return the state at moments of a loading curve."""
+    """Make the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
     return WireState(
         *(moment, response.curvature, response.plays, force, load, deflection),
@@ -584,8 +584,8 @@ def _reach(
 
 
 def _shape_at_rest(rest: WireState, length: float) -> CantileverShape:
-    """Return the shape that the wire's own weight gives it."""
-    max_lean = 1.0  # rad: a steeper wire has other equilibria, too
+    """Compute the shape of a wire at rest under its own weight."""
+    max_lean = 1.0  # rad: a steeper wire has several equilibria
     shape = compute_shape(rest, length)
     lean = float(np.max(np.abs(shape.angle)))
     if lean > max_lean:
@@ -653,8 +653,8 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         )
         notes.append(note)
         path = _bend_to_end(law, spec.length, 0.0)
-    wanted_deflection = END_DEFLECTION * spec.length
-    if path.deflection[-1] < wanted_deflection:
+    target_deflection = END_DEFLECTION * spec.length
+    if path.deflection[-1] < target_deflection:
         last = curve.curvature[-1]
         notes.append(
             QualityNote.of(
@@ -662,7 +662,7 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
                 spec.place,
                 length=length,
                 reached=1e3 * path.deflection[-1],
-                wanted=1e3 * wanted_deflection,
+                wanted=1e3 * target_deflection,
                 last=last,
             )
         )

@@ -29,8 +29,13 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, sort_by_likeness
-from labpipe.readers.channels import ChannelChoice, find_in_parts, make_channel_notes, unique_names
-from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards
+from labpipe.readers.channels import (
+    ChannelChoice,
+    find_in_parts,
+    make_channel_notes,
+    make_names_unique,
+)
+from labpipe.readers.load_frame.cards import Card, load_lab_cards, load_shipped_cards
 from labpipe.readers.load_frame.tables import (
     MIN_TEST_ROWS,
     Export,
@@ -180,16 +185,16 @@ def _clean_table(table: Table, card: Card) -> Table:
 
 
 def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
-    if chosen := [table for table in tables if part in {table.part, table.also} - {""}]:
+    if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
         return chosen
-    names = [table.part or table.also for table in tables if table.part or table.also]
-    close = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
+    names = [table.part or table.other_name for table in tables if table.part or table.other_name]
+    nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
     raise ReadError.about(
-        "readers.no_such_part" if close else "readers.no_parts",
+        "readers.no_such_part" if nearest_names else "readers.no_parts",
         path,
         f"part '{part}'",
         count=len(tables),
-        nearest=close,
+        nearest=nearest_names,
     )
 
 
@@ -199,9 +204,11 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
         parse_count(str(export.about.get(key, ""))) if key else None
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, held = compare_row_counts(rows, table.rows), len(table.names)
-    if columns not in {None, held}:
-        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=held))
+    notes, n_columns = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, n_columns}:
+        notes.append(
+            QualityNote.of("readers.columns_differ", "file", stated=columns, held=n_columns)
+        )
     return notes
 
 
@@ -209,7 +216,7 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
     """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = time_column(table.names, table.units, card)
-    paths = unique_names(table.names)
+    paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
         for i, values in table.columns.items()
@@ -227,7 +234,7 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
-    about |= {"part": table.part or table.also} if table.part or table.also else {}
+    about |= {"part": table.part or table.other_name} if table.part or table.other_name else {}
     return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
 
 
@@ -275,11 +282,11 @@ def recognise_card(path: Path) -> Card | None:
     """
     kind = "workbook" if is_workbook(path) else "text"
     list_heads = _list_sheet_heads(path) if kind == "workbook" else _decode_heads(path)
-    shipped = shipped_cards().values()
+    shipped_cards = load_shipped_cards().values()
     ranks = (
-        lab_cards().values(),
-        [card for card in shipped if not card.fallback],
-        [card for card in shipped if card.fallback],
+        load_lab_cards().values(),
+        [card for card in shipped_cards if not card.fallback],
+        [card for card in shipped_cards if card.fallback],
     )
     for cards in ranks:
         fitting = [
@@ -314,7 +321,7 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     ReadError
         If there is no such card, or the export fits another one or none.
     """
-    cards = {**shipped_cards(), **lab_cards()}
+    cards = {**load_shipped_cards(), **load_lab_cards()}
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     for name in allowed:
         if name not in cards:

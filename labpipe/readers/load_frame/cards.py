@@ -198,13 +198,13 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
 
 def _format_fault(fault: Any, source: object) -> str:
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
-    place, why = f"key {key}" if key else "", fault["msg"].removeprefix("Value error, ")
+    place, reason = f"key {key}" if key else "", fault["msg"].removeprefix("Value error, ")
     value = "nothing" if isinstance(fault["input"], dict) else repr(fault["input"])[:60]
-    return str(ReadError.about("readers.key_of_card", source, place, value=value, why=why))
+    return str(ReadError.about("readers.key_of_card", source, place, value=value, why=reason))
 
 
 @cache
-def shipped_cards() -> Mapping[str, Card]:
+def load_shipped_cards() -> Mapping[str, Card]:
     """Load the cards of labpipe, by name."""
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
@@ -214,7 +214,7 @@ def shipped_cards() -> Mapping[str, Card]:
     }
 
 
-def lab_card_files(folder: Path | None = None) -> list[Path]:
+def list_lab_card_files(folder: Path | None = None) -> list[Path]:
     """List the files of a lab's own cards.
 
     Parameters
@@ -225,12 +225,12 @@ def lab_card_files(folder: Path | None = None) -> list[Path]:
     return sorted(cards_folder.glob("*.toml")) if cards_folder.is_dir() else []
 
 
-def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
+def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
     """Load a lab's own cards, by name.
 
     Parameters
     ----------
-    folder : as for `lab_card_files`
+    folder : as for `list_lab_card_files`
 
     Raises
     ------
@@ -238,8 +238,8 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
         If a card is wrong, or has the name of a card of labpipe.
     """
     cards = {}
-    for file in lab_card_files(folder):
-        if file.stem in shipped_cards():
+    for file in list_lab_card_files(folder):
+        if file.stem in load_shipped_cards():
             raise ReadError.about("readers.taken_name_of_card", file, name=file.stem)
         with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
             text = file.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Tables of load-frame exports: headers; one table, specimens side by side, blocks, or sheets."""
+"""Read the tables of load-frame exports: one, specimens side by side, blocks, or sheets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import ChannelChoice, find_channel, plain_name, unique_names
+from labpipe.readers.channels import ChannelChoice, find_channel, make_names_unique, normalise_name
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.number_table import (
     DECIMAL_SIGNS,
@@ -205,7 +205,7 @@ def _find_titles(
 def _check_row_of_units(
     stated: Sequence[str], brackets: str, row: _Cells, path: object, place: str
 ) -> None:
-    """Refuse a row of which no cell is a unit, or one is not in the brackets of the card."""
+    """Refuse a row without a unit, or with a cell that is not in the brackets of the card."""
     in_brackets = [cell[0] + cell[-1] == brackets for cell in stated if cell]
     are_known = all(in_brackets) if brackets else hold_units(stated)
     if not in_brackets or not are_known or any(map(is_number, row)):
@@ -238,21 +238,21 @@ def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int |
     ignored.
     """
     names = ["" if name in card.words else name for name in names]
-    for called in (names, [plain_name(name) for name in names]):
+    for spelt_names in (names, [normalise_name(name) for name in names]):
         for pattern in card.time:
-            for i, name in enumerate(called):
+            for i, name in enumerate(spelt_names):
                 if pattern.fullmatch(name):
                     return i
-    timed = [
+    time_candidates = [
         i
         for i, (name, unit) in enumerate(zip(names, units, strict=False))
         if _TIME_WORDS.search(name) and has_dimension_of(unit, "s")
     ]
-    return timed[0] if len(timed) == 1 else None
+    return time_candidates[0] if len(time_candidates) == 1 else None
 
 
 MIN_TEST_ROWS = 10
-"""Fewer samples are not a complete test."""
+"""Smallest number of samples of a complete test."""
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
 _SPECIMEN_LAYOUTS = ("side by side", "specimen above")
@@ -268,7 +268,7 @@ class Table:
     part : specimen or sheet, empty if the export has only one
     names, units : of the columns
     columns : by index of the column, all of shape (rows,); only wanted ones
-    also : another name of the part, such as that of the sheet
+    other_name : another name of the part, such as that of the sheet
     notes : quality notes
     line : of the first row
     """
@@ -277,7 +277,7 @@ class Table:
     names: tuple[str, ...]
     units: tuple[str, ...]
     columns: Mapping[int, Floats]
-    also: str = ""
+    other_name: str = ""
     notes: tuple[QualityNote, ...] = ()
     line: int = 1
 
@@ -340,14 +340,16 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
         return _read_blocks(text, decimal, card, path)
     header = find_header(split_lines(head), card, path)
     specimens = _find_specimens(header, card)
-    wanted = _wanted_columns(header, card, channels if len(specimens) == 1 else None, path)
+    wanted = _select_columns(header, card, channels if len(specimens) == 1 else None, path)
     body = _build_body(content.data, header, card, wanted, decimal)
     columns, notes = read_columns(body, path)
     tables = []
     for part, group in specimens:
         names, units = (tuple(row[i] for i in group) for row in (header.names, header.units))
-        titled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
-        chosen = {i - group[0]: columns[i] for i in titled if i in columns}
+        with_heading = (
+            i for i in group if header.names[i] or header.units[i]
+        )  # a blank one separates
+        chosen = {i - group[0]: columns[i] for i in with_heading if i in columns}
         rows = count_filled_rows(chosen)  # a shorter specimen is padded
         tables.append(Table(part, names, units, {i: chosen[i][:rows] for i in chosen}))
     about = _parse_preamble(header.above) | _list_texts(body, header, card)
@@ -359,7 +361,7 @@ def _build_body(
 ) -> Body:
     return Body(
         skip_lines(data, header.first),
-        unique_names(header.names),
+        make_names_unique(header.names),
         columns,
         header.first_line + header.first,
         header.separator,
@@ -369,23 +371,25 @@ def _build_body(
     )
 
 
-def _wanted_columns(header: Header, card: Card, channels: Channels, path: object) -> list[int]:
+def _select_columns(header: Header, card: Card, channels: Channels, path: object) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
     names = header.names
     time = time_column(names, header.units, card)
     numbers = [i for i in range(len(names)) if names[i] not in card.words]
     if channels is None:
         return numbers
-    paths = unique_names(names)
-    offered = [i for i in numbers if i != time]
-    pairs = [(names[i], paths[i]) for i in offered]
-    chosen = {offered[find_channel(channel, pairs, path)] for channel in channels}
-    always = {i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)}
-    return sorted(chosen | always | ({time} if time is not None else set()))
+    paths = make_names_unique(names)
+    candidates = [i for i in numbers if i != time]
+    pairs = [(names[i], paths[i]) for i in candidates]
+    chosen = {candidates[find_channel(channel, pairs, path)] for channel in channels}
+    mark_columns = {
+        i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)
+    }
+    return sorted(chosen | mark_columns | ({time} if time is not None else set()))
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
-    """Return names and columns of the specimens; each begins where the row of them is filled."""
+    """Return name and columns of each specimen; it begins below a filled cell of their row."""
     width = len(header.names)
     if card.layout != "side by side":
         return [("", range(width))]
@@ -396,7 +400,9 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
         starts = repeats
     names = [titles.get(start, "") for start in starts]
     if len(starts) > 1:
-        names = unique_names([name or f"specimen {i}" for i, name in enumerate(names, start=1)])
+        names = make_names_unique(
+            [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
+        )
     return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
 
 
@@ -453,7 +459,7 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
             header = find_header(lines, card, path, line)
             blanks = header.separator == " "  # parts of one key, not cells
             rows += [[" ".join(row)] for row in header.above] if blanks else header.above
-            wanted = _wanted_columns(header, card, None, path)
+            wanted = _select_columns(header, card, None, path)
             body = _build_body(block.encode(), header, card, wanted, decimal)
             columns, block_notes = read_columns(body, path)
             notes += block_notes
@@ -503,9 +509,9 @@ def _holds_samples(lines: Sequence[str], separator: str) -> bool:
 
 
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
-    """Find summaries: blocks without time; if none has time, extremes.
+    """Find the summaries: blocks without time; if no block has time, blocks of extremes.
 
-    Extremes are two rows, of which the first one is never the smaller one.
+    Extremes are two rows: the maximum of each column, then its minimum.
     """
     without_time = [block for block in blocks if not _has_time(block, card)]
     if len(without_time) < len(blocks):
@@ -539,7 +545,7 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     ReadError
         If no sheet has names, units and numbers where the card states.
     """
-    max_shown_rows = 50
+    max_listed_rows = 50
     tables, faults, about = dict[str, Table](), list[ReadError](), dict[str, object]()
     heads = {name: split_lines(format_head(rows)) for name, rows in sheets.items()}
     for name, lines in heads.items():
@@ -548,7 +554,7 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         except ReadError as fault:
             faults.append(fault)
             continue
-        wanted, width = _wanted_columns(header, card, None, path), len(header.names)
+        wanted, width = _select_columns(header, card, None, path), len(header.names)
         table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
         data = format_rows(table_rows).encode()
         columns, notes = read_columns(_build_body(data, header, card, wanted, "."), path)
@@ -556,14 +562,14 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         about |= _parse_preamble(header.above)
     if not tables:
-        general = ReadError.about("readers.no_sheets", path, count=len(faults))
-        raise next((fault for fault in faults if "numbers below it" not in str(fault)), general)
+        no_sheets = ReadError.about("readers.no_sheets", path, count=len(faults))
+        raise next((fault for fault in faults if "numbers below it" not in str(fault)), no_sheets)
     left_out = [name for name in sheets if name not in tables or _holds_results(name, tables, card)]
     notes = []
     if left_out:
         rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
         about["sheets"] = {
-            name: [x for x in rows[name][:max_shown_rows] if any(x)] for name in rows
+            name: [x for x in rows[name][:max_listed_rows] if any(x)] for name in rows
         }
         names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
         notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
@@ -586,6 +592,6 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card, path: Path)
 def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
     """Return whether a sheet holds results: other columns than the longest, no time or few rows."""
     table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
-    any_time = any(_has_time(other, card) for other in tables.values())
-    is_odd = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
-    return table.names != longest.names and is_odd
+    any_time = any(_has_time(x, card) for x in tables.values())
+    is_incomplete = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))
+    return table.names != longest.names and is_incomplete

@@ -13,7 +13,7 @@ from labpipe.readers import load_frame, read_export
 from labpipe.readers.load_frame import choose_card, recognise_card
 from labpipe.readers.load_frame.cards import (
     Card,
-    lab_cards,
+    load_lab_cards,
     parse_card,
 )
 from tests.approved import Approve
@@ -59,7 +59,7 @@ def test_the_keys_and_the_example_of_the_documentation(
     (tmp_path / "dialects" / "acme.toml").write_bytes("about = 'Prüfung'".encode("cp1252"))
     expected = r"expected a card in UTF-8, found a damaged one .*Save it as"
     with pytest.raises(ReadError, match=expected):
-        lab_cards(tmp_path / "dialects")
+        load_lab_cards(tmp_path / "dialects")
 
 
 GOOD = """
@@ -197,7 +197,7 @@ def test_own_cards_come_first_and_must_not_both_fit(
         ReadError, match=r"one card recognises, found one that fits other and own\. Na"
     ):
         recognise_card(file)
-    assert [*lab_cards()] == ["other", "own"]
+    assert [*load_lab_cards()] == ["other", "own"]
     (tmp_path / "dialects" / "own.toml").rename(tmp_path / "dialects" / "catman.toml")
     expected = r"catman\.toml: expected a unique name, found 'catman', the name of a card of labp"
     with pytest.raises(ReadError, match=expected):

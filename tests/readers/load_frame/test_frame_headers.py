@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
-from labpipe.readers.load_frame.cards import shipped_cards
+from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.readers.load_frame.tables import Export, Table, find_header, time_column
 from tests.approved import Approve
 
@@ -18,7 +18,7 @@ from tests.approved import Approve
 def together(names: str, width: int) -> tuple[str, ...]:
     """Names of so many columns, of a line in which blanks part them."""
     lines = [names, " ".join(["mm"] * width), " ".join(["1.5"] * width)]
-    return find_header(lines, shipped_cards()["mts-793"], "a.dat", 4).names
+    return find_header(lines, load_shipped_cards()["mts-793"], "a.dat", 4).names
 
 
 FAULTS = [
@@ -36,7 +36,7 @@ PARTED = ["Ch 1 Displacement Deflectometer Ch 1 Force Time", "Odd words that tel
 
 def test_headers_that_are_refused(approved: Approve) -> None:
     calls: list[Callable[[], object]] = [
-        partial(find_header, lines, shipped_cards()[c], "a.csv") for c, lines in FAULTS
+        partial(find_header, lines, load_shipped_cards()[c], "a.csv") for c, lines in FAULTS
     ]
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
@@ -49,7 +49,7 @@ def test_headers_that_are_refused(approved: Approve) -> None:
 
 def test_a_list_of_names() -> None:
     lines = ["Nsig\t2", "Sig1\tTime (min)", "Sig2\tStrain", "StartOfData", "1\t2"]
-    header = find_header(lines, shipped_cards()["dma-q800"], "a")
+    header = find_header(lines, load_shipped_cards()["dma-q800"], "a")
     assert (header.names, header.units, header.first) == (("Time", "Strain"), ("min", ""), 4)
 
 
@@ -65,7 +65,7 @@ def test_a_list_of_names() -> None:
 def test_a_blank_row_is_no_header(card: str, lines: list[str], after: int) -> None:
     """Between title and names, names and units, units and numbers."""
     whole = [*lines[: after + 1], ",", "", *lines[after + 1 :]]
-    header = find_header(whole, shipped_cards()[card], "a.csv")
+    header = find_header(whole, load_shipped_cards()[card], "a.csv")
     assert [name.rstrip() for name in header.names] == [
         cell.strip('"') for cell in lines[1].split(",")
     ]
@@ -105,7 +105,7 @@ def test_names_that_hold_blanks(names: tuple[str, ...]) -> None:
     ],
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
-    assert time_column(names, units, shipped_cards()["mts-testsuite"]) == found
+    assert time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
 
 
 N = 12
@@ -118,7 +118,7 @@ def test_time_is_in_seconds() -> None:
     units = {"s": 1.0, "Sec": 1.0, "SEC": 1.0, "min": 60.0, "ms": 1e-3, "d": 86400.0}
     for unit, factor in units.items():
         table = Table("", ("Time", "F"), (unit, "N"), {0: COUNT, 1: COUNT})
-        recording = assemble(Export((table,)), shipped_cards()["nexygen"], "a")
+        recording = assemble(Export((table,)), load_shipped_cards()["nexygen"], "a")
         np.testing.assert_allclose(recording.clocks[0].time, factor * COUNT)
         clocks = {"time": {"time": "Time", "unit_in_file": unit}}
         assert recording.metadata["clocks"] == clocks
@@ -128,7 +128,7 @@ def test_notes_on_channels() -> None:
     names, units = ("Time", "F", "F", "still"), ("s", "N", "", "mm")
     gone = np.where(COUNT == 3, np.nan, COUNT)
     table = Table("", names, units, {0: COUNT, 1: COUNT, 2: gone, 3: 0.0 * COUNT})
-    recording = assemble(Export((table,)), shipped_cards()["nexygen"], "a")
+    recording = assemble(Export((table,)), load_shipped_cards()["nexygen"], "a")
     assert [(note.code, note.where, note.message) for note in recording.notes] == [
         ("missing_values", "F [2]", "1 of 12 values are missing, the first in row 4"),
         ("constant_channel", "channels", "values never change in 1 of 3 channels: 'still'"),

@@ -325,6 +325,6 @@ def compute_loading_curve(
     known_curvature, _ = parts.reach(values)
     end = min(known_curvature, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
     table = make_loading_table(parts, values, end)
-    curve = load_cantilever(table, length, rig, self_weight, deflection, near=near)
+    curve = load_cantilever(table, length, rig, self_weight, deflection, similar=near)
     _require_known(parts, values, float(curve.clamp_curvature.max()))
     return curve
