@@ -34,7 +34,7 @@ class LabpipeError(Exception):
 
     @classmethod
     def about(cls, name: str, file: object, place: str = "", /, **facts: object) -> Self:
-        """Make an error from a template of a room's ``messages.toml``.
+        """Make an error from a template of a ``messages.toml``.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class Fault:
         missing: str = "",
         **facts: object,
     ) -> Self:
-        """Make a fault from a template of a room.
+        """Make a fault from a template of a ``messages.toml``.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Templates of the sentences that people read: one ``messages.toml`` in each room.
+"""Templates of the sentences that people read: one ``messages.toml`` in each subpackage.
 
 A template is a named table. Its entries depend on its use:
 
@@ -24,39 +24,39 @@ Template = dict[str, str]
 
 
 @cache
-def read_templates(room: str) -> dict[str, Template]:
-    """Read the templates of a room.
+def read_templates(subpackage: str) -> dict[str, Template]:
+    """Read the templates of a subpackage.
 
     Parameters
     ----------
-    room : below the package, such as ``readers`` or ``mechanics.wire``
+    subpackage : name below ``labpipe``, such as ``readers`` or ``mechanics.wire``
 
     Raises
     ------
     FileNotFoundError
-        If the room has none.
+        If the subpackage has none.
     """
-    text = (files(f"labpipe.{room}") / "messages.toml").read_text(encoding="utf-8")
+    text = (files(f"labpipe.{subpackage}") / "messages.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
 
-def list_rooms() -> list[str]:
-    """Return the rooms that have a ``messages.toml``."""
+def list_subpackages() -> list[str]:
+    """List the subpackages that have a ``messages.toml``."""
     package = Path(str(files("labpipe")))
     paths = sorted(package.rglob("messages.toml"))
     return [".".join(path.relative_to(package).parts[:-1]) for path in paths]
 
 
 def find_template(name: str) -> Template:
-    """Find a template by room and name, such as ``readers.no_header``.
+    """Find a template by subpackage and name, such as ``readers.no_header``.
 
     Raises
     ------
     KeyError
-        If the room has no such template.
+        If the subpackage has no such template.
     """
-    room, _, template = name.rpartition(".")
-    return read_templates(room)[template]
+    subpackage, _, template = name.rpartition(".")
+    return read_templates(subpackage)[template]
 
 
 def find_code(name: str) -> str:

@@ -77,7 +77,7 @@ def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
     return (by,) if isinstance(by, str) else tuple(by)
 
 
-_VALUE_FIELDS = ("value", "estimate", "lower", "upper")
+_VALUES = ("value", "estimate", "lower", "upper")
 _TEXTS = ("unit", "status", "code", "reason")
 _TEST_COLUMNS = ("protocol", "date", "operator", "folder")
 
@@ -129,8 +129,8 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     frame = pd.DataFrame({name: _make_column(name, values) for name, values in columns.items()})
     frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
     entries = [result for _, results in rows for result in results]
-    for name in ("result", *_VALUE_FIELDS, *_TEXTS):
-        dtype = "float64" if name in _VALUE_FIELDS else "str"
+    for name in ("result", *_VALUES, *_TEXTS):
+        dtype = "float64" if name in _VALUES else "str"
         frame[name] = pd.Series([entry[name] for entry in entries], dtype=dtype)
     if by:
         frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
@@ -194,7 +194,7 @@ def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
     plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
     parts = dict(specimen.get("bundle", {}))
     bundle = {name: value for name, value in parts.items() if not isinstance(value, list)}
-    taken = {*plain, *bundle, "test", "result", *_TEST_COLUMNS, *_VALUE_FIELDS, *_TEXTS}
+    taken = {*plain, *bundle, "test", "result", *_TEST_COLUMNS, *_VALUES, *_TEXTS}
     labels = {
         f"label_{name}" if name in taken else str(name): str(text)
         for key in ("labels", "observed")
@@ -205,9 +205,7 @@ def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
 
 def _parse_result(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Convert a result of a summary to the cells of a row."""
-    numbers = {
-        name: np.nan if entry[name] is None else float(entry[name]) for name in _VALUE_FIELDS
-    }
+    numbers = {name: np.nan if entry[name] is None else float(entry[name]) for name in _VALUES}
     return {"result": str(entry["name"])} | numbers | {name: str(entry[name]) for name in _TEXTS}
 
 

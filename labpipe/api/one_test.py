@@ -143,7 +143,7 @@ class Test:
     def _result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
         if name not in results:
-            raise self._unknown("result", name, list(results))
+            raise self._build_name_error("result", name, list(results))
         return results[name]
 
     @property
@@ -159,7 +159,7 @@ class Test:
             If the test has no curve.
         """
         if self._outcome.curve is None:
-            raise self._missing("curve")
+            raise self._build_absence_error("curve")
         return data_frames.make_curve_frame(self._outcome.curve, self._units)
 
     @property
@@ -175,7 +175,7 @@ class Test:
         """
         shape = self._full.shape
         if shape is None:
-            raise self._missing("shape")
+            raise self._build_absence_error("shape")
         return data_frames.make_shape_frame(shape, self._units)
 
     @property
@@ -215,7 +215,7 @@ class Test:
         from labpipe.report.figures import FIGURES, draw_figure
 
         if name not in FIGURES:
-            raise self._unknown("figure", name, list(FIGURES))
+            raise self._build_name_error("figure", name, list(FIGURES))
         return draw_figure(self._full, name)
 
     def __repr__(self) -> str:
@@ -235,18 +235,20 @@ class Test:
         html = table.to_html(float_format="{:.4g}".format, na_rep="")
         return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
-    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
+    def _build_name_error(self, kind: str, name: str, names: list[str]) -> UsageError:
         if not names:
             return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
-    def _missing(self, part: str) -> ProcessingError:
+    def _build_absence_error(self, part: str) -> ProcessingError:
         notes = self._outcome.quality
-        why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
-        if not why:
+        reason = next((note.message for note in notes if note.severity is Severity.ERROR), "")
+        if not reason:
             return ProcessingError.about("api.not_in_protocol", self.name, part=part)
-        return ProcessingError.about("api.missing_part", self.name, part=part, why=why.rstrip("."))
+        return ProcessingError.about(
+            "api.missing_part", self.name, part=part, reason=reason.rstrip(".")
+        )
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:

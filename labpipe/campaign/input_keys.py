@@ -216,7 +216,7 @@ class InputReader:
     def _hash_protocol(self, name: str, folder: Path) -> str:
         """Return the hash of the file of a protocol; empty if there is no such file."""
         is_path = any(character in name for character in "/\\.")
-        file = self._find_protocol(name, beside=folder if is_path else Path())
+        file = self._find_protocol(name, sheet_folder=folder if is_path else Path())
         return "" if isinstance(file, Fault) else self._hash_file(file)
 
     @cached_property

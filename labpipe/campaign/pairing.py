@@ -361,7 +361,7 @@ def _filter_sources(
 def _find_sources(name: str, folder: Path) -> Mapping[Role, Source]:
     """Find the sources of a protocol by role; none for an unknown or faulty protocol."""
     with suppress(LabpipeError):
-        file = find_protocol(name, beside=folder) if name else None
+        file = find_protocol(name, sheet_folder=folder) if name else None
         return load_protocol(file).sources if isinstance(file, Path) else {}
     return {}
 

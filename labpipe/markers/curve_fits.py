@@ -297,7 +297,7 @@ def fit_frames(
     Notes
     -----
     The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
-    with the same markers in sight.
+    with the same visible markers.
     """
     is_free = conditions.direction is None
     basis = build_curve_basis(
@@ -335,7 +335,7 @@ def fit_frames(
 def _solve(
     data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit frames with the same markers in sight.
+    """Fit frames with the same visible markers.
 
     Returns unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
@@ -364,7 +364,7 @@ def _compute_known_positions(
 
 
 def _group_by_visible_markers(seen: Flags) -> list[tuple[Flags, Ints]]:
-    """Return the sets of markers in sight, each with its frames."""
+    """Return the sets of visible markers, each with its frames."""
     codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows is far slower
     first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
     return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]

@@ -599,7 +599,7 @@ def _match_folder(
     candidates = list[Protocol]()
     if "protocol" not in stated:
         candidates = load_all_protocols()
-    elif isinstance(path := find_protocol(stated["protocol"], beside=folder), Path):
+    elif isinstance(path := find_protocol(stated["protocol"], sheet_folder=folder), Path):
         with suppress(LabpipeError):  # reported with the sheet
             candidates = [load_protocol(path)]
     return match_protocols(

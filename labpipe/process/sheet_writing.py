@@ -281,7 +281,7 @@ def _list_faults(
     is_open = {key.rpartition(".")[2] for key in open_keys}
     faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
     if "protocol" in values:
-        protocol = find_protocol(values["protocol"], beside=test_folder)
+        protocol = find_protocol(values["protocol"], sheet_folder=test_folder)
         faults += [protocol] if isinstance(protocol, Fault) else []
     for fault in faults:
         path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))

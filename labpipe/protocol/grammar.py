@@ -57,9 +57,9 @@ from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
     build_choice_fault,
+    build_refusal,
     convert_errors,
     parse_yaml,
-    refused,
 )
 from labpipe.records.declarations import (
     FromCard,
@@ -152,10 +152,10 @@ def suggest_unit(unit: str, si_unit: str) -> str:
     try:
         find_si_factor(unit or si_unit, si_unit)
     except DimensionError:
-        own_unit = find_si_unit(unit)
-        if (own_unit, si_unit) == ("kg", "N"):
+        base_unit = find_si_unit(unit)
+        if (base_unit, si_unit) == ("kg", "N"):
             return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
-        return f"{unit} is a unit of {_DIMENSION_NAMES[own_unit]}." if own_unit else ""
+        return f"{unit} is a unit of {_DIMENSION_NAMES[base_unit]}." if base_unit else ""
     except ValueError:
         return f"labpipe knows no unit {unit!r}."
     return ""
@@ -216,16 +216,18 @@ class QuantityText:
             value = math.inf
         except ValueError as error:
             remedy = suggest_quantity(text, unit, example)
-            raise refused(
+            raise build_refusal(
                 "protocol.no_quantity", found=text, kind=self._meaning, remedy=remedy
             ) from error
         if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
-            raise refused("protocol.no_ratio", found=text, kind=self._meaning, example=example)
+            raise build_refusal(
+                "protocol.no_ratio", found=text, kind=self._meaning, example=example
+            )
         is_above = self.quantity.above is None or value > self.quantity.above
         in_range = is_above and self.quantity.minimum <= value <= self.quantity.maximum
         if not in_range or math.isinf(value):
             kind, valid = self._meaning, self._range
-            raise refused("protocol.out_of_range", found=text, kind=kind, range=valid)
+            raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=valid)
         return value
 
     def format(self, value: float) -> str:
@@ -276,7 +278,9 @@ def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
     if not is_whole or not bounds.minimum <= int(str(text)) <= bounds.maximum:
-        raise refused("protocol.no_whole", found=text, low=bounds.minimum, high=bounds.maximum)
+        raise build_refusal(
+            "protocol.no_whole", found=text, low=bounds.minimum, high=bounds.maximum
+        )
     return int(str(text))
 
 
@@ -295,13 +299,13 @@ def _parse_span(text: object) -> Span:
     stripped = str(text).strip()
     if count := re.fullmatch(r"([0-9]{1,9})\s*samples", stripped):
         if int(count[1]) < 1:
-            raise refused("protocol.no_sample", found=text)
+            raise build_refusal("protocol.no_sample", found=text)
         return Span("samples", float(count[1]))
     for kind, quantity in _SPAN_QUANTITIES.items():
         is_number = parse_or_none(stripped, quantity.quantity.unit) is not None
         if stripped.endswith("%") if kind == "branch" else is_number:
             return Span(kind, quantity.parse(text))
-    raise refused("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
+    raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
 
 
 def _format_span(span: Span) -> str:
@@ -321,7 +325,7 @@ MAX_NAME_BYTES = 120
 def _parse_text(value: object) -> str:
     """Accept text, and the numbers that other YAML readers make of an unquoted 1."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
-        raise refused("protocol.no_text", found=value)
+        raise build_refusal("protocol.no_text", found=value)
     return str(value)
 
 
@@ -332,7 +336,7 @@ def has_control_characters(text: str) -> bool:
 
 def _parse_line(value: object) -> str:
     if has_control_characters(text := _parse_text(value)):
-        raise refused("protocol.no_line", found=value)
+        raise build_refusal("protocol.no_line", found=value)
     return text
 
 
@@ -352,13 +356,13 @@ def _parse_day(value: object) -> date:
     try:
         return date.fromisoformat(str(value))
     except ValueError as error:
-        raise refused("protocol.no_day", found=value) from error
+        raise build_refusal("protocol.no_day", found=value) from error
 
 
 def _parse_file_stem(value: object) -> str:
     text = _parse_text(value)
     if not is_test_name(text):
-        raise refused("protocol.no_file_stem", found=value, most=MAX_NAME_BYTES)
+        raise build_refusal("protocol.no_file_stem", found=value, limit=MAX_NAME_BYTES)
     return text
 
 
@@ -371,7 +375,7 @@ def parse_pattern_text(form: PatternText, value: object) -> str:
         If it has another form.
     """
     if re.fullmatch(form.pattern, _parse_text(value)) is None:
-        raise refused("protocol.no_such_word", found=value, meaning=form.meaning)
+        raise build_refusal("protocol.no_such_word", found=value, meaning=form.meaning)
     return str(value)
 
 
@@ -391,10 +395,12 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
 
     def check(value: object) -> str:
         if not isinstance(value, str) or not value.strip() or has_control_characters(value):
-            raise refused("protocol.no_file_name", found=value)
+            raise build_refusal("protocol.no_file_name", found=value)
         is_absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if is_absolute or ".." in PureWindowsPath(value).parts:
-            raise refused("protocol.file_elsewhere", found=value, folder=folder, remedy=remedy)
+            raise build_refusal(
+                "protocol.file_elsewhere", found=value, folder=folder, remedy=remedy
+            )
         return value
 
     return BeforeValidator(check)
@@ -440,7 +446,7 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
 
     def check(value: object) -> object:
         if not isinstance(value, list | tuple) or len(value) != count:
-            raise refused("protocol.no_row", found=value, count=count, example=example)
+            raise build_refusal("protocol.no_row", found=value, count=count, example=example)
         return value
 
     return BeforeValidator(check)
@@ -610,7 +616,9 @@ def _check_larger(
     bound_value = info.data.get(bound.field)
     if bound_value is not None and value <= bound_value:
         bound_text, value_text = text.format(bound_value), text.format(value)
-        raise refused("protocol.not_larger", found=value_text, key=bound.key, least=bound_text)
+        raise build_refusal(
+            "protocol.not_larger", found=value_text, key=bound.key, bound=bound_text
+        )
     return value
 
 

@@ -35,7 +35,7 @@ from labpipe.protocol.grammar import (
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, find_repeated_names, raise_faults, refused
+from labpipe.protocol.yaml_text import Values, build_refusal, find_repeated_names, raise_faults
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -63,7 +63,7 @@ AccelerationComponent: TypeAlias = Annotated[float, Quantity("m/s^2", "m/s^2", "
 def _normalise(vector: Vector3) -> Vector3:
     size = math.hypot(*vector)
     if size == 0.0:
-        raise refused("protocol.no_direction", found=list(vector))
+        raise build_refusal("protocol.no_direction", found=list(vector))
     x, y, z = vector
     return x / size, y / size, z / size
 
@@ -95,7 +95,7 @@ def _parse_place(value: object) -> float:
         return _LENGTH_FROM_START.parse(value)
     except ValueError as error:
         remedy = suggest_quantity(value, "m", "120 mm")
-        raise refused("protocol.no_place", found=value, remedy=remedy) from error
+        raise build_refusal("protocol.no_place", found=value, remedy=remedy) from error
 
 
 def _format_place(place: float) -> str:
@@ -186,7 +186,7 @@ class SectionBlock(Block):
                 at="key",
                 key=key,
                 kind=kind,
-                own=", ".join(map(repr, own_keys)),
+                keys=", ".join(map(repr, own_keys)),
             )
 
 
@@ -273,9 +273,14 @@ class Grip(_Boundary):
     def _check_path(self) -> Self:
         """Refuse waypoints out of order, and directions of a grip that holds positions only."""
         faults = [
-            Fault.of("protocol.step_not_after", ("path", i, "step"), before=last.step, found=p.step)
-            for i, (last, p) in enumerate(pairwise(self.path), start=1)
-            if p.step <= last.step
+            Fault.of(
+                "protocol.step_not_after",
+                ("path", number, "step"),
+                previous=previous.step,
+                found=point.step,
+            )
+            for number, (previous, point) in enumerate(pairwise(self.path), start=1)
+            if point.step <= previous.step
         ]
         for number, point in enumerate(self.path if self.holds == "position" else ()):
             for key in sorted({"direction", "turn"} & point.model_fields_set):
@@ -420,10 +425,10 @@ def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
     """Find boundaries that hold the same place of the line, and a line that nothing holds."""
     names: dict[float, str] = {}
     for number, holder in _list_holders(harness).items():
-        other = names.setdefault(holder.at, holder.name)
-        if other != holder.name:
+        first_name = names.setdefault(holder.at, holder.name)
+        if first_name != holder.name:
             path, place = ("boundaries", number, "at"), _format_place(holder.at)
-            yield Fault.of("protocol.place_taken", path, found=place, other=other)
+            yield Fault.of("protocol.place_taken", path, found=place, holder=first_name)
     if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
@@ -447,20 +452,23 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     has_weight = section.bending_stiffness is None or section.mass_per_length
     has_support = any(not isinstance(part, (*HOLDERS, Load)) for part in harness.boundaries)
     if has_weight and any(harness.gravity) and not has_support and all(releases.values()):
-        last = max(releases, key=lambda number: releases[number])
-        yield Fault.of("protocol.falls", ("boundaries", last, "release"), step=releases[last])
+        last_holder = max(releases, key=lambda number: releases[number])
+        path = ("boundaries", last_holder, "release")
+        yield Fault.of("protocol.falls", path, step=releases[last_holder])
 
 
 def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
     """Find boundaries that hold the axis nearer to a plane than half the diameter."""
     radius = 0.5e3 * (harness.line.section.diameter or 0.0)
-    first = 0 if harness.line.spool is None else 1  # the initial shape of a curled line is unknown
+    first_step = (
+        0 if harness.line.spool is None else 1
+    )  # the initial shape of a curled line is unknown
     planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
     for plane, place in product(planes, _list_places(harness, harness.line.length)):
-        heights = 1e3 * (place.path[first:] - np.array(plane.point)) @ np.array(plane.normal)
+        heights = 1e3 * (place.path[first_step:] - np.array(plane.point)) @ np.array(plane.normal)
         lowest = min(heights, default=math.inf)
         if not place.string_length and lowest < radius - 1e-6 * harness.line.length:
-            path, step = ("boundaries", place.number), int(heights.argmin()) + first
+            path, step = ("boundaries", place.number), int(heights.argmin()) + first_step
             yield Fault.of(
                 "protocol.in_plane", path, radius=radius, plane=plane, found=lowest, step=step
             )
@@ -475,13 +483,16 @@ def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
         elif isinstance(boundary, Grip):
             points = enumerate(boundary.path)
             turns = [(("path", i, "turn"), point.step, point.turn) for i, point in points]
-        start, last_turn = 0, 0.0
-        for key, end, angle in turns:
-            turn, path = last_turn if angle is None else angle, ("boundaries", number, *key)
-            per_step = math.degrees(abs(turn - last_turn)) / (end - start)
+        start_step, start_angle = 0, 0.0
+        for key, end_step, stated_angle in turns:
+            angle = start_angle if stated_angle is None else stated_angle
+            per_step = math.degrees(abs(angle - start_angle)) / (end_step - start_step)
             if per_step >= 180.0:
-                yield Fault.of("protocol.turn", path, found=per_step, start=start, end=end)
-            start, last_turn = end, turn
+                path = ("boundaries", number, *key)
+                yield Fault.of(
+                    "protocol.turn", path, found=per_step, start=start_step, end=end_step
+                )
+            start_step, start_angle = end_step, angle
 
 
 def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
@@ -490,7 +501,7 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
     element = 1e3 * max(harness.lengths) / harness.line.elements
     curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
     if curl > max_curl:
-        yield Fault.of("protocol.curl", path, most=max_curl, element=element, found=curl)
+        yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
 
 
 def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
@@ -498,33 +509,44 @@ def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> It
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
-            here, gap = path or ("boundaries", number, "at"), 1e3 * place
-            yield Fault.of("protocol.off_the_line", here, length=1e3 * length, found=gap)
-    for one, other in combinations(_list_places(harness, length), 2):
-        reach = 1e3 * (other.along - one.along + one.string_length + other.string_length)
-        rows = min(len(one.path), len(other.path))
-        distances = 1e3 * np.linalg.norm(one.path[:rows] - other.path[:rows], axis=1)
-        gap, step = distances.max(), distances.argmax()
-        if gap > reach * REACH_FACTOR:
-            here = path or ("boundaries", max(one.number, other.number))
+            at_path = path or ("boundaries", number, "at")
+            yield Fault.of("protocol.off_the_line", at_path, length=1e3 * length, found=1e3 * place)
+    for first, second in combinations(_list_places(harness, length), 2):
+        reach = 1e3 * (second.along - first.along + first.string_length + second.string_length)
+        n_steps = min(len(first.path), len(second.path))
+        distances = 1e3 * np.linalg.norm(first.path[:n_steps] - second.path[:n_steps], axis=1)
+        distance, step = distances.max(), distances.argmax()
+        if distance > reach * REACH_FACTOR:
             yield Fault.of(
-                "protocol.too_far", here, reach=reach, one=one, other=other, found=gap, step=step
+                "protocol.too_far",
+                path or ("boundaries", max(first.number, second.number)),
+                reach=reach,
+                first=first,
+                second=second,
+                found=distance,
+                step=step,
             )
     yield from _find_distant_rings(harness, length, path)
 
 
 def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     """Find rings that neither an end of the line nor the line between two holders reaches."""
-    fixed = [place for place in _list_places(harness, length) if not place.string_length]
-    available = 1e3 * np.diff([0.0, *(place.along for place in fixed), length])
+    places = [place for place in _list_places(harness, length) if not place.string_length]
+    available = 1e3 * np.diff([0.0, *(place.along for place in places), length])
     for number, ring in enumerate(harness.boundaries):
-        if isinstance(ring, Ring) and fixed:
-            away = 1e3 * np.array([math.dist(ring.position, place.path[-1]) for place in fixed])
-            needed = np.concatenate([away[:1], away[:-1] + away[1:], away[-1:]])
-            span, here = np.argmin(needed - available), path or ("boundaries", number)
-            reach, gap = available[span], needed[span]
-            if gap > reach * REACH_FACTOR:
-                yield Fault.of("protocol.ring_too_far", here, ring=ring, reach=reach, found=gap)
+        if isinstance(ring, Ring) and places:
+            distances = [1e3 * math.dist(ring.position, place.path[-1]) for place in places]
+            between = np.add(distances[:-1], distances[1:])
+            needed = np.concatenate([distances[:1], between, distances[-1:]])
+            span = np.argmin(needed - available)
+            if needed[span] > available[span] * REACH_FACTOR:
+                yield Fault.of(
+                    "protocol.ring_too_far",
+                    path or ("boundaries", number),
+                    ring=ring,
+                    reach=available[span],
+                    found=needed[span],
+                )
 
 
 class _HeldPlace(NamedTuple):
@@ -589,10 +611,10 @@ def compute_path(boundary: Holder | String, start: Sequence[float] | Floats, ste
     -------
     shape (steps + 1, 3), m
     """
-    at, corners = [0], [np.array(start, dtype=float)]
+    corner_steps, corners = [0], [np.array(start, dtype=float)]
     if isinstance(boundary, Grip):
         for point in boundary.path:
-            at.append(point.step)
+            corner_steps.append(point.step)
             corners.append(corners[-1] if point.position is None else np.array(point.position))
     else:
         end = np.array(boundary.anchor if isinstance(boundary, String) else boundary.position)
@@ -600,10 +622,10 @@ def compute_path(boundary: Holder | String, start: Sequence[float] | Floats, ste
             distance = float(np.linalg.norm(end - corners[0]))
             share = min(1.0, boundary.length / distance) if distance else 1.0
             corners = [corners[0] + share * (end - corners[0])]
-        at.append(boundary.by or steps)
+        corner_steps.append(boundary.by or steps)
         corners.append(end)
-    rows = np.arange(steps + 1)
-    return np.column_stack([np.interp(rows, at, axis) for axis in np.array(corners).T])
+    all_steps = np.arange(steps + 1)
+    return np.column_stack([np.interp(all_steps, corner_steps, x) for x in np.array(corners).T])
 
 
 def find_named_file(name: str, path: Path) -> Path:
@@ -614,8 +636,8 @@ def find_named_file(name: str, path: Path) -> Path:
     name : as written
     path : of the harness YAML
     """
-    beside = path.parent / name
-    return beside if beside.exists() else Path(name)
+    file_beside = path.parent / name
+    return file_beside if file_beside.exists() else Path(name)
 
 
 def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
@@ -633,6 +655,5 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
                 "protocol.no_harness_file",
                 ("line", "section", key),
                 name=name,
-                here=path.parent / name,
-                there=Path(name),
+                paths=[path.parent / name, Path(name)],
             )

@@ -1,6 +1,7 @@
-"""Loading of YAML files, and the protocol of a test: overrides and absent exports.
+"""Load protocols, test sheets, plans and harnesses, and resolve the protocol of one test.
 
-Protocols, test sheets, plans and harnesses; one error has all faults of a file.
+The protocol of a test has the overrides of its test sheet, and lacks what needs absent optional
+exports. One error lists all faults of a file.
 """
 
 from __future__ import annotations
@@ -95,30 +96,30 @@ def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
     return files
 
 
-def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -> Path | Fault:
+def find_protocol(name: str, *, sheet_folder: Path, protocols: Path | None = None) -> Path | Fault:
     """Find the file of a protocol.
 
     Parameters
     ----------
-    wanted : its name, or its path: in the folder of the test sheet, or else in the working folder
-    beside : folder of the test sheet
+    name : of the protocol, or its path: from `sheet_folder`, or else from the working folder
+    sheet_folder : folder of the test sheet
     protocols : as for `list_protocol_folders`
 
     Returns
     -------
     The file, or the fault of the key ``protocol`` of the sheet.
     """
-    if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
-        places = [beside / wanted, Path(wanted)]
-        files = [place for place in places if path_exists(place)]
-        fault = Fault.of("protocol.no_protocol_at", ("protocol",), name=wanted, places=places)
+    if name.endswith(_SUFFIXES) or "/" in name or "\\" in name:
+        paths = [sheet_folder / name, Path(name)]
+        files = [path for path in paths if path_exists(path)]
+        fault = Fault.of("protocol.no_protocol_at", ("protocol",), name=name, paths=paths)
         return files[0] if files else fault
     protocol_files = list_protocols(protocols)
-    if wanted in protocol_files:
-        return protocol_files[wanted]
+    if name in protocol_files:
+        return protocol_files[name]
     if protocol_files:
-        return build_choice_fault(("protocol",), wanted, protocol_files, "one of the protocols")
-    return Fault.of("protocol.no_protocols", ("protocol",), name=wanted)
+        return build_choice_fault(("protocol",), name, protocol_files, "one of the protocols")
+    return Fault.of("protocol.no_protocols", ("protocol",), name=name)
 
 
 def path_exists(path: Path) -> bool:
@@ -293,7 +294,9 @@ def resolve(
         has one line per fault.
     """
     sheet_document = parse_yaml(read_text(sheet_path), str(sheet_path))
-    protocol_file = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
+    protocol_file = find_protocol(
+        sheet.protocol, sheet_folder=sheet_path.parent, protocols=protocols
+    )
     if isinstance(protocol_file, Fault):
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
@@ -303,29 +306,33 @@ def resolve(
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
     faults = [
         *_find_role_faults(sheet, merged.data),
-        *_find_link_faults(sheet, sheet_path.parent, followed=follow_links),
+        *_find_link_faults(sheet, sheet_path.parent, follow_links=follow_links),
         *_find_wrong_answers(sheet, get_block(merged.data, "questions")),
     ]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
         is_valid_alone = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
-        placed = [*merged.faults, *map(sheet_document.place, faults)]
+        placed_faults = [*merged.faults, *map(sheet_document.place, faults)]
         for fault in protocol:
             in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
             remark = f"(With the overrides of {sheet_path}.)"
-            placed.append(merged.place(fault, remark if is_valid_alone and not in_sheet else ""))
-        raise build_error(placed)
+            placed_faults.append(
+                merged.place(fault, remark if is_valid_alone and not in_sheet else "")
+            )
+        raise build_error(placed_faults)
     steps = tuple(
         step.numbered(int(merged.find_location(("steps", number))[0].name))
         for number, step in enumerate(protocol.steps)
     )
     protocol = protocol.model_copy(update={"steps": steps})
     reduced = remove_absent_sources(protocol, sheet.files)
-    ranges, others = protocol.plausible, sheet.specimen.dimensions
-    faults += find_implausible_sizes(sheet.specimen, ("specimen",), ranges, others=others)
+    ranges, dimensions = protocol.plausible, sheet.specimen.dimensions
+    faults += find_implausible_sizes(
+        sheet.specimen, ("specimen",), ranges, other_lengths=dimensions
+    )
     faults += find_absent_needs(reduced, protocol)
-    if placed := [*merged.faults, *map(sheet_document.place, faults)]:
-        raise build_error(placed)
+    if placed_faults := [*merged.faults, *map(sheet_document.place, faults)]:
+        raise build_error(placed_faults)
     return reduced
 
 
@@ -348,12 +355,12 @@ def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | 
         return None
     document = parse_yaml(read_text(sheet_path), str(sheet_path))
     other_files = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
-    placed = []
+    placed_faults = []
     for role, name in missing:
-        like = ", ".join(map(repr, sort_by_likeness(name, other_files, limit=3))) or "no files"
-        fault = Fault.of("protocol.no_such_export", ("files", role), name=name, like=like)
-        placed.append(document.place(fault))
-    return build_error(placed, code="missing_export")
+        similar = ", ".join(map(repr, sort_by_likeness(name, other_files, limit=3))) or "no files"
+        fault = Fault.of("protocol.no_such_export", ("files", role), name=name, similar=similar)
+        placed_faults.append(document.place(fault))
+    return build_error(placed_faults, code="missing_export")
 
 
 def dump_protocol(protocol: Protocol) -> str:
@@ -386,8 +393,8 @@ def validate_document(model: type[_B], document: Document) -> _B:
     """
     block = model.read(document.data)
     faults = block if isinstance(block, list) else []
-    if placed := [*document.faults, *map(document.place, faults)]:
-        raise build_error(placed)
+    if placed_faults := [*document.faults, *map(document.place, faults)]:
+        raise build_error(placed_faults)
     return cast("_B", block)
 
 
@@ -412,21 +419,21 @@ def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:
         if sources and role not in sources:
             fault = build_choice_fault(("files", role), role, sources, "a role of the protocol:")
             yield replace(fault, at="key")
-    for missing in sorted(set(sources) & set(ROLES) - set(sheet.files)):
-        if str(get_block(sources, missing).get("optional")).lower() != "true":
-            yield Fault.of("protocol.no_file_of_role", ("files",), role=missing)
+    for missing_role in sorted(set(sources) & set(ROLES) - set(sheet.files)):
+        if str(get_block(sources, missing_role).get("optional")).lower() != "true":
+            yield Fault.of("protocol.no_file_of_role", ("files",), role=missing_role)
 
 
-def _find_link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[Fault]:
+def _find_link_faults(sheet: TestSheet, folder: Path, *, follow_links: bool) -> Iterator[Fault]:
     """Find exports that are links to themselves, or links out of the folder of the test."""
-    home = folder.resolve()
+    test_folder = folder.resolve()
     for role, name in ((role, name) for role, names in sheet.files.items() for name in names):
         try:
-            is_inside = (folder / name).resolve().is_relative_to(home)
+            is_inside = (folder / name).resolve().is_relative_to(test_folder)
         except (OSError, RuntimeError):  # a loop is a RuntimeError up to Python 3.12
             yield Fault.of("protocol.link_to_itself", ("files", role), name=name)
             continue
-        if not (is_inside or followed):
+        if not (is_inside or follow_links):
             yield Fault.of("protocol.link_out", ("files", role), name=name, copy=COPY_REMEDY)
 
 
@@ -455,17 +462,17 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     sheet.
     """
     specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
-    own: dict[str, KeyPath] = {
+    sheet_paths: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key) for key in _SHEET_DIMENSIONS if specimen.get(key)
     }
     for key in get_block(specimen, "uncertainty"):
-        own[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
-    changes = {**own}
+        sheet_paths[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
+    changes = {**sheet_paths}
     for key in overrides:
         path: KeyPath = ("overrides", key, "value")
-        if key in own:
-            here, there = sheet.at(path), sheet.at(own[key])
-            yield Fault.of("protocol.override_twice", path, key=key, here=here, there=there)
+        if key in sheet_paths:
+            override, value = sheet.at(path), sheet.at(sheet_paths[key])
+            yield Fault.of("protocol.override_twice", path, key=key, override=override, value=value)
         elif key == _FOLLOW_LINKS:
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:
@@ -586,8 +593,8 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     reduced = protocol.model_copy(update={"sources": sources})
     no_markers = "markers" in protocol.sources and "markers" not in sources
     steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
-    made = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
-    has_one_clock = protocol.curve is not None and protocol.curve.displacement in made
+    computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
+    has_one_clock = protocol.curve is not None and protocol.curve.displacement in computed_channels
     results = tuple(
         result
         for result in reduced.results
@@ -621,28 +628,29 @@ def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[F
     from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     users = (protocol.curve, protocol.branches, protocol.align)
     keys = ("force", "displacement", "channel")
-    needed = {getattr(user, key, None) for user in users for key in keys} - from_speed
-    missing_speed = [k for k in ("crosshead_speed", "stroke") if getattr(protocol.rig, k) is None]
+    needed_channels = {getattr(user, key, None) for user in users for key in keys} - from_speed
+    rig_keys = ("crosshead_speed", "stroke")
+    missing_keys = [key for key in rig_keys if getattr(protocol.rig, key) is None]
     for role, source in full_protocol.sources.items():
         for name in sorted(source.all_channels) if role not in protocol.sources else ():
-            if name in needed:
+            if name in needed_channels:
                 yield Fault.of("protocol.no_needed_file", ("files",), role=role, channel=name)
-            for key in missing_speed if name in from_speed else ():
+            for key in missing_keys if name in from_speed else ():
                 yield Fault.of(
                     "protocol.no_file_or_speed", ("files",), role=role, key=key, channel=name
                 )
 
 
-def _list_possible_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
-    """List the steps whose channels exist; `lost` are those of absent sources."""
+def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Iterator[Step]:
+    """List the steps whose channels exist; absent channels are those of absent sources."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue
         if isinstance(step, TravelFromSpeed):
             if step.channel not in protocol.channels:
-                lost = lost - {step.channel}
+                absent_channels = absent_channels - {step.channel}
                 yield step
-        elif getattr(step, "channel", None) not in lost:
+        elif getattr(step, "channel", None) not in absent_channels:
             yield step
 
 

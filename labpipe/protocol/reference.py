@@ -23,7 +23,7 @@ from typing import Any, get_args, get_type_hints
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from labpipe.messages import find_code, list_rooms, read_templates
+from labpipe.messages import find_code, list_subpackages, read_templates
 from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.schema import Protocol
@@ -47,7 +47,7 @@ ORIGINS = {
     "mechanics.rod": "wires",
     "mechanics.studies": "calibration",
 }
-"""Origin of the notes of a room if their template states none; for others ``processing``."""
+"""Origin of the notes of a subpackage whose templates state none; of others ``processing``."""
 PAGES = ("protocol.md", "quality-notes.md", "results.md")
 """Pages with derived tables."""
 
@@ -103,7 +103,7 @@ class NoteKind:
 
     Parameters
     ----------
-    origin : rooms that make the notes: ``readers``, ``processing``, ``groups``, ``wires`` ...
+    origin : part of labpipe that makes the notes, such as ``readers`` or ``processing``
     code : of the notes
     severities : possible severities
     meaning : one phrase
@@ -118,7 +118,7 @@ class NoteKind:
 
 
 def list_note_kinds() -> tuple[NoteKind, ...]:
-    """List all kinds of quality notes, from ``quality_notes.toml`` and the rooms' templates.
+    """List all kinds of quality notes, from ``quality_notes.toml`` and the templates.
 
     Returns
     -------
@@ -130,11 +130,11 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
         for origin, notes in tomllib.loads(text).items()
         for code, template in notes.items()
     ]
-    for room in list_rooms():
-        for name, template in read_templates(room).items():
+    for subpackage in list_subpackages():
+        for name, template in read_templates(subpackage).items():
             if "meaning" in template:
-                origin = template.get("origin", ORIGINS.get(room, "processing"))
-                kinds.append((origin, find_code(f"{room}.{name}"), template))
+                origin = template.get("origin", ORIGINS.get(subpackage, "processing"))
+                kinds.append((origin, find_code(f"{subpackage}.{name}"), template))
     return tuple(
         NoteKind(origin, code, _parse_severities(entry), entry["meaning"], entry.get("doubts", ""))
         for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])

@@ -46,10 +46,10 @@ from labpipe.protocol.source import (
 from labpipe.protocol.yaml_text import (
     Values,
     build_choice_fault,
+    build_refusal,
     get_block,
     get_list,
     raise_faults,
-    refused,
 )
 from labpipe.records.declarations import (
     LIMITS,
@@ -147,7 +147,7 @@ def _parse_marker_names(value: object) -> object:
         return value
     names = value if isinstance(value, list | tuple) else [value]
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise refused("protocol.no_markers", found=value)
+        raise build_refusal("protocol.no_markers", found=value)
     return tuple(names)
 
 
@@ -282,7 +282,7 @@ class Slack(Block):
 def _parse_reverse(value: object) -> object:
     names = value if isinstance(value, list | tuple) else [None]
     if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
-        raise refused("protocol.no_reverse", found=value)
+        raise build_refusal("protocol.no_reverse", found=value)
     return tuple(names)
 
 
@@ -406,7 +406,7 @@ class Groups(Block):
 def _parse_version(value: object) -> int:
     """Accept the only known version of the file format."""
     if str(value) != "1":
-        raise refused("protocol.unknown_version", found=value)
+        raise build_refusal("protocol.unknown_version", found=value)
     return 1
 
 
@@ -480,14 +480,16 @@ class Protocol(Block):
             if not isinstance(result, BendingStiffness):
                 continue
             key = "length" if result.support == "cantilever" else "span"
-            here, there = result.length_uncertainty, getattr(uncertainties, key)
-            if here is not None and there is not None and here != there:
-                path = ("results", number, "length_uncertainty")
-                here_mm, there_mm = f"{1e3 * here:.6g} mm", f"{1e3 * there:.6g} mm"
-                twice = Fault.of(
-                    "protocol.length_twice", path, key=key, here=here_mm, there=there_mm
+            in_result, in_specimen = result.length_uncertainty, getattr(uncertainties, key)
+            if in_result is not None and in_specimen is not None and in_result != in_specimen:
+                fault = Fault.of(
+                    "protocol.length_twice",
+                    ("results", number, "length_uncertainty"),
+                    key=key,
+                    result_value=f"{1e3 * in_result:.6g} mm",
+                    specimen_value=f"{1e3 * in_specimen:.6g} mm",
                 )
-                faults.append(twice)
+                faults.append(fault)
         raise_faults(faults)
         return self
 
@@ -625,7 +627,9 @@ def _check_channels(outline: Outline) -> Faults:
         is_optional = str(outline.block("sources", role).get("optional")).lower() == "true"
         if not (name in from_speed and is_optional):
             if name in owners:
-                yield Fault.of("protocol.channel_taken", path, at="key", name=name, by=owners[name])
+                yield Fault.of(
+                    "protocol.channel_taken", path, at="key", name=name, owner=owners[name]
+                )
             owners[name] = f"the source {role!r}"
 
 
@@ -676,13 +680,13 @@ def _list_result_needs(name: str, curve: Values) -> list[str]:
 
 
 def _check_steps(outline: Outline) -> Faults:
-    channels, earlier = list(outline.source_channels), list[str]()
+    channels, earlier_steps = list(outline.source_channels), list[str]()
     for path, name, step in outline.steps:
         kind, place = STEPS.get(name), (*path, "step")
         if kind is not None and kind.on_markers:
-            if name in earlier:
+            if name in earlier_steps:
                 yield Fault.of("protocol.step_again", place, step=name)
-            if kind.after and kind.after not in earlier:
+            if kind.after and kind.after not in earlier_steps:
                 yield Fault.of("protocol.step_before", place, step=name, needed=kind.after)
         for key in list_references(kind, "channel") if kind is not None else ("channel",):
             yield from _check_name(step, (*path, key), channels, outline.step_channels)
@@ -692,7 +696,7 @@ def _check_steps(outline: Outline) -> Faults:
         if span.endswith("%") and not outline.block("branches"):
             yield Fault.of("protocol.span_of_no_branch", (*path, "span"), found=repr(span))
         channels += outline.list_added(name, step)
-        earlier.append(name)
+        earlier_steps.append(name)
 
 
 def _check_travel_from_speed(outline: Outline, step: Values, path: KeyPath) -> Faults:
@@ -706,13 +710,13 @@ def _check_travel_from_speed(outline: Outline, step: Values, path: KeyPath) -> F
 
 
 def _check_name(
-    block: Values, path: KeyPath, channels: Sequence[str], later: Collection[str] = ()
+    block: Values, path: KeyPath, channels: Sequence[str], later_channels: Collection[str] = ()
 ) -> Faults:
     """Find the name of a channel, the last key of a path, that does not exist, or not yet."""
     name = block.get(str(path[-1]))
     if not isinstance(name, str) or name in channels:
         return
-    if name in later:
+    if name in later_channels:
         yield Fault.of("protocol.channel_later", path, name=name)
     elif channels:
         yield build_choice_fault(path, name, channels, "one of the channels")
@@ -728,9 +732,11 @@ def _check_curve(outline: Outline) -> Faults:
     for key, si_unit in (("force", "N"), ("displacement", "m")):
         yield from _check_name(curve, ("curve", key), channels)
         name, path = curve.get(key), ("curve", key)
-        other = outline.units.get(str(name))
-        if other not in (None, si_unit):
-            yield Fault.of("protocol.channel_unit", path, unit=si_unit, name=name, other=other)
+        channel_unit = outline.units.get(str(name))
+        if channel_unit not in (None, si_unit):
+            yield Fault.of(
+                "protocol.channel_unit", path, unit=si_unit, name=name, channel_unit=channel_unit
+            )
     for quantity in get_list(curve, "reverse"):
         name = curve.get(quantity) if isinstance(quantity, str) else None
         if name in outline.step_channels and name not in outline.source_channels:
@@ -739,7 +745,7 @@ def _check_curve(outline: Outline) -> Faults:
 
 
 def _check_results(outline: Outline) -> Faults:
-    earlier, stiffnesses = set[str](), list[str]()
+    earlier_names, stiffnesses = set[str](), list[str]()
     displacement = str(outline.block("curve").get("displacement"))
     for path, kind_name, entry in outline.results:
         kind = KINDS_BY_NAME.get(kind_name)
@@ -756,9 +762,9 @@ def _check_results(outline: Outline) -> Faults:
                 valid = "one of the stiffnesses above,"
                 yield build_choice_fault((*path, key), name, stiffnesses, valid)
         names = list_result_names(kind_name, entry)
-        for name in [name for name in names if name in earlier][:1]:
+        for name in [name for name in names if name in earlier_names][:1]:
             yield Fault.of("protocol.result_again", place, name=name)
-        earlier |= {*names}
+        earlier_names |= {*names}
         stiffnesses += [
             name
             for name, output in zip(names, kind.outputs, strict=True)

@@ -48,11 +48,11 @@ from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
 from labpipe.protocol.yaml_text import (
     Values,
+    build_refusal,
     describe_value,
     find_repeated_names,
     get_block,
     raise_faults,
-    refused,
     suggest_word,
 )
 from labpipe.records.declarations import (
@@ -109,10 +109,10 @@ def parse_wires(value: object) -> object:
     for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
         match = _WIRE_COUNT.fullmatch(part)
         if match is None:
-            raise refused("protocol.no_wires", found=value)
+            raise build_refusal("protocol.no_wires", found=value)
         number, wire_type, diameter = match.groups()
         if wire_type in wires:
-            raise refused("protocol.type_again", found=value, type=wire_type)
+            raise build_refusal("protocol.type_again", found=value, type=wire_type)
         wires[wire_type] = {"number": number} | ({"diameter": diameter} if diameter else {})
     return wires
 
@@ -146,7 +146,7 @@ class SheetBundle(Block):
 
     @property
     def record(self) -> Bundle:
-        """Return the bundle as the other rooms use it; lengths in m."""
+        """Return the bundle as the other subpackages use it; lengths in m."""
         types = self.wires.items()
         wires = tuple(BundleWire(name, wires.number, wires.diameter) for name, wires in types)
         settings = {key: value for key, value in self if key not in ("wires", "number")}
@@ -186,7 +186,7 @@ def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
         min_bore = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
         bore, path = 1e3 * bundle.conduit_bore, ("conduit_bore",)
         if bore < min_bore:
-            yield Fault.of("protocol.bore_too_small", path, least=min_bore, found=bore)
+            yield Fault.of("protocol.bore_too_small", path, smallest=min_bore, found=bore)
 
 
 def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
@@ -208,9 +208,13 @@ def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     overlaps = np.tril(depths > OVERLAP_TOLERANCE * np.minimum.outer(diameters, diameters), -1)
     for index in np.flatnonzero(overlaps.any(axis=1)):
         other = int(overlaps[index].argmax())
-        wire, beside, depth = names[index], names[other], 1e3 * depths[index, other]
-        place = (*path, int(index))
-        yield Fault.of("protocol.overlap", place, wire=wire, depth=depth, other=beside)
+        yield Fault.of(
+            "protocol.overlap",
+            (*path, int(index)),
+            wire=names[index],
+            depth=1e3 * depths[index, other],
+            other_wire=names[other],
+        )
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -287,7 +291,7 @@ class SheetSpecimen(Block):
 
     @property
     def record(self) -> Specimen:
-        """Return the specimen as the other rooms use it; lengths in m."""
+        """Return the specimen as the other subpackages use it; lengths in m."""
         bundle = None if self.bundle is None else self.bundle.record
         names = (self.type, self.spool, self.sample)
         return Specimen(*names, self.dimensions, bundle, self.labels, self.observed)
@@ -317,7 +321,7 @@ COPY_REMEDY = "Copy the export into the folder of the test and name it from ther
 
 def _wrap_file_name(value: object) -> object:
     if value is None:
-        raise refused("protocol.no_export", found=value)
+        raise build_refusal("protocol.no_export", found=value)
     return [value] if isinstance(value, str) else value
 
 
@@ -431,13 +435,13 @@ _COPY_CURVE = "Copy the curve into the folder of the plan and name it from there
 
 def _parse_unit(si_unit: str, value: object) -> str:
     if parse_or_none(f"1 {value}", si_unit) is None:
-        raise refused("protocol.no_unit_like", found=value, si_unit=si_unit)
+        raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
     return str(value)
 
 
 def _parse_sign(value: object) -> int:
     if str(value) not in ("1", "+1", "-1"):
-        raise refused("protocol.no_sign", found=value)
+        raise build_refusal("protocol.no_sign", found=value)
     return int(str(value))
 
 
@@ -646,7 +650,7 @@ def parse_name_pattern(text: str) -> NamePattern:
         If it is invalid.
     """
     if len(text) > MAX_PATTERN_LENGTH:
-        raise refused("protocol.long_pattern", found=text, most=MAX_PATTERN_LENGTH)
+        raise build_refusal("protocol.long_pattern", found=text, limit=MAX_PATTERN_LENGTH)
     units: dict[str, str] = {}
 
     def to_expression(part: re.Match[str]) -> str:
@@ -672,9 +676,9 @@ def _parse_field(written: str) -> tuple[str, str]:
     match = _DIMENSION_FIELD.fullmatch(name)
     if match is None or match[1] in TEXT_FIELDS:
         fields = ", ".join(f"{{{field}}}" for field in TEXT_FIELDS)
-        raise refused("protocol.no_field", found=f"{{{written}}}", fields=fields)
+        raise build_refusal("protocol.no_field", found=f"{{{written}}}", fields=fields)
     if parse_or_none(f"1 {match[2]}", "m") is None:
-        raise refused("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
+        raise build_refusal("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
     return match[1], match[2]
 
 

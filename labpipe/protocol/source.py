@@ -1,4 +1,7 @@
-"""Sources of a protocol: exports, channels, calibrations; plausible ranges of dimensions."""
+"""Sources of a protocol: its exports, channels and calibrations, and the ranges of dimensions.
+
+Which export, channel and unit gives each quantity, and which dimensions are plausible?
+"""
 
 from __future__ import annotations
 
@@ -35,9 +38,9 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import (
     FaultsError,
     build_choice_fault,
+    build_refusal,
     list_nearest,
     raise_faults,
-    refused,
 )
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
@@ -210,7 +213,7 @@ def find_implausible_sizes(
     path: KeyPath,
     ranges: Mapping[str, PlausibleRange],
     *,
-    others: Collection[str] = (),
+    other_lengths: Collection[str] = (),
     in_file: bool = False,
 ) -> Iterator[Fault]:
     """Find dimensions outside their plausible ranges.
@@ -220,13 +223,13 @@ def find_implausible_sizes(
     data : blocks, validated, or blocks by key
     path : of the data in their file
     ranges : plausible ranges by kind of dimension
-    others : names of further lengths, whose kind of dimension is ``other``
+    other_lengths : names of further lengths, whose kind of dimension is ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet
     """
     for place, size in _list_numbers(data, path):
         key = next(str(part) for part in reversed(place) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
-        kind = kind or ("other" if key in others else None)
+        kind = kind or ("other" if key in other_lengths else None)
         if kind is None:
             continue
         si_unit, ends = PLAUSIBLE_RANGES[kind][0], ranges[kind]
@@ -282,7 +285,7 @@ class Certificate(Block):
     def _check_due_date(cls, due: Any, info: ValidationInfo) -> Any:
         calibrated = info.data.get("date")
         if due is not None and calibrated is not None and due <= calibrated:
-            raise refused("protocol.due_too_early", found=due, calibrated=calibrated)
+            raise build_refusal("protocol.due_too_early", found=due, calibrated=calibrated)
         return due
 
 
@@ -296,11 +299,11 @@ def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
 def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) -> Any:
     """Refuse a certified uncertainty that contradicts those stated for gain and scale."""
     calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
-    together = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
+    stated = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
     certified = _find_standard_uncertainty(certificate)
-    if certified is not None and together and not isclose(together, certified, rel_tol=1e-9):
+    if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
         raise FaultsError(
-            Fault.of("protocol.not_as_certified", certified=1e2 * certified, found=1e2 * together)
+            Fault.of("protocol.not_as_certified", certified=1e2 * certified, stated=1e2 * stated)
         )
     return certificate
 
@@ -519,8 +522,10 @@ class Source(_Channel, _Export):
         valid = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
         if not {*self.reader} <= valid:
             content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
-            found, here = ", ".join(map(repr, self.reader)), ("reader",)
-            yield Fault.of("protocol.wrong_reader", here, content=content, found=found, valid=names)
+            found = ", ".join(map(repr, self.reader))
+            yield Fault.of(
+                "protocol.wrong_reader", ("reader",), content=content, found=found, valid=names
+            )
         elif has_markers:
             for key in ["channels"] * ("channels" in stated) or keys[:1]:
                 yield Fault.of("protocol.channel_of_markers", (key,), key=key)

@@ -22,8 +22,8 @@ from labpipe.protocol.yaml_text import (
     FaultsError,
     Values,
     build_choice_fault,
+    build_refusal,
     raise_faults,
-    refused,
 )
 from labpipe.records.wire import WireSpec
 
@@ -102,7 +102,9 @@ class Column:
             remedy = suggest_number(part) or "Correct the cell; is the unit right?"
             if self.is_list and "," in part and ";" not in cell:
                 remedy = f"Separate numbers by ';': {part.replace(',', ';')}."
-            raise refused("protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy)
+            raise build_refusal(
+                "protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy
+            )
         value = math.fmod(float(part), self.period)
         return int(value) if self.is_integer else value
 
@@ -123,7 +125,7 @@ def _parse_name(value: object) -> str:
         raise FaultsError(Fault.of("protocol.blank_name"))
     is_forbidden = _FORBIDDEN_IN_NAME.search(name) or WINDOWS_DEVICE_NAME.fullmatch(name)
     if is_forbidden or len(name) > max_length:
-        raise refused("protocol.no_wire_name", found=value, most=max_length)
+        raise build_refusal("protocol.no_wire_name", found=value, limit=max_length)
     return name
 
 
@@ -263,7 +265,9 @@ def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
         yield Fault.of("protocol.lay_angles", path, parts=parts, rings=rings, found=angles)
     if radii and row.layout != "compressed":
         yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
-    elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
+    elif radii and (
+        len(radii) != layers or any(inner >= outer for inner, outer in pairwise(radii))
+    ):
         radius_texts = ";".join(f"{radius:g}" for radius in radii)
         yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=layers, found=radius_texts)
     yield from _find_size_faults(row)
@@ -280,7 +284,9 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
     elif not (diameter or diameters or area):
         yield Fault.of("protocol.no_size", ("strand_diameter_mm",))
     elif area and abs(area / row.copper_area - 1.0) > MAX_AREA_DEVIATION:
-        yield Fault.of("protocol.area", ("conductor_area_mm2",), row=row, most=MAX_AREA_DEVIATION)
+        yield Fault.of(
+            "protocol.area", ("conductor_area_mm2",), row=row, tolerance=MAX_AREA_DEVIATION
+        )
 
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
@@ -323,8 +329,8 @@ def build_wire_spec(
     row: WireRow,
     blank: Collection[str],
     place: str,
-    curve: Curve | None,
-    insulation: Curve | None = None,
+    conductor_curve: Curve | None,
+    insulation_curve: Curve | None = None,
 ) -> WireSpec:
     """Convert a row to a record in SI.
 
@@ -333,7 +339,7 @@ def build_wire_spec(
     row : of the sheet
     blank : columns of the sheet whose cell is blank in this row
     place : of the row, such as ``sheet 'wires', row 4``
-    curve, insulation : stress tables that the row names
+    conductor_curve, insulation_curve : of the stress tables that the row names
 
     Returns
     -------
@@ -350,14 +356,14 @@ def build_wire_spec(
     values |= {
         "layer_counts": row.strands_per_layer,
         "strand_diameters": WIRE_COLUMNS["strand_diameters_mm"].to_si(row.strand_diameters),
-        "stress_table": curve,
-        "insulation_table": insulation,
+        "stress_table": conductor_curve,
+        "insulation_table": insulation_curve,
     }
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
     replaced = {
-        *(_REPLACED_COLUMNS["stress_table"] if curve else ()),
-        *(_REPLACED_COLUMNS["insulation_table"] if insulation else ()),
+        *(_REPLACED_COLUMNS["stress_table"] if conductor_curve else ()),
+        *(_REPLACED_COLUMNS["insulation_table"] if insulation_curve else ()),
         *(_DENSITIES if row.has_mass else ()),
     }
     fields_by_name = {name: get_spec_field(name) for name in WireRow.model_fields}
@@ -419,20 +425,21 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     Index of the column (0 for a missing one) and the fault.
     """
     names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
-    meant = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
-    intended = {*meant}
+    likely_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    likely_columns = {*likely_names}
     for number, name in enumerate(names):
         if name not in columns:
             fault = build_choice_fault((), headings[number], columns, "one of the columns")
-            unit = WIRE_COLUMNS[meant[number]].unit if meant[number] in WIRE_COLUMNS else ""
+            likely_name = likely_names[number]
+            unit = WIRE_COLUMNS[likely_name].unit if likely_name in WIRE_COLUMNS else ""
             remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
             yield number, replace(fault, remedy=remedy)
         elif name in names[:number]:
             yield number, Fault.of("protocol.column_again", column=name)
     for name in _REQUIRED_COLUMNS:
-        if name not in intended:
+        if name not in likely_columns:
             yield 0, Fault.of("protocol.no_column", column=name)
-    if not intended & set(STRAND_SIZE_COLUMNS):
+    if not likely_columns & set(STRAND_SIZE_COLUMNS):
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
 
 
@@ -481,14 +488,14 @@ def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, F
         return 0, Fault.of("protocol.no_curve")
     if low <= first_slope * 1e6 <= high:
         return None
-    loaded = int(points[0].strain == 0.0)
-    return loaded, Fault.of(
+    first_index = int(points[0].strain == 0.0)
+    return first_index, Fault.of(
         "protocol.first_slope", low=low / 1e9, high=high / 1e9, found=first_slope / 1e3
     )
 
 
 def convert_points(points: Sequence[StressPoint]) -> Curve:
     """Convert points to strains and stresses (Pa), without a point at zero."""
-    loaded = [point for point in points if point.strain > 0.0]
-    stresses = tuple(float(f"{point.stress_mpa * 1e6:.12g}") for point in loaded)
-    return tuple(point.strain for point in loaded), stresses
+    loaded_points = [point for point in points if point.strain > 0.0]
+    stresses = tuple(float(f"{point.stress_mpa * 1e6:.12g}") for point in loaded_points)
+    return tuple(point.strain for point in loaded_points), stresses

@@ -86,10 +86,10 @@ def build_choice_fault(
 
     Parameters
     ----------
-    path : path of the word
+    path : of the word
     word : the invalid word
-    valid : the valid valid_words
-    expected : phrase before the valid valid_words, such as ``one of the channels``
+    valid : the valid words
+    expected : phrase before the valid words, such as ``one of the channels``
     remedy : for a word to which no valid one is similar
     """
     valid_words = sorted(set(valid))
@@ -130,7 +130,7 @@ def raise_faults(faults: Iterable[Fault]) -> None:
         raise FaultsError(*collected)
 
 
-def refused(name: str, /, *, found: object, **facts: Any) -> FaultsError:
+def build_refusal(name: str, /, *, found: object, **facts: Any) -> FaultsError:
     """Build the error of a validator that refuses a value.
 
     Parameters
@@ -392,7 +392,7 @@ def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted:
     if id(node) in converted or len(path) >= MAX_DEPTH:
         alias, too_deep = (
             Fault.of("protocol.alias", path),
-            Fault.of("protocol.too_deep", most=MAX_DEPTH),
+            Fault.of("protocol.too_deep", limit=MAX_DEPTH),
         )
         fault = alias if id(node) in converted else too_deep
         raise build_error([_place_fault(file, _find_mark(node), fault)])

@@ -76,7 +76,7 @@ _MAX_CYCLE_KEYS = 6
 
 More cycles have the colours of a colour map.
 """
-_BRANCH_DASHES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
@@ -165,16 +165,14 @@ def _plot_branches(
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
         settings = {
             "color": colours[branch.cycle - 1],
-            "linestyle": _BRANCH_DASHES[branch.direction],
+            "linestyle": _STYLES[branch.direction],
         }
         yield thinned_line("branch", x[part], y[part], label=label, **settings, **look)
     directions = {branch.direction for branch in branches}
-    for direction in _BRANCH_DASHES if count > 1 or len(directions) > 1 else ():
+    for direction in _STYLES if count > 1 or len(directions) > 1 else ():
         if direction in directions:
             colour = GREY if count > 1 else colours[0]
-            yield key(
-                "branch", label=str(direction), color=colour, linestyle=_BRANCH_DASHES[direction]
-            )
+            yield key("branch", label=str(direction), color=colour, linestyle=_STYLES[direction])
 
 
 def _find_branches(result: TestResult) -> tuple[Branch, ...]:

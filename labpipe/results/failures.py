@@ -485,7 +485,8 @@ class ForceLimit(Kind):
     def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
         """Find a limit that is missing or stated twice, and a card without its column."""
         if (data.get("card") is None) == (data.get("at_least") is None):
-            yield Fault.of("protocol.one_limit")
+            stated = "neither" if data.get("card") is None else "both"
+            yield Fault.of("protocol.one_limit", found=stated)
         elif data.get("card") is not None and not data.get("column"):
             yield Fault.of("protocol.no_card_column", ("card",))
 

@@ -92,7 +92,7 @@ def test_fields_of_by_come_first_and_sort_the_rows(campaign: Path) -> None:
 
 DAMAGED = {
     "empty": ("", "a damaged one"),
-    "list": ("[]", "something else"),
+    "list": ("[]", "a file of another kind"),
     "newer": ('{"schema": 3}', "one of a newer labpipe, schema 3. Update labpipe."),
     "bare": ('{"schema": 2}', "a damaged one ('test')"),
     "deep": ("[" * 200_000, "a damaged one"),

@@ -79,13 +79,13 @@ def test_unknown_names_are_refused(test: Test) -> None:
 def test_missing_parts_are_refused(result: TestResult) -> None:
     note = QualityNote("no_branches", Severity.ERROR, "force", "The motion never turns.")
     bare = Test(replace(result, curve=None, shape=None, quality=(note,)))
-    with pytest.raises(ProcessingError, match=r"expected a curve, found none\. Why: The motion ne"):
+    with pytest.raises(ProcessingError, match=r"expected a curve, found none\. Reason: The motion"):
         _ = bare.curve
     with pytest.raises(ProcessingError, match="expected a shape, found none"):
         _ = bare.shape
     nothing = Test(replace(result, results=(), quality=()))
     assert repr(nothing) == "<labpipe test A2-085-1 (wire-cantilever): nothing>"
-    with pytest.raises(UsageError, match=r"expected a result, found none\. Look at `quality`\."):
+    with pytest.raises(UsageError, match=r"expected a result, found none\. The notes in `quality`"):
         nothing.budget("peak_force.1")
 
 

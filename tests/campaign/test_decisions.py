@@ -206,6 +206,9 @@ def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
     assert "1 decision imported" in ran.out
     ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
-    assert "--from: expected no test together with it, found T-2" in ran.err
+    assert (
+        "--from: expected either a test or a file of decisions, found both, with the test 'T-2'"
+        in ran.err
+    )
     ran = run("campaign", "decide", processed)
     assert "expected a test and accept or reject, found none. Name both, or import" in ran.err

@@ -148,7 +148,7 @@ def test_difference_states_differing_settings() -> None:
 
 @pytest.fixture(scope="module")
 def tube() -> Protocol:
-    path = find_protocol("twist-tube", beside=Path())
+    path = find_protocol("twist-tube", sheet_folder=Path())
     assert isinstance(path, Path)
     return load_protocol(path)
 

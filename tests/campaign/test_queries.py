@@ -153,7 +153,7 @@ def test_too_many_rows_for_a_worksheet_are_refused(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
-    message = "expected 3 rows at most, found more. Select fewer with --where, or use"
+    message = "expected at most 3 rows, found more. Select fewer with --where, or use"
     with pytest.raises(UsageError, match=message):
         write_workbook(query_results(catalog, ""), tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()

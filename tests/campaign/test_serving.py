@@ -172,7 +172,7 @@ def test_save_decisions(client: Client) -> None:
     assert answer.json["decisions"] == [entry]
     assert answer.json["message"] == (
         "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed since the"
-        " decision. They take effect when the report is made again."
+        " decision. Decisions take effect when the report is made again."
     )
     (kept,) = read_decisions(client.site.results_folder).decisions
     assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)

@@ -23,7 +23,7 @@ from tests.builders.small_tests import Lab, Run
     ("error", "message"),
     [
         (LabpipeError("take.csv, line 3: expected this, found that. Do so."), "take.csv, line 3: "),
-        (MemoryError(), "expected enough free memory, found none left"),
+        (MemoryError(), "out of memory. Close other programs"),
     ],
 )
 def test_message_names_the_command(

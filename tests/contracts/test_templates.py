@@ -8,19 +8,19 @@ from collections import defaultdict
 from pathlib import Path
 from string import Formatter
 
-from labpipe.messages import list_rooms, read_templates
+from labpipe.messages import list_subpackages, read_templates
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
-TAKES_A_TEMPLATE = {"about", "of", "refused", "format_sentence"}
+TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence"}
 """Functions whose first argument names a template, or chooses one of several."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 
 
 def test_templates_and_calls_agree(repository: Path) -> None:
     templates = {
-        f"{room}.{name}": template
-        for room in list_rooms()
-        for name, template in read_templates(room).items()
+        f"{subpackage}.{name}": template
+        for subpackage in list_subpackages()
+        for name, template in read_templates(subpackage).items()
     }
     faults, used = [], set()
     for path in (repository / "labpipe").rglob("*.py"):
@@ -40,9 +40,11 @@ def test_templates_and_calls_agree(repository: Path) -> None:
 
 def test_templates_are_whole() -> None:
     shapes: dict[frozenset[str], list[str]] = defaultdict(list)
-    for room in list_rooms():
-        for name, template in read_templates(room).items():
-            shapes[frozenset(template) - {"code", "origin", "doubts"}].append(f"{room}.{name}")
+    for subpackage in list_subpackages():
+        for name, template in read_templates(subpackage).items():
+            shapes[frozenset(template) - {"code", "origin", "doubts"}].append(
+                f"{subpackage}.{name}"
+            )
     allowed = [{"expected", "found", "remedy"}, {"severity", "meaning", "says"}]
     allowed += [{"severity", "says"}, {"says"}]
     assert not [names for shape, names in shapes.items() if shape not in allowed]

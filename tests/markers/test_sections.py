@@ -52,7 +52,7 @@ def test_a_missing_marker_does_not_move_the_centre(count: int, tolerance: float)
     assert (rings.flags == PointFlag.FILLED).sum() == 60
     np.testing.assert_allclose(rings.positions[:, 0], centre, atol=tolerance * 3)
     assert [note.message for note in rings.notes] == [
-        "low: centre built without low:1 in 60 frames"
+        "low: centre computed without low:1 in 60 frames"
     ]
 
 

@@ -179,7 +179,7 @@ def test_missing_markers_cost_precision_not_truth() -> None:
     assert np.isfinite(fitted.shape.positions[24, -1]).all()
     assert np.isnan(fitted.residual[23])
     assert [note.message for note in fitted.notes] == [
-        "no shape in 1 of 25 frames, from 0.460 s to 0.460 s: fewer than 4 markers in sight"
+        "no shape in 1 of 25 frames, from 0.460 s to 0.460 s: fewer than 4 visible markers"
     ]
 
 

@@ -140,10 +140,13 @@ def test_a_reflection_is_dropped_and_told() -> None:
     assert codes(repaired) == ["gap_filled", "track_dropped", "track_dropped"]
     dropped = [note.message for note in repaired.notes if note.code == "track_dropped"]
     assert dropped[0] == (
-        "Unlabeled 9: track of no marker dropped, frames 100 to 139 (2.000 s to 2.780 s), "
+        "Unlabeled 9: a track that belongs to no marker was dropped, "
+        "frames 100 to 139 (2.000 s to 2.780 s), "
         "within 1.0 mm"
     )
-    assert dropped[1].startswith("M3: track of no marker dropped, frames 400 to 402")
+    assert dropped[1].startswith(
+        "M3: a track that belongs to no marker was dropped, frames 400 to 402"
+    )
     np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
 
 

@@ -150,6 +150,6 @@ def test_a_heavy_line_without_holds_falls(tmp_path: Path) -> None:
     heavy = BETWEEN_CLIPS.replace("2.2 mm", "2.2 mm\n    mass_per_length: 7 g/m")
     heavy = heavy.replace("1, 0]}", "1, 0], release: 20}")
     heavy = heavy.replace("250 mm, 0 mm]}", "250 mm, 0 mm], by: 9, release: 30}")
-    with pytest.raises(ProtocolError, match="from step 30 on, found nothing"):
+    with pytest.raises(ProtocolError, match="from step 30 on, found none"):
         load(tmp_path, heavy)
     assert load(tmp_path, heavy + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")

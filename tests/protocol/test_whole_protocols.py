@@ -260,9 +260,9 @@ def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "raw" / "own.yaml").write_text("", encoding="utf-8")
 
-    assert find_protocol("../own.yaml", beside=beside) == beside / "../own.yaml"
-    assert find_protocol("raw/own.yaml", beside=beside) == Path("raw/own.yaml")
-    missing = find_protocol("no/own.yaml", beside=beside)
+    assert find_protocol("../own.yaml", sheet_folder=beside) == beside / "../own.yaml"
+    assert find_protocol("raw/own.yaml", sheet_folder=beside) == Path("raw/own.yaml")
+    missing = find_protocol("no/own.yaml", sheet_folder=beside)
     assert isinstance(missing, Fault)
     assert (missing.path, missing.found) == (("protocol",), "'no/own.yaml'")
     assert str(beside / "no/own.yaml") in missing.remedy

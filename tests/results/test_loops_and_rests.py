@@ -281,7 +281,7 @@ def test_too_few() -> None:
     sparse = np.arange(0.0, 60.0, 1.0)
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
     found = return_failure(find_unloading_end)(sparse, path, fallen, force_below=LIMIT)
-    assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
+    assert found == Failure("too_few_samples", "2 samples in the second before 49.000 s")
 
 
 @pytest.mark.parametrize(("lasts", "way"), [(0.5, "followed"), (0.8, "at rest")])

@@ -277,7 +277,7 @@ def test_the_load_on_knife_edges_has_a_largest_value() -> None:
 def test_what_is_beyond_an_elastic_beam() -> None:
     """Where it slips through, and a stretch in which geometry decides."""
     for low, high, messages in (
-        (0.0, 0.2, ["slips through at 61.76 mm, the stiffness goes up to 200 mm"]),
+        (0.0, 0.2, ["slips through at 61.76 mm, and the window of the stiffness ends at 200 mm"]),
         (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
         failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), low=low, high=high)

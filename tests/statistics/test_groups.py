@@ -240,7 +240,7 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
         replace(build_sample("s1", name), test=name, results=(Result("k", 1.0, "N", method=how),))
         for name, how in (("a", short), ("b", long), ("c", short))
     ]
-    why = Reason("made_otherwise", f"computed by {long}; the mean: {short}")
+    why = Reason("made_otherwise", f"computed by {long}, the mean by {short}")
     assert find_other_methods(made) == {"k": {"b": why}}
     assert list(find_other_methods(made[1:])["k"]) == ["c"]
     (note,) = make_method_notes(find_other_methods(made), made)

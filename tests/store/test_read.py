@@ -190,7 +190,7 @@ def move_elsewhere(group: h5py.Group, name: str, how: str) -> None:
 
 
 ELSEWHERE = "expected all of the result in its own file, found (a link|samples that)"
-CLAIMED = "expected the 10000000000000 numbers that it claims, found a part of them"
+CLAIMED = "expected the 10000000000000 numbers that the file states, found fewer"
 
 
 @pytest.mark.parametrize("how", WAYS)
@@ -209,6 +209,8 @@ def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPa
         raise MemoryError(message)
 
     monkeypatch.setattr("labpipe.store.datasets.np.empty", empty)
-    said = r"expected a result file that fits into the memory, found one that needs more \(Unable"
+    said = (
+        r"expected a result file that fits into memory, found one that needs more memory \(Unable"
+    )
     with pytest.raises(StoreError, match=said):
         read_outcome(path)

@@ -93,7 +93,13 @@ def raising(error: BaseException) -> Callable[..., None]:
         (Path, "write_bytes", raising(FULL), StoreError, "expected room on the disk, found a full"),
         (os, "fsync", raising(FULL), StoreError, "expected room on the disk, found a full"),
         (write, "_verify", raising(KeyboardInterrupt()), KeyboardInterrupt, None),
-        (Path, "read_bytes", lambda _: b"other", StoreError, "expected to read back what was"),
+        (
+            Path,
+            "read_bytes",
+            lambda _: b"other",
+            StoreError,
+            "found other content when it was read back",
+        ),
     ],
 )
 def test_what_goes_wrong_leaves_the_earlier_result(

@@ -223,7 +223,7 @@ def test_what_is_nothing_but_rounding_is_no_doubt(tmp_path: Path) -> None:
 
 def test_a_line_that_cannot_be_laid_is_bad_input(tmp_path: Path) -> None:
     curl = "  spool: {curvature: 5 1/m, towards: [2, 0, 0]}\n"
-    message = "line: expected a line that fits its boundaries, found this: towards="
+    message = "line: expected a line that fits its boundaries, found one that does not: towards="
     with pytest.raises(ProcessingError, match=re.escape(message)):
         run(tmp_path, arch(line=curl))
 

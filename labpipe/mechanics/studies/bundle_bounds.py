@@ -329,7 +329,7 @@ def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel
     return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
-_BOUND_NUMBERS = (
+_BOUNDS = (
     *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
     *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
@@ -357,9 +357,7 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
         "wanted_packing_fraction": WANTED_FRACTION,
-        **select_json(
-            model, *_BOUND_NUMBERS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
-        ),
+        **select_json(model, *_BOUNDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
         "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
         "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
         "friction": friction

@@ -219,7 +219,7 @@ def read_calibrated(path: Path) -> CalibratedFile:
     except OSError as error:
         fault = error.strerror or "no file"
     except (ValueError, LookupError, TypeError) as error:
-        fault = f"something else ({type(error).__name__}: {error})"
+        fault = f"a file of another kind ({type(error).__name__}: {error})"
     raise ProcessingError.about(
         "mechanics.studies.no_calibration", path, "calibration", fault=fault
     )
