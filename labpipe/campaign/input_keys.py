@@ -1,9 +1,9 @@
-"""Compute the key of the inputs of a test; results with another key are outdated.
+"""Compute the key of the inputs of a test, to detect outdated results.
 
 The key depends on the exports, the test sheet, the resolved protocol and the processing version
-(`labpipe.process.run.make_input_key`). A file is hashed again only if its size, times or inode have
-changed since the previous hash, or if that hash was taken within the time resolution of the file
-system after a change.
+(`labpipe.process.run.make_input_key`). Results with another key are outdated. A file is hashed
+again if its size, times or inode have changed since the previous hash, or if they may not show
+every change since then (`FileStamp.is_reliable`).
 """
 
 from __future__ import annotations
@@ -29,9 +29,12 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 
 _SHEET_KEYS_WITHOUT_EFFECT = {"test", "date", "operator", "files"}
-"""Keys of a test sheet that do not affect the resolved protocol; of ``files``, the roles do."""
+"""Keys of a test sheet whose values do not affect the resolved protocol.
+
+The roles under ``files`` do affect it; only the names of the files do not.
+"""
 _SPECIMEN_KEYS_WITHOUT_EFFECT = {"spool", "sample", "labels"}
-"""Keys of a specimen that do not affect the resolved protocol."""
+"""Keys of a specimen whose values do not affect the resolved protocol."""
 
 
 class FileStamp(NamedTuple):
@@ -58,15 +61,15 @@ class FileStamp(NamedTuple):
     def is_reliable(self) -> bool:
         """Return whether every later change of the file is visible in its size, times or inode.
 
-        It may not be if the hash was taken too soon after the last change of the file, or before it
-        because the clock was set back.
+        A change may be invisible if the file was hashed too soon after the previous change, within
+        the resolution of its times, or if the clock was set back.
         """
-        coarsest_resolution_ns = 2_000_000_000  # of the times of files, on FAT
+        coarsest_resolution_ns = 2_000_000_000  # FAT stores the times of files in steps of 2 s
         return max(self.modified_ns, self.changed_ns) + coarsest_resolution_ns < self.hashed_ns
 
 
 def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
-    """Take the stamp of a file; an unchanged file is not hashed again.
+    """Read the state of a file, and hash the file unless it is unchanged.
 
     Parameters
     ----------
@@ -85,8 +88,8 @@ def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
             return previous
         if not stat.S_ISREG(status.st_mode):
             return _UNREADABLE_FILE
-        with path.open("rb") as file:
-            return FileStamp(*state, hashed_ns, hashlib.file_digest(file, "sha256").hexdigest())
+        with path.open("rb") as stream:
+            return FileStamp(*state, hashed_ns, hashlib.file_digest(stream, "sha256").hexdigest())
     except (OSError, ValueError):  # ValueError: a name with a null character
         return _UNREADABLE_FILE
 
@@ -108,7 +111,7 @@ class HashedInputs:
     stamps : stamps of the test sheet and the exports, by file name
     dependencies : name of the protocol, then the SHA-256 of its file, of the lab's dialect cards
         and of the code of labpipe that resolves protocols
-    facts : test, protocol, type, spool, sample, date and operator from the test sheet
+    facts : values of the test sheet: test, protocol, type, spool, sample, date and operator
     """
 
     key: str
@@ -120,7 +123,7 @@ class HashedInputs:
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """Return the inputs as JSON, which `parse_inputs` reads."""
+        """Return the inputs as JSON; `parse_inputs` reads it."""
         return json.dumps(vars(self))
 
 
@@ -129,16 +132,16 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
     Parameters
     ----------
-    text : JSON, or any other text
+    text : written by `HashedInputs.to_json`, or any other text
 
     Returns
     -------
-    The inputs; None for any other text, such as that of an earlier version of labpipe.
+    The inputs; None for any other text, such as one written by an earlier version of labpipe.
     """
     try:
         fields = json.loads(text)
         fields["files"] = tuple(map(tuple, fields["files"]))
-        fields["stamps"] = {name: FileStamp(*values) for name, values in fields["stamps"].items()}
+        fields["stamps"] = {name: FileStamp(*stamp) for name, stamp in fields["stamps"].items()}
         fields["dependencies"] = tuple(fields["dependencies"])
         return HashedInputs(**fields)
     except (ValueError, TypeError, AttributeError, KeyError):
@@ -146,20 +149,20 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
 
 class InputReader:
-    """Reads the inputs of tests. One reader reads and resolves each protocol once."""
+    """Read the inputs of tests; protocols are resolved once for all tests with equal settings."""
 
     def __init__(self) -> None:
         self._find_protocol = cache(find_protocol)
-        self._hash_file = cache(lambda file: take_stamp(file).sha256)
-        self._resolved: dict[str, tuple[str, Protocol]] = {}
+        self._hash_file = cache(lambda path: take_stamp(path).sha256)
+        self._resolved_protocols: dict[str, tuple[str, Protocol]] = {}
 
     def read_inputs(self, sheet_path: Path, previous: HashedInputs | None = None) -> HashedInputs:
         """Read the inputs of a test.
 
         Parameters
         ----------
-        sheet_path : path of its test sheet, ``test.yaml``
-        previous : previous inputs of the test; files unchanged since then are not read again
+        sheet_path : path of the test sheet, ``test.yaml``
+        previous : inputs of the test when last read; files unchanged since then are not read again
 
         Returns
         -------
@@ -170,11 +173,12 @@ class InputReader:
         if previous is None:
             return self._read_new_inputs(sheet_path, {})
         stamps = {name: take_stamp(folder / name, stamp) for name, stamp in previous.stamps.items()}
-        is_unchanged = all(
+        are_files_unchanged = all(
             stamps[name].sha256 == stamp.sha256 for name, stamp in previous.stamps.items()
         )
         dependencies = previous.dependencies
-        if is_unchanged and dependencies == self._hash_dependencies(folder, *dependencies[:1]):
+        current_dependencies = self._hash_dependencies(folder, *dependencies[:1])
+        if are_files_unchanged and dependencies == current_dependencies:
             return previous if stamps == previous.stamps else replace(previous, stamps=stamps)
         return self._read_new_inputs(sheet_path, stamps)
 
@@ -185,68 +189,72 @@ class InputReader:
         stamps = {SHEET_NAME: take_stamp(sheet_path, previous_stamps.get(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
-            text = sheet_path.read_text(encoding="utf-8")
+            sheet_text = sheet_path.read_text(encoding="utf-8")
             facts, protocol_name = _collect_sheet_facts(sheet), sheet.protocol
             for name in itertools.chain(*sheet.files.values()):
                 stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
-            resolved, protocol = self._resolve_protocol(sheet, sheet_path, text)
+            protocol_text, protocol = self._resolve_protocol(sheet, sheet_path, sheet_text)
             cards = fingerprint_dialect_cards(protocol)
         except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
             dependencies = self._hash_dependencies(folder, protocol_name)
-            hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
-            key = hash_text(json.dumps(["unfit", hashes, *dependencies[1:]]))
+            file_hashes = [[name, stamp.sha256] for name, stamp in stamps.items()]
+            key = hash_text(json.dumps(["unfit", file_hashes, *dependencies[1:]]))
             return HashedInputs(key, stamps=stamps, dependencies=dependencies, facts=facts)
         exports = list_named_exports(sheet, protocol)
         files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
         return HashedInputs(
-            make_input_key([(role, sha256) for role, _, sha256 in files], text, resolved),
+            make_input_key(
+                [(role, sha256) for role, _, sha256 in files], sheet_text, protocol_text
+            ),
             tuple(files),
-            sheet_sha256=hash_text(text),
-            protocol_sha256=hash_text(resolved),
+            sheet_sha256=hash_text(sheet_text),
+            protocol_sha256=hash_text(protocol_text),
             stamps=stamps,
             dependencies=self._hash_dependencies(folder, protocol_name),
             facts=facts,
         )
 
-    def _hash_dependencies(self, folder: Path, protocol: str = "") -> tuple[str, ...]:
-        """Return the name of a protocol, then the hashes of its file, the cards and the code."""
-        return protocol, self._hash_protocol(protocol, folder), self._cards_hash, _hash_code()
+    def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
+        """Return `HashedInputs.dependencies` of a test with this protocol."""
+        protocol_hash = self._hash_protocol(protocol_name, sheet_folder)
+        return protocol_name, protocol_hash, self._cards_hash, _hash_code()
 
-    def _hash_protocol(self, name: str, folder: Path) -> str:
+    def _hash_protocol(self, protocol_name: str, sheet_folder: Path) -> str:
         """Return the hash of the file of a protocol; empty if there is no such file."""
-        is_path = any(character in name for character in "/\\.")
-        file = self._find_protocol(name, sheet_folder=folder if is_path else Path())
-        return "" if isinstance(file, Fault) else self._hash_file(file)
+        is_path = any(character in protocol_name for character in "/\\.")
+        search_folder = sheet_folder if is_path else Path()
+        protocol_path = self._find_protocol(protocol_name, sheet_folder=search_folder)
+        return "" if isinstance(protocol_path, Fault) else self._hash_file(protocol_path)
 
     @cached_property
     def _cards_hash(self) -> str:
         """Return the hash of the dialect cards of the lab; empty if there are none."""
         from labpipe.readers.load_frame.cards import list_lab_card_files
 
-        cards = [[file.name, self._hash_file(file)] for file in list_lab_card_files()]
-        return hash_text(json.dumps(cards)) if cards else ""
+        card_hashes = [[path.name, self._hash_file(path)] for path in list_lab_card_files()]
+        return hash_text(json.dumps(card_hashes)) if card_hashes else ""
 
     def _resolve_protocol(
-        self, sheet: TestSheet, sheet_path: Path, text: str
+        self, sheet: TestSheet, sheet_path: Path, sheet_text: str
     ) -> tuple[str, Protocol]:
-        """Resolve the protocol of a test, once for all tests with the same keys that affect it."""
-        sheet_data: Any = parse_yaml(text, str(sheet_path)).data
-        keys = {key: sheet_data[key] for key in sheet_data.keys() - _SHEET_KEYS_WITHOUT_EFFECT}
-        specimen = keys.get("specimen") or {}
-        keys["specimen"] = {
+        """Return the resolved protocol as text and as object, from the cache for equal settings."""
+        sheet_data: Any = parse_yaml(sheet_text, str(sheet_path)).data
+        settings = {key: sheet_data[key] for key in sheet_data.keys() - _SHEET_KEYS_WITHOUT_EFFECT}
+        specimen = settings.get("specimen") or {}
+        settings["specimen"] = {
             key: specimen[key] for key in specimen.keys() - _SPECIMEN_KEYS_WITHOUT_EFFECT
         }
         protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
-        cache_key = json.dumps([protocol_hash, sorted(sheet.files), keys], sort_keys=True)
-        if cache_key not in self._resolved:
+        cache_key = json.dumps([protocol_hash, sorted(sheet.files), settings], sort_keys=True)
+        if cache_key not in self._resolved_protocols:
             protocol = resolve(sheet, sheet_path, follow_links=True)
-            self._resolved[cache_key] = dump_protocol(protocol), protocol
-        return self._resolved[cache_key]
+            self._resolved_protocols[cache_key] = dump_protocol(protocol), protocol
+        return self._resolved_protocols[cache_key]
 
 
 def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
-    """Return the facts of a test sheet that the catalog lists."""
+    """Return the values of a test sheet that the catalog lists."""
     specimen = sheet.specimen.record
     return {
         "test": sheet.test,
@@ -262,11 +270,11 @@ def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
 @cache
 def _hash_code() -> str:
     """Return the hash of the code that resolves protocols, and of the processing version."""
-    package = Path(labpipe.__file__).parent
-    files = sorted([*package.glob("protocol/*.py"), *package.glob("records/*.py")])
+    package_folder = Path(labpipe.__file__).parent
+    paths = sorted([*package_folder.glob("protocol/*.py"), *package_folder.glob("records/*.py")])
     digest = hashlib.sha256(str(PROCESSING_VERSION).encode())
-    for file in [*files, package / "units.py"]:
-        digest.update(file.read_bytes())
+    for path in [*paths, package_folder / "units.py"]:
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -288,21 +296,22 @@ def describe_changes(
 
     Returns
     -------
-    A text such as ``export changed (force.mat), sheet changed``. It is ``newer labpipe`` if neither
-    files nor texts changed, and ``something changed`` if the changed file is unknown.
+    A text such as ``file changed (force.mat), sheet changed``. It is ``labpipe changed`` if files,
+    sheet and protocol are equal, and ``unknown change`` if they cannot be compared.
     """
     processed_hashes = {name: sha256 for _, name, sha256 in files}
-    changed = sorted(
+    changed_names = sorted(
         {name for _, name, sha256 in current.files if processed_hashes.get(name) != sha256}
         | processed_hashes.keys() - {name for _, name, _ in current.files}
     )
-    can_compare = bool(processed_hashes and current.files)
-    reasons = [f"export changed ({', '.join(changed)})"] if changed and can_compare else []
+    reasons = []
+    if changed_names and processed_hashes and current.files:
+        reasons.append(f"file changed ({', '.join(changed_names)})")
     if not sheet_sha256 or not current.sheet_sha256:
-        return ", ".join(reasons) or "something changed"
+        return ", ".join(reasons) or "unknown change"
     reasons += ["sheet changed"] if sheet_sha256 != current.sheet_sha256 else []
     reasons += ["protocol changed"] if protocol_sha256 != current.protocol_sha256 else []
-    return ", ".join(reasons) or "newer labpipe"
+    return ", ".join(reasons) or "labpipe changed"
 
 
 def hash_text(text: str) -> str:

@@ -1,7 +1,8 @@
-"""Build the curve, force and displacement on one clock, and correct it: frame, grips, slack.
+"""Build the force-displacement curve of a test and correct it for compliance, slips and slack.
 
-Corrections are made in the order of the keys of the protocol, after the split into branches; the
-aligned signals stay as measured.
+The curve has the force and the displacement at the same times. The corrections are made after the
+split into branches, in the order of the keys of ``curve`` in the protocol. They do not change the
+aligned signals.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
 def align_signals(test: ReducedTest) -> Aligned:
-    """Sample all raw signals at the times of the displacement."""
+    """Interpolate all raw signals at the times of the displacement."""
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
@@ -67,19 +68,23 @@ def align_signals(test: ReducedTest) -> Aligned:
 
 
 def build_curve(
-    test: ReducedTest, unfiltered: Signal, motion: Motion
+    test: ReducedTest, unfiltered_force: Signal, motion: Motion
 ) -> tuple[Curve | None, list[Finding]]:
-    """Build the curve, force and displacement on one clock; None if the records do not overlap.
+    """Build the curve of the unfiltered force against the displacement.
 
     Parameters
     ----------
-    test : with clocks that are joined
-    unfiltered : the force, outliers bridged
-    motion : its branches
+    test : a test with joined clocks
+    unfiltered_force : force without outliers
+    motion : signal of the motion, with its branches
+
+    Returns
+    -------
+    The curve and no finding; or None and a finding if force and motion do not overlap in time.
     """
     displacement = test.displacement
     time = displacement.time
-    force = test.clocks.interpolate(unfiltered, time)  # filtered after its corners are known
+    force = test.clocks.interpolate(unfiltered_force, time)  # filtered later, by `correct_curve`
     if np.isnan(force).all():
         force_time = test.force.time
         note = Finding.of(
@@ -93,43 +98,51 @@ def build_curve(
         )
         return None, [note]
     branches, motion_time = motion.branches, motion.signal.time
-    if len(motion_time) != len(time):  # sample numbers on the other time axis of the same clock
+    if len(motion_time) != len(time):  # same clock, but the branches count samples of the motion
         last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
         starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
-        ends = zip(branches, starts, stops, strict=True)
-        branches = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ends)
-    branch, cycle = number_branches(len(time), branches)
+        ranges = zip(branches, starts, stops, strict=True)
+        branches = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ranges)
+    branch_numbers, cycle_numbers = number_branches(len(time), branches)
     return Curve(
-        time, displacement.values, force, branch, cycle, branches, displacement.time_unit
+        time,
+        displacement.values,
+        force,
+        branch_numbers,
+        cycle_numbers,
+        branches,
+        displacement.time_unit,
     ), []
 
 
 def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
-    """Correct the curve as the protocol says.
+    """Filter and correct the curve of a test, and find its failure.
 
     Parameters
     ----------
-    test : with a curve of unfiltered force
-    block : of the protocol
+    test : a test with a curve of the unfiltered force
+    block : ``curve`` of the protocol
 
     Returns
     -------
-    The test with corrected curve, failure, slips and slack; and the findings.
+    The test with its corrected curve, failure, slips and slack; and the findings.
     """
-    rule = loss_start = None
+    loss_rule = loss_start = None
     if block.failure is not None:
         failure = block.failure
-        rule = LossOfForce(failure.force_below, failure.loss, failure.within, failure.at_end_below)
-        loss_start = find_final_loss(test, rule)  # in the unfiltered force
+        loss_rule = LossOfForce(
+            failure.force_below, failure.loss, failure.within, failure.at_end_below
+        )
+        loss_start = find_final_loss(test, loss_rule)  # in the unfiltered force
     test, findings = _filter_branches(test, loss_start), list[Finding]()
     curve = test.curve
     if curve is None:
         return test, []
     if block.compliance is not None and block.compliance.value > 0.0:
         test, curve, findings = _subtract_compliance(test, curve, block.compliance)
-    if rule is not None:
-        test = replace(test, failure=_find_failure(curve, loss_start, rule))
+    if loss_rule is not None:
+        test = replace(test, failure=_find_failure(curve, loss_start, loss_rule))
     if block.slips is not None:
         test, curve, slip_findings = _correct_slips(test, curve, block.slips)
         findings += slip_findings
@@ -138,9 +151,9 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
         test, slack_findings = _subtract_slack(test, curve, block.slack)
         findings += slack_findings
     if (line := block.elastic_line) is not None:
-        choice = ElasticWindow(line.start, line.stop, line.of, line.straight)
-        test = replace(test, pull=fit_pull(test, choice))
-    # Reported last, because slack shifts the origin of the displacement.
+        window = ElasticWindow(line.start, line.stop, line.of, line.straight)
+        test = replace(test, pull=fit_pull(test, window))
+    # Notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 
 
@@ -149,60 +162,69 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Parameters
     ----------
-    signals : with the raw force, which is not changed
+    signals : signals of a test; the raw force in them is not changed
 
     Returns
     -------
-    The unfiltered force without outliers on its own clock, and a note.
+    The raw force with the outliers interpolated; and a note if there are outliers.
     """
-    signal = signals.raw[signals.force]
-    outliers = find_spikes(signal.values)
+    raw_force = signals.raw[signals.force]
+    outliers = find_spikes(raw_force.values)
     if not len(outliers):
-        return signal, []
-    sample = int(outliers[0])
+        return raw_force, []
+    first_outlier = int(outliers[0])
+    time, value = raw_force.time[first_outlier], raw_force.values[first_outlier]
     note = Finding.of(
         "process.stray_samples",
         signals.force,
         count=len(outliers),
-        first=float(signal.values[sample]),
-        place=f"at {signal.time[sample]:.3f} s" if signal.has_time else f"in sample {sample + 1}",
+        first=float(value),
+        place=f"at {time:.3f} s" if raw_force.has_time else f"in sample {first_outlier + 1}",
     )
-    return replace(signal, values=bridge_spikes(signal.values, outliers)), [note]
+    return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [note]
 
 
 def _subtract_compliance(
-    test: ReducedTest, curve: Curve, compliance: MachineCompliance
+    test: ReducedTest, curve: Curve, block: MachineCompliance
 ) -> tuple[ReducedTest, Curve, list[Finding]]:
-    """Subtract the displacement of the frame, and add the change with a higher compliance."""
-    value, force = compliance.value, curve.force
-    signal = test.displacement.map_values(lambda displacement: displacement - value * force)
-    _check_compliance(test, curve, signal.values, value)
-    if compliance.uncertainty:
-        higher_compliance = value * (1.0 + compliance.uncertainty)
-        perturbed_displacement = curve.displacement - higher_compliance * force
-        signal = replace(signal, perturbed={**signal.perturbed, COMPLIANCE: perturbed_displacement})
-    largest = 1e6 * value * float(np.nanmax(np.abs(force)))
-    where, size = test.signals.displacement, 1e6 * value
-    note = Finding.of("process.compliance_removed", where, size=size, largest=largest)
-    test = replace(test, compliance=value)
-    return *_replace_displacement(test, curve, signal), [note]
+    """Subtract the deformation of the machine from the displacement.
+
+    The displacement with the compliance increased by its uncertainty is added to `perturbed`.
+    """
+    compliance, force = block.value, curve.force
+    corrected = test.displacement.map_values(lambda measured: measured - compliance * force)
+    _check_compliance(test, curve, corrected.values, compliance)
+    if block.uncertainty:
+        higher_compliance = compliance * (1.0 + block.uncertainty)
+        perturbed = {COMPLIANCE: curve.displacement - higher_compliance * force}
+        corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed})
+    um_per_n = 1e6 * compliance
+    largest_um = um_per_n * float(np.nanmax(np.abs(force)))
+    channel = test.signals.displacement
+    note = Finding.of("process.compliance_removed", channel, size=um_per_n, largest=largest_um)
+    test = replace(test, compliance=compliance)
+    return *_replace_displacement(test, curve, corrected), [note]
 
 
-def _check_compliance(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
-    """Refuse a compliance with which the specimen would get shorter in loading."""
+def _check_compliance(
+    test: ReducedTest, curve: Curve, corrected_displacement: Floats, compliance: float
+) -> None:
+    """Raise `ProcessingError` unless the corrected displacement increases in the first loading."""
     branch = test.first_loading
     if branch is None:
         return
-    top = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
-    loading = slice(branch.start, top + 1)
-    blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
+    peak = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
+    loading = slice(branch.start, peak + 1)
+    blocks = np.array_split(corrected_displacement[loading], min(20, peak + 1 - branch.start))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
-    displacement_change = float(curve.displacement[top] - curve.displacement[branch.start])
-    force_change = float(curve.force[top] - curve.force[branch.start])
-    most, stated = 1e6 * displacement_change / force_change, 1e6 * value
+    displacement_change = float(curve.displacement[peak] - curve.displacement[branch.start])
+    force_change = float(curve.force[peak] - curve.force[branch.start])
     raise ProcessingError.about(
-        "process.too_compliant", "curve.compliance", most=most, stated=stated
+        "process.too_compliant",
+        "curve.compliance",
+        most=1e6 * displacement_change / force_change,
+        stated=1e6 * compliance,
     )
 
 
@@ -211,100 +233,105 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
 
     Parameters
     ----------
-    test : with a curve
-    rule : definition of the loss
+    test : a test, with or without a curve
+    rule : criteria of a loss
 
     Returns
     -------
-    Number of the sample, or why there is no loss; None without a curve or a loading.
+    Index of the sample, or the reason for which none was found; None if the test has no curve or no
+    loading.
     """
-    curve, branch = test.curve, test.first_loading
-    if curve is None or branch is None:
+    curve, first_loading = test.curve, test.first_loading
+    if curve is None or first_loading is None:
         return None
-    from_loading = slice(branch.start, None)
+    start = first_loading.start
     is_unloading = np.zeros(len(curve.time), dtype=np.bool_)
-    for part in curve.branches:
-        is_unloading[part.start : part.stop] = part.direction is Direction.UNLOADING
-    force = _find_force_sign(curve) * curve.force[from_loading]
-    sample = find_loss_start(curve.time[from_loading], force, rule, is_unloading[from_loading])
-    return sample if isinstance(sample, Failure) else sample + branch.start
+    for branch in curve.branches:
+        is_unloading[branch.start : branch.stop] = branch.direction is Direction.UNLOADING
+    force = _find_force_sign(curve) * curve.force[start:]
+    loss_start = find_loss_start(curve.time[start:], force, rule, is_unloading[start:])
+    return loss_start if isinstance(loss_start, Failure) else loss_start + start
 
 
 def _find_failure(
     curve: Curve, loss_start: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
+    """Find the failure: a sudden loss, a low force at the end of the record, or a slow loss."""
     if loss_start is None:
         return None
     force = _find_force_sign(curve) * curve.force
     if not isinstance(loss_start, Failure):
         loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
-        earlier = measure_earlier_loss(curve.time[loading], force[loading], rule)
-        return FailurePoint(loss_start, earlier)
+        earlier_loss = measure_earlier_loss(curve.time[loading], force[loading], rule)
+        return FailurePoint(loss_start, earlier_loss)
     if loss_start.code != "no_break":
         return loss_start
     start = curve.branches[0].start
-    loading, finite = slice(start, None), np.flatnonzero(~np.isnan(force[start:]))
-    last, largest = start + int(finite[-1]), np.nanmax(force[loading])
-    if rule.at_end_below and force[last] < rule.at_end_below * largest:
-        return FailurePoint(last)
-    path = compute_loading_sign(curve.displacement[loading]) * curve.displacement[loading]
-    sample = find_slow_loss(path, force[loading], rule)
-    if sample is None:
+    force, displacement = force[start:], curve.displacement[start:]
+    last_finite = int(np.flatnonzero(~np.isnan(force))[-1])
+    if rule.at_end_below and force[last_finite] < rule.at_end_below * np.nanmax(force):
+        return FailurePoint(start + last_finite)
+    slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, rule)
+    if slow_loss is None:
         return loss_start
-    return FailurePoint(start + sample, slow_below=rule.force_below)
+    return FailurePoint(start + slow_loss, slow_below=rule.force_below)
 
 
 def _find_force_sign(curve: Curve) -> float:
     """Return the sign of the force in the first loading."""
-    first = curve.branches[0]
-    return compute_loading_sign(curve.force[first.start : first.stop])
+    first_branch = curve.branches[0]
+    return compute_loading_sign(curve.force[first_branch.start : first_branch.stop])
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement again, each branch separately, as the turns are now known."""
+    """Filter force and displacement again, separately in each branch, and replace the curve."""
     curve, signals = test.curve, test.signals
     if curve is None:
         return test
-    ends = [end for branch in curve.branches for end in (branch.start_time, branch.stop_time)]
-    ends += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
-    raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
-    on_curve = {"force": curve.force, "displacement": curve.displacement}
+    end_times = [
+        time for branch in curve.branches for time in (branch.start_time, branch.stop_time)
+    ]
+    end_times += [float(curve.time[loss_start])] if isinstance(loss_start, int) else []
+    unfiltered = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
+    curve_values = {"force": curve.force, "displacement": curve.displacement}
     for name, quantity in signals.quantities.items():
         if name not in signals.filters:
             continue
-        cuts = find_piece_starts(test.clocks, ends, raw[name])
-        in_pieces = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
-        values = raw[name].map_values(in_pieces)
-        filtered = signals.filtered[name]
-        filtered = replace(filtered, values=values.values, perturbed=values.perturbed)
+        cuts = find_piece_starts(test.clocks, end_times, unfiltered[name])
+        filter_branches = partial(filter_pieces, cuts=cuts, filters=signals.filters[name])
+        refiltered = unfiltered[name].map_values(filter_branches)
+        filtered = replace(
+            signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
+        )
         signals = signals.with_filtered(name, filtered)
-        time = signals.filtered[signals.displacement].time
-        on_curve[quantity] = test.clocks.interpolate(filtered, time)
-    curve = replace(curve, force=on_curve["force"], displacement=on_curve["displacement"])
+        curve_time = signals.filtered[signals.displacement].time
+        curve_values[quantity] = test.clocks.interpolate(filtered, curve_time)
+    curve = replace(curve, force=curve_values["force"], displacement=curve_values["displacement"])
     return replace(test, signals=signals, curve=curve)
 
 
 def _correct_slips(
     test: ReducedTest, curve: Curve, block: SlipsBlock
 ) -> tuple[ReducedTest, Curve, list[Finding]]:
-    """Find slips in the first loading, and add them back or cut the curve there."""
-    stretch = select_first_loading(make_trace(test))
-    if not stretch.stop > stretch.start:
+    """Find slips in the first loading; mark them, add their drops back or cut the curve there."""
+    loading = select_first_loading(make_trace(test))
+    start = loading.start
+    if not loading.stop > start:
         return test, curve, []
-    decision, start = SlipDecision(block.decision), stretch.start
-    displacement, force = curve.displacement[stretch], curve.force[stretch]
-    outcome = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
-    if isinstance(outcome, Failure):
-        where, reason = test.signals.force, outcome.message
-        return test, curve, [Finding.of("process.slips_not_looked_for", where, reason=reason)]
-    slips = tuple(replace(x, start=x.start + start, stop=x.stop + start) for x in outcome)
+    decision = SlipDecision(block.decision)
+    displacement, force = curve.displacement[loading], curve.force[loading]
+    slips = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    if isinstance(slips, Failure):
+        channel, reason = test.signals.force, slips.message
+        return test, curve, [Finding.of("process.slips_not_looked_for", channel, reason=reason)]
+    slips = tuple(replace(slip, start=slip.start + start, stop=slip.stop + start) for slip in slips)
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:
-        force = add_slips_back(curve.force, slips)
-        if isinstance(test.failure, FailurePoint):  # the broken specimen does not slip
-            broken = slice(test.failure.sample + 1, None)
-            force[broken] = curve.force[broken]
-        curve = replace(curve, force=force)
+        repaired_force = add_slips_back(curve.force, slips)
+        if isinstance(test.failure, FailurePoint):  # the force after the failure is not corrected
+            after_failure = slice(test.failure.sample + 1, None)
+            repaired_force[after_failure] = curve.force[after_failure]
+        curve = replace(curve, force=repaired_force)
     if slips and decision is SlipDecision.CUT:
         curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
         failure = test.failure and Failure("cut", "the curve ends at a slip")
@@ -313,98 +340,102 @@ def _correct_slips(
 
 
 def _cut_curve(curve: Curve, stop: int) -> Curve:
-    """Discard the force of a curve and its branches from a sample on."""
+    """Replace the force from sample `stop` on by NaN, and end the branches there."""
     force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
-    end = float(curve.time[stop - 1])
+    stop_time = float(curve.time[stop - 1])
     branches = tuple(
-        replace(branch, stop=stop, stop_time=end) if branch.stop > stop else branch
+        replace(branch, stop=stop, stop_time=stop_time) if branch.stop > stop else branch
         for branch in curve.branches
         if branch.start < stop
     )
     return replace(curve, force=force, branches=branches)
 
 
-def _make_slip_note(where: str, slip: Slip) -> Finding:
+def _make_slip_note(channel: str, slip: Slip) -> Finding:
     return Finding.of(
         "process.slip_marked"
         if slip.decision is SlipDecision.MARKED
         else "process.slip_repaired"
         if slip.decision is SlipDecision.REPAIRED
         else "process.slip_cut",
-        where,
+        channel,
         drop=slip.drop,
         position=1e3 * slip.position,
     )
 
 
 def _subtract_slack(test: ReducedTest, curve: Curve, block: SlackBlock) -> CorrectionOutcome:
-    decide = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
-    where, slack = test.signals.displacement, measure_slack(test, decide)
+    """Subtract the slack from the displacement, the replicate curves and the slip positions."""
+    read_slack = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
+    channel, slack = test.signals.displacement, measure_slack(test, read_slack)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
-        is_steep = slack.code == "no_toe"
-        note = Finding.of(
-            "process.no_toe" if is_steep else "process.slack_unknown",
-            where,
-            *(() if is_steep else ("displacement",)),
-            reason=slack.message,
-        )
+        if slack.code == "no_toe":
+            note = Finding.of("process.no_toe", channel, reason=slack.message)
+        else:
+            reason = slack.message
+            note = Finding.of("process.slack_unknown", channel, "displacement", reason=reason)
         return test, [note]
-    offset = slack.value
-    signal = test.displacement.map_values(lambda values: values - offset)
-    test, _ = _replace_displacement(test, curve, signal)
-    replicates = test.replicates and subtract_slack(test.replicates, decide, slack)
-    slips = tuple(_shift_slip(slip, offset) for slip in test.slips)
-    note = Finding.of("process.slack_removed", where, slack=1e3 * offset)
+    shift = slack.value
+    corrected = test.displacement.map_values(lambda displacement: displacement - shift)
+    test, _ = _replace_displacement(test, curve, corrected)
+    replicates = test.replicates and subtract_slack(test.replicates, read_slack, slack)
+    slips = tuple(_shift_slip(slip, shift) for slip in test.slips)
+    note = Finding.of("process.slack_removed", channel, slack=1e3 * shift)
     return replace(test, replicates=replicates, slips=slips), [note]
 
 
-def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
+def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
     """Measure the slack of a curve that has a toe.
 
     Parameters
     ----------
-    test : with a curve
-    decide : finds the linear region
+    test : a test with a curve
+    read_slack : finds the linear region of a curve and where its line meets zero force
 
     Returns
     -------
-    The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `decide`.
+    The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
     max_falling_share = 0.025  # of the replicate curves
-    measured = return_failure(test.measure)(decide)
+    measured = return_failure(test.measure)(read_slack)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], make_trace(test)
     if np.isnan(slack.deviations).mean() > max_falling_share:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start
-    first, load = float(trace.displacement[start]), float(trace.force[start])
-    if slack.value < first and not _is_preloaded(slack, decide, trace, start):
-        zero, first = 1e3 * slack.value, 1e3 * first
-        return Failure.of("process.steepest_at_begin", zero=zero, first=first, load=load)
+    first_displacement, first_force = float(trace.displacement[start]), float(trace.force[start])
+    if slack.value < first_displacement and not _is_preloaded(slack, read_slack, trace, start):
+        return Failure.of(
+            "process.steepest_at_begin",
+            zero=1e3 * slack.value,
+            first=1e3 * first_displacement,
+            load=first_force,
+        )
     return slack
 
 
-def _is_preloaded(slack: Measured, decide: Decide, trace: Trace, start: int) -> bool:
-    """Check whether a preload explains that the line meets zero force before the first sample.
+def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int) -> bool:
+    """Return whether a preload explains a slack that is less than the first displacement.
 
-    The force less that of the first sample is extrapolated to zero as well. If the curve is
-    straight from the first sample on, this zero lies near that sample, as after a preload. If the
-    curve is steeper there than the line, this zero lies closer to the slack.
+    The force at the first sample is subtracted from the curve, and the slack of this shifted curve
+    is read. It is near the first displacement if the curve is straight from its first sample, as
+    after a preload. It is near the measured slack if the curve is steepest at its first sample.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:
         return True
-    preloaded = replace(trace, force=trace.force - trace.force[start])
-    region = return_failure(decide)(preloaded)
-    if isinstance(region, Failure):
+    shifted_trace = replace(trace, force=trace.force - trace.force[start])
+    reading = return_failure(read_slack)(shifted_trace)
+    if isinstance(reading, Failure):
         return False
-    preloaded_zero = float(region.numbers(preloaded)[0])
-    return preloaded_zero - slack.value >= 0.5 * (first_displacement - slack.value)
+    shifted_slack = float(reading.numbers(shifted_trace)[0])
+    return shifted_slack - slack.value >= 0.5 * (first_displacement - slack.value)
 
 
 def _shift_slip(slip: Slip, slack: float) -> Slip:
+    """Subtract a slack (m) from the position of a slip."""
     interval = slip.position_interval
     shifted_interval = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
     return replace(slip, position=slip.position - slack, position_interval=shifted_interval)

@@ -130,7 +130,7 @@ class Line:
 
         Examples
         --------
-        >>> axis = Axis("", NUMBER, 0.0, 65535.0)
+        >>> axis = Axis("", PLAIN_NUMBER, 0.0, 65535.0)
         >>> line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """

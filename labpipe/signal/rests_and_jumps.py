@@ -1,4 +1,4 @@
-"""Detect rests before a motion, motion at the end of a record, and jumps of a signal's level."""
+"""Detect motion at the end of a record, rest before a motion and jumps in the level of a signal."""
 
 from __future__ import annotations
 
@@ -10,110 +10,121 @@ from labpipe.records.arrays import Floats, median
 from labpipe.signal.turning_points import estimate_noise_level
 
 
-def moves_at_end(time: Floats, values: Floats) -> bool:
-    """Return whether a motion continues at the last sample of a stretch.
+def moves_at_end(time: Floats, positions: Floats) -> bool:
+    """Return whether a motion continues at its last sample.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit, of the stretch, without NaN
+    time, positions : shape (n,), s and any unit; of one motion, without NaN
 
     Returns
     -------
-    Whether a straight line through the last samples has the direction of the whole stretch and at
-    least half its mean speed. It uses as few samples as noise and resolution allow, but at least
-    three and at most a third. False without motion.
-    """
-    # Shares of the mean speed.
-    min_end_speed, max_error = 0.5, 0.15
-    travel = float(values[-1] - values[0])
-    duration = float(time[-1] - time[0])
-    if len(values) < 3 or travel == 0.0 or not duration > 0.0:
-        return False
-    speed, steps = abs(travel) / duration, np.abs(np.diff(values))
-    resolution = float(steps[steps > 1e-9 * abs(travel)].min())
-    noise = max(estimate_noise_level(values), resolution / sqrt(12.0))
-    time_step, size = median(np.diff(time)), 3
-    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / time_step > max_error * speed:
-        size += max(1, size // 4)
-    centred_time = time[-size:] - time[-size:].mean()
-    slope = float(centred_time @ values[-size:]) / float(centred_time @ centred_time)
-    return slope * float(np.sign(travel)) >= min_end_speed * speed
-
-
-def count_rest_samples(values: Floats) -> int:
-    """Count the samples of a stretch before its motion begins.
-
-    Parameters
-    ----------
-    values : shape (n,), evenly sampled, without NaN, beginning at the end that may be at rest
-
-    Returns
-    -------
-    Samples before the corner between a level and a straight line; 0 if one straight line fits as
-    well, as for a stretch of only rest or only motion.
+    Whether a straight line through the last samples has the direction of the motion and at least
+    half its mean speed; False if the first and last positions are equal.
 
     Notes
     -----
-    Least squares over up to 200 corners. The corner counts if it reduces the sum of squares about
-    one line by more than 25 variances of the residuals and by more than half, since noise may be
-    autocorrelated.
+    The line is fitted to as few samples as noise and resolution allow, but to at least three and to
+    about a third of all samples at most.
+    """
+    # Speed at the end and its standard error, as shares of the mean speed.
+    min_end_speed, max_error = 0.5, 0.15
+    travel = float(positions[-1] - positions[0])
+    duration = float(time[-1] - time[0])
+    if len(positions) < 3 or travel == 0.0 or not duration > 0.0:
+        return False
+    mean_speed, steps = abs(travel) / duration, np.abs(np.diff(positions))
+    resolution = float(steps[steps > 1e-9 * abs(travel)].min())
+    noise_level = max(estimate_noise_level(positions), resolution / sqrt(12.0))
+    time_step = median(np.diff(time))
+    fit_samples, max_fit_samples = 3, len(positions) // 3
+    while (
+        fit_samples < max_fit_samples
+        and noise_level * sqrt(12.0 / fit_samples**3) / time_step > max_error * mean_speed
+    ):
+        fit_samples += max(1, fit_samples // 4)
+    centred_time = time[-fit_samples:] - time[-fit_samples:].mean()
+    end_speed = float(centred_time @ positions[-fit_samples:]) / float(centred_time @ centred_time)
+    return end_speed * float(np.sign(travel)) >= min_end_speed * mean_speed
+
+
+def count_rest_samples(values: Floats) -> int:
+    """Count the samples of a signal before its motion begins.
+
+    Parameters
+    ----------
+    values : shape (n,), evenly sampled, without NaN; if there is a rest, it comes first
+
+    Returns
+    -------
+    Number of samples before the corner between a constant level and a straight line; 0 if one
+    straight line fits as well, because the signal has only rest or only motion.
+
+    Notes
+    -----
+    The corner is the least-squares choice among up to 200 samples. It is accepted if it reduces the
+    sum of squares about one straight line by more than 25 variances of the residuals. Since noise
+    may be autocorrelated, it must also reduce this sum by more than half.
     """
     max_corners = 200
-    min_variances, min_share = 25.0, 0.5
+    min_gain_in_variances, min_gain_share = 25.0, 0.5
     count = len(values)
     if count < 5:
         return 0
-    number = np.arange(count, dtype=np.float64)
+    indices = np.arange(count, dtype=np.float64)
     centred = values - values.mean()
-    ramp = number - number.mean()
-    line = float(centred @ centred) - float(ramp @ centred) ** 2 / float(ramp @ ramp)
+    line = indices - indices.mean()
+    line_squares = float(centred @ centred) - float(line @ centred) ** 2 / float(line @ line)
     corners = np.unique(np.linspace(1, count - 2, min(count - 2, max_corners)).astype(np.int64))
-    ramps = np.clip(number - corners[:, None], 0.0, None)
+    ramps = np.clip(indices - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
-    along = ramps @ centred
-    residual_squares = float(centred @ centred) - along**2 / np.sum(ramps**2, axis=1)
-    best = int(np.argmin(residual_squares))
-    variance = max(float(residual_squares[best]), 0.0) / (count - 3)
-    gain = line - float(residual_squares[best])
-    return int(corners[best]) if gain > max(min_variances * variance, min_share * line) else 0
+    corner_squares = float(centred @ centred) - (ramps @ centred) ** 2 / np.sum(ramps**2, axis=1)
+    best = int(np.argmin(corner_squares))
+    best_squares = float(corner_squares[best])
+    variance = max(best_squares, 0.0) / (count - 3)
+    min_gain = max(min_gain_in_variances * variance, min_gain_share * line_squares)
+    return int(corners[best]) if line_squares - best_squares > min_gain else 0
 
 
 def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
-    """Find steps that are far larger than the steps before and after them.
+    """Find changes between two samples that are much faster than the changes before and after.
 
     Parameters
     ----------
     time, values : shape (n,), s (or row numbers) and any unit; NaN are ignored, and a change across
-        a gap at the usual speed is no jump
+        a gap at the usual speed is not a jump
 
     Returns
     -------
-    First sample after each jump, and its size in the unit of `values`, in order. None within three
-    samples of the ends, nor if the signal returns within three samples.
+    Index of the first sample after each jump and size of the jump (unit of `values`), in order of
+    time. A jump is not found if it is one of the first or last three changes, or if the signal
+    returns within the next three.
 
     Notes
     -----
-    A corner also changes the later steps, so it is no jump. The loss of force at a failure is a
-    jump; the caller has to exclude it.
+    A corner is not a jump, because the changes after it are as fast. The loss of force at a failure
+    is a jump; the caller has to exclude it.
     """
-    # Multiple of the fastest neighbouring step; share of the range; multiple of the noise.
+    # Multiple of the fastest change nearby; share of the range; multiple of the noise.
     jump_speed_factor, min_jump_share, jump_noise_factor = 5.0, 0.02, 8.0
-    neighbours = 3  # steps on each side that a jump is compared with
-    valid = np.flatnonzero(~np.isnan(values))
-    v = values[valid]
-    if len(v) < 2 * neighbours + 2:
+    compared_steps = 3  # on each side of a jump
+    finite_samples = np.flatnonzero(~np.isnan(values))
+    finite_values = values[finite_samples]
+    if len(finite_values) < 2 * compared_steps + 2:
         return ()
-    steps = np.diff(v)
-    speeds = np.abs(steps) / np.diff(time[valid])
-    min_step = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * estimate_noise_level(v))
+    steps = np.diff(finite_values)
+    speeds = np.abs(steps) / np.diff(time[finite_samples])
+    min_step = max(
+        min_jump_share * float(np.ptp(finite_values)),
+        jump_noise_factor * estimate_noise_level(finite_values),
+    )
     jumps = []
-    for sample in np.flatnonzero(np.abs(steps) > min_step).tolist():
-        speeds_before = speeds[max(sample - neighbours, 0) : sample]
-        speeds_after = speeds[sample + 1 : sample + 1 + neighbours]
-        if min(len(speeds_before), len(speeds_after)) < neighbours:
+    for step in np.flatnonzero(np.abs(steps) > min_step).tolist():
+        speeds_before = speeds[max(step - compared_steps, 0) : step]
+        speeds_after = speeds[step + 1 : step + 1 + compared_steps]
+        if min(len(speeds_before), len(speeds_after)) < compared_steps:
             continue
-        if speeds[sample] > jump_speed_factor * float(
-            np.concatenate([speeds_before, speeds_after]).max()
-        ):
-            jumps.append((int(valid[sample + 1]), float(steps[sample])))
+        max_speed_nearby = float(np.concatenate([speeds_before, speeds_after]).max())
+        if speeds[step] > jump_speed_factor * max_speed_nearby:
+            jumps.append((int(finite_samples[step + 1]), float(steps[step])))
     return tuple(jumps)

@@ -1,14 +1,15 @@
-"""Define names, units and axes of all content of a result file, derived from the records.
+"""Derive the datasets, attributes and tables of a result file from the types of its records.
 
-The annotations of a record define its part of the file: an array with axes and `Unit` is a dataset,
-an annotated tuple of texts one of strings, any other number, text, interval or reason an attribute;
-a tuple of records is a table. Fields that do not count in a comparison are not stored.
+The type hint of a field defines how the field is stored. An array with axes and `Unit` becomes a
+dataset of numbers. A tuple of texts with an axis becomes a dataset of strings. Any other number,
+text, interval or reason becomes an attribute. A tuple of records becomes a table. Fields with
+``compare=False`` are not stored.
 
-Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale, as netCDF-4
-requires: a dataset of its group. A table is a group of columns, never a compound: Octave skips
-compounds, and texts in them crash the netCDF library. Texts are UTF-8: of variable length in
-attributes, of fixed length in datasets, where they are declared ASCII. Octave reads only this type
-of text, and checksums cover it; HDF5 has none for variable lengths.
+Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale in the same
+group, as netCDF-4 requires. A table is a group with one dataset per column, not an HDF5 compound,
+because Octave skips compounds and texts in them crash the netCDF library. Texts are UTF-8. In
+attributes their length is variable. In datasets it is fixed and the type is declared as ASCII,
+because Octave reads only this type and HDF5 has no checksums for variable lengths.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ UNSTATED_UNIT: Final = "unknown"
 TEXT: Final = "text"
 """The unit of a dataset of strings."""
 
-# Groups and datasets that several modules name.
+# Names of groups and datasets that several modules use.
 SPECIMEN: Final = "specimen"
 RAW: Final = "raw"
 TIME: Final = "time"
@@ -66,9 +67,9 @@ class DatasetSpec:
     Parameters
     ----------
     axes : names of the axes
-    unit : SI unit; None if the dataset defines its own
-    dtype : numpy's name of the number type; ``text`` for strings
-    stated_in : field of the record that states the unit; empty for none
+    unit : SI unit; None if each dataset states its own when it is written
+    dtype : NumPy name of the type of the numbers; ``text`` for strings
+    stated_in : name of the field of the record that states the unit; empty if no field does
     """
 
     axes: tuple[str, ...]
@@ -78,13 +79,13 @@ class DatasetSpec:
 
 
 class AttributeSpec(NamedTuple):
-    """A field of a record that is an attribute, or a cell of a table.
+    """Definition of a field that is stored as an attribute or as a cell of a table.
 
     Parameters
     ----------
     kind : type of the field, without None
-    unit : of a number; None if its annotation states none
-    is_optional : whether it may be None
+    unit : unit of a number; None if the type hint states no unit
+    is_optional : whether the field may be None
     """
 
     kind: Any
@@ -93,53 +94,53 @@ class AttributeSpec(NamedTuple):
 
 
 class ColumnSpec(NamedTuple):
-    """A column of a table of records.
+    """Definition of a column of a table of records.
 
     Parameters
     ----------
-    name : field of the record
-    end : of an interval in that field; empty for any other field
-    field : definition of the dataset
+    name : name of the field of the record
+    end : end of the interval in the field, ``lower`` or ``upper``; empty for any other field
+    dataset : definition of the dataset
     """
 
     name: str
     end: str
-    field: DatasetSpec
+    dataset: DatasetSpec
 
 
 def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
-    """Cache a function of a type; mypy does not accept types as keys of `functools.cache`."""
+    """Cache a function whose argument is a type; mypy rejects `functools.cache` for it."""
     return cache(function)
 
 
 @_cached
-def list_datasets(record: Any) -> Mapping[str, DatasetSpec]:
+def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
     """Return the datasets of a type of record, by name."""
     datasets: dict[str, DatasetSpec] = {}
-    for name, (values, axes, unit) in _list_annotations(record):
-        if get_origin(values) is np.ndarray:
-            dtype = np.dtype(find_dtype(values)).name.replace("bool", "uint8")
+    for name, (field_type, axes, unit) in _list_annotations(record_type):
+        if get_origin(field_type) is np.ndarray:
+            dtype = np.dtype(find_dtype(field_type)).name.replace("bool", "uint8")
             symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
             datasets[name] = DatasetSpec(axes, symbol, dtype, stated_in)
-        elif get_origin(values) is tuple and axes:
+        elif get_origin(field_type) is tuple and axes:
             datasets[name] = DatasetSpec(axes, TEXT, TEXT)
     return datasets
 
 
 def find_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
-    """Return the dimension scale of each axis: the first dataset with no other axis."""
-    one_axis_datasets = [(name, field) for name, field in datasets.items() if len(field.axes) == 1]
-    return {field.axes[0]: name for name, field in reversed(one_axis_datasets)}
+    """Return the dimension scale of each axis: the name of its first one-dimensional dataset."""
+    one_axis_datasets = [(name, spec) for name, spec in datasets.items() if len(spec.axes) == 1]
+    return {spec.axes[0]: name for name, spec in reversed(one_axis_datasets)}
 
 
 @_cached
-def list_attributes(record: Any) -> Mapping[str, AttributeSpec]:
+def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
     """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
-    stored_names = {field.name for field in fields(record) if field.compare}
-    stored_names -= {field.stated_in for field in list_datasets(record).values()}
+    stored_names = {field.name for field in fields(record_type) if field.compare}
+    stored_names -= {spec.stated_in for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
-    for name, (hint, axes, unit) in _list_annotations(record):
-        kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    for name, (field_type, axes, unit) in _list_annotations(record_type):
+        kinds = get_args(field_type) if isinstance(field_type, UnionType) else (field_type,)
         kind = next(kind for kind in kinds if kind is not NoneType)
         is_simple = isinstance(kind, type) and issubclass(
             kind, (int, float, str, date, Interval, Reason)
@@ -151,44 +152,45 @@ def list_attributes(record: Any) -> Mapping[str, AttributeSpec]:
 
 
 @_cached
-def list_columns(row: Any) -> Mapping[str, ColumnSpec]:
+def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
     """Return the columns of a table, by name.
 
     Parameters
     ----------
-    row : type of record, a key of `ROW_AXES`
+    row_type : type of the records, a key of `ROW_AXES`
     """
-    number_types = {int: "int64", float: "float64", bool: "uint8", Interval: "float64"}
+    number_dtypes = {int: "int64", float: "float64", bool: "uint8", Interval: "float64"}
     columns: dict[str, ColumnSpec] = {}
-    for name, (kind, unit, _) in list_attributes(row).items():
-        dtype = number_types.get(kind, TEXT)
+    for name, (kind, unit, _) in list_attributes(row_type).items():
+        dtype = number_dtypes.get(kind, TEXT)
         symbol = TEXT if dtype == TEXT else (unit.symbol or None) if unit else "1"
-        field = DatasetSpec((ROW_AXES[row],), symbol, dtype)
+        dataset = DatasetSpec((ROW_AXES[row_type],), symbol, dtype)
         if kind is Interval:
             columns |= {
-                find_stem(name) + end: ColumnSpec(name, end, field) for end in ("lower", "upper")
+                make_bound_prefix(name) + end: ColumnSpec(name, end, dataset)
+                for end in ("lower", "upper")
             }
         else:
-            columns[name] = ColumnSpec(name, "", field)
+            columns[name] = ColumnSpec(name, "", dataset)
     return columns
 
 
-def find_stem(interval: str) -> str:
-    """Return the start of the names of an interval's ends: ``drop_`` for ``drop_interval``."""
-    return interval.removesuffix("interval")
+def make_bound_prefix(interval_name: str) -> str:
+    """Return the prefix of ``lower`` and ``upper``: ``drop_`` for ``drop_interval``."""
+    return interval_name.removesuffix("interval")
 
 
 def _list_annotations(
-    record: Any,
+    record_type: Any,
 ) -> Iterator[tuple[str, tuple[Any, tuple[str, ...], Unit | None]]]:
     """Yield name, type, axes and unit of the fields of a type of record."""
-    for name, hint in get_type_hints(record, include_extras=True).items():
-        value, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    for name, hint in get_type_hints(record_type, include_extras=True).items():
+        field_type, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(annotation for annotation in annotations if isinstance(annotation, str))
         yield (
             name,
             (
-                value,
+                field_type,
                 axes,
                 next(
                     (annotation for annotation in annotations if isinstance(annotation, Unit)), None
@@ -199,7 +201,7 @@ def _list_annotations(
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """A result as a row of ``results/table``, for programs that do not read attributes."""
+    """Row of ``results/table``: a result, for programs that do not read attributes."""
 
     name: str
     value: Annotated[float | None, Unit("of the result")]
@@ -215,7 +217,7 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A contribution as a row of ``budgets``; one table for all results of a test."""
+    """Row of ``budgets``: a contribution to the uncertainty of a result of the test."""
 
     result: str
     cause: str
@@ -234,11 +236,11 @@ ROW_AXES: Final[Mapping[type, str]] = {
     ResultRow: "result",
     BudgetRow: "contribution",
 }
-"""Types of records that are rows of a table, and the axis of the table."""
+"""Axis of the table for each type of record that is stored as a row."""
 
 
 def make_link_name(name: str, used_names: Iterable[str]) -> str:
-    """Return an unused name that HDF5, h5dump and MATLAB accept.
+    """Return an unused name of a group or dataset that HDF5, h5dump and MATLAB accept.
 
     Parameters
     ----------
@@ -256,6 +258,6 @@ def make_link_name(name: str, used_names: Iterable[str]) -> str:
     """
     valid_name = re.sub(r"[^\w.+-]", "_", name)
     valid_name = valid_name if valid_name.strip("._") else "unnamed"
-    names = set(used_names)
-    numbered = (f"{valid_name}_{number}" for number in range(2, len(names) + 3))
-    return next(candidate for candidate in (valid_name, *numbered) if candidate not in names)
+    used_names = set(used_names)
+    numbered = (f"{valid_name}_{number}" for number in range(2, len(used_names) + 3))
+    return next(candidate for candidate in (valid_name, *numbered) if candidate not in used_names)

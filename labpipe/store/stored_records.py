@@ -26,10 +26,10 @@ from labpipe.store.datasets import (
 from labpipe.store.layout import (
     TEXT,
     AttributeSpec,
-    find_stem,
     list_attributes,
     list_columns,
     list_datasets,
+    make_bound_prefix,
 )
 
 _R = TypeVar("_R")
@@ -70,11 +70,11 @@ def write_arrays(target: Target, record: Any) -> None:
     target : its group
     record : of a type whose annotations define the layout
     """
-    for name, field in list_datasets(type(record)).items():
+    for name, spec in list_datasets(type(record)).items():
         values = getattr(record, name)
-        if field.dtype == "uint8":
+        if spec.dtype == "uint8":
             values = values.astype(np.uint8)
-        target.write_array(name, values, field, getattr(record, field.stated_in, ""))
+        target.write_array(name, values, spec, getattr(record, spec.stated_in, ""))
     target.attach_scales()
 
 
@@ -88,11 +88,11 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     names : of the arrays; none for all
     """
     arrays: dict[str, Any] = {}
-    for name, field in list_datasets(kind).items():
+    for name, spec in list_datasets(kind).items():
         if not names or name in names:
-            arrays[name] = read_array(group, name, field)
-            if field.stated_in:
-                arrays[field.stated_in] = read_text(group[name], "unit")
+            arrays[name] = read_array(group, name, spec)
+            if spec.stated_in:
+                arrays[spec.stated_in] = read_text(group[name], "unit")
     return arrays
 
 
@@ -118,7 +118,7 @@ def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any
         set_texts(group, _MESSAGES, [reason.message for reason in reasons])
     elif isinstance(value, Interval):
         for end in _ENDS:
-            set_number(group, find_stem(name) + end, float(getattr(value, end)))
+            set_number(group, make_bound_prefix(name) + end, float(getattr(value, end)))
     elif isinstance(value, tuple):
         set_texts(group, name, value)
     elif kind not in (int, float, Interval):
@@ -156,7 +156,7 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
         return read_texts(group, name)
     if kind not in (int, float, Interval):
         return _parse_cell({name: read_text(group, name)}, name, attribute)
-    names = [find_stem(name) + end for end in _ENDS] if kind is Interval else [name]
+    names = [make_bound_prefix(name) + end for end in _ENDS] if kind is Interval else [name]
     if is_optional and not has_attribute(group, names[0]):
         return None
     return kind(*(get_number(group, number) for number in names))
@@ -176,14 +176,14 @@ def write_table(
     unit : of the columns whose unit the layout does not define
     """
     table = target.open_group(name)
-    for column, (source, end, field) in list_columns(kind).items():
+    for column, (source, end, spec) in list_columns(kind).items():
         cells = [getattr(row, source) for row in rows]
         if end:
             cells = [getattr(interval, end) for interval in cells]
         values: Any = tuple(map(_format_cell, cells))
-        if field.dtype != TEXT:
-            values = np.array([nan if cell is None else cell for cell in cells], field.dtype)
-        table.write_array(column, values, field, unit)
+        if spec.dtype != TEXT:
+            values = np.array([nan if cell is None else cell for cell in cells], spec.dtype)
+        table.write_array(column, values, spec, unit)
     table.attach_scales()
 
 
@@ -204,8 +204,8 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     The records.
     """
     columns = [
-        read_array(parent[name], column, replace(field, unit=field.unit or unit))
-        for column, (_, _, field) in list_columns(kind).items()
+        read_array(parent[name], column, replace(spec, unit=spec.unit or unit))
+        for column, (_, _, spec) in list_columns(kind).items()
     ]
     columns = [column if isinstance(column, tuple) else column.tolist() for column in columns]
     rows = (dict(zip(list_columns(kind), row, strict=True)) for row in zip(*columns, strict=True))
@@ -219,7 +219,7 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
 def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
     """Return one field of a record from a row."""
     if attribute.kind is Interval:
-        return Interval(*(row[find_stem(name) + end] for end in ("lower", "upper")))
+        return Interval(*(row[make_bound_prefix(name) + end] for end in ("lower", "upper")))
     cell = row[name]
     if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
         return None

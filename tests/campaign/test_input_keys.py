@@ -144,13 +144,13 @@ EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 @pytest.mark.parametrize(
     ("files", "texts", "message"),
     [
-        (NOW.files, "sp", "newer labpipe"),
+        (NOW.files, "sp", "labpipe changed"),
         (NOW.files, "tp", "sheet changed"),
         (NOW.files, "sq", "protocol changed"),
-        ((("force", "a.mat", "0"), NOW.files[1]), "sp", "export changed (a.mat)"),
-        (EXTRA, "tq", "export changed (c.csv), sheet changed, protocol changed"),
-        ((), "", "something changed"),
-        (NOW.files, "", "something changed"),
+        ((("force", "a.mat", "0"), NOW.files[1]), "sp", "file changed (a.mat)"),
+        (EXTRA, "tq", "file changed (c.csv), sheet changed, protocol changed"),
+        ((), "", "unknown change"),
+        (NOW.files, "", "unknown change"),
     ],
 )
 def test_describe_changes(

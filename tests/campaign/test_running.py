@@ -63,7 +63,7 @@ def test_run_processes_new_and_changed_tests_only(kept: KeptCampaign) -> None:
     rows = read_overview(kept.folders).rows
     assert {name: (row.state, row.why) for name, row in rows.items() if row.why} == {
         "T1": (STALE, "sheet changed"),
-        "T2": (STALE, "export changed (frame.csv)"),
+        "T2": (STALE, "file changed (frame.csv)"),
     }
     kept.run()
     assert kept.stand_in.processed == ["T1", "T2", "T4"]

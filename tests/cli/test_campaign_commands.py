@@ -81,7 +81,7 @@ def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
     lines = ran.out.splitlines()
     assert lines[0].startswith("C: 1 pending, 1 failed, 1 stale, 1 rejected  ->  ")
     assert "  T3  unreadable_export: a unreadable_export of an export" in lines
-    assert "  T1  export changed (frame.csv)" in lines
+    assert "  T1  file changed (frame.csv)" in lines
     assert any(line.startswith("  T2  slipped (A. Tester, 20") for line in lines)
     assert "decisions not applied (1)" in lines
     assert "exports, sheet, protocol or labpipe changed" in ran.out

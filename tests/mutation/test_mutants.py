@@ -82,10 +82,10 @@ def test_tests_that_enter_are_asked_first_and_of_each_the_fastest() -> None:
 @pytest.mark.parametrize("is_at_import", [False, True])
 def test_a_trial_tells_the_test_that_fails(repository: Path, *, is_at_import: bool) -> None:
     """In a session that has imported the sound package, and where it is imported again."""
-    module, beside = "results/least_squares.py", "tests/results/test_slack.py"
+    module, beside = "results/curves.py", "tests/results/test_slack.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
     mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}
-    chosen = [mutants["zero_of_line"], mutants["polynomial_weights"]]
+    chosen = [mutants["compute_zero_crossing"], mutants["compute_polynomial_weights"]]
     by = list[str]()
 
     def ask(session: pytest.Session) -> None:

@@ -274,14 +274,16 @@ def model_bundle(
             modelled = replace(modelled, friction=fit_friction(model, laws, extract_loop(test)))
         except ValueError as error:
             modelled = replace(modelled, no_friction=str(error))
-    owned, pages = [], []
+    earlier_files, pages = [], []
     if figures:
-        owned = [f"{FIGURES_FOLDER}/{name}.png" for name in (BUNDLE_FIGURE, LOOP_FIGURE)]
+        earlier_files = [f"{FIGURES_FOLDER}/{name}.png" for name in (BUNDLE_FIGURE, LOOP_FIGURE)]
         pages = [make_bundle_page(model)]
         if modelled.friction is not None:
             pages.append(make_loop_page(name, modelled.friction))
     texts = {BUNDLE_FILE: json.dumps(as_json(modelled))}
-    return replace(modelled, files=write_study(folder, texts, pages, owned=owned, png=png))
+    return replace(
+        modelled, files=write_study(folder, texts, pages, earlier_files=earlier_files, png=png)
+    )
 
 
 def _read_bundle(

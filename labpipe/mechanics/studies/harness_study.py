@@ -158,11 +158,14 @@ def _write(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSol
     }
     if solution.sweep:
         texts[SWEEP_FILE] = _format_csv(_build_sweep_table(solution))
-    owned, pages = [SWEEP_FILE, FAILURE_FILE], []
+    earlier_files, pages = [SWEEP_FILE, FAILURE_FILE], []
     if figures:
-        owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
+        earlier_files += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
         pages = list_harness_figures(build_drawn_harness(solution), build_drawn_sweep(solution))
-    return replace(solution, files=write_study(solution.folder, texts, pages, owned=owned, png=png))
+    return replace(
+        solution,
+        files=write_study(solution.folder, texts, pages, earlier_files=earlier_files, png=png),
+    )
 
 
 _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_PATH} [m]"

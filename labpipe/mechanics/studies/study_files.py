@@ -1,4 +1,4 @@
-"""Write the files of a study (texts, workbooks, decks, figures) together or not at all."""
+"""Write the files of a study (texts, workbooks, solver decks, figures) together or not at all."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ def write_study(
     texts: Mapping[str, str],
     pages: Sequence[Page] = (),
     *,
-    owned: Iterable[str] = (),
+    earlier_files: Iterable[str] = (),
     write_others: Callable[[Path], Iterable[Path]] = lambda _: (),
     say: Callable[[str], None] = lambda _: None,
     png: bool = False,
 ) -> tuple[Path, ...]:
-    """Write all files of a study together; on an error earlier files are unchanged.
+    """Write all files of a study together; an error leaves the files of an earlier run unchanged.
 
     Parameters
     ----------
-    folder : of the results, created if it does not exist
-    texts : contents of text files, by name
+    folder : folder of the results, created if it does not exist
+    texts : contents of text files, by file name
     pages : figures
-    owned : files of an earlier run that are removed if there is no new one, besides the PNG files
-        of the figures
-    write_others : writes further files into a folder, and returns their paths
-    say : called with the name of each stage
-    png : figures as PNG, too
+    earlier_files : names of files of an earlier run that are removed unless they are written again;
+        the PNG files of `pages` are always among them
+    write_others : writes other files into the folder that it is given, and returns their paths
+    say : called with the name of each figure before it is drawn
+    png : whether each figure is written as PNG in addition to SVG
 
     Returns
     -------
-    The files: texts, others, figures.
+    Paths of the files: texts, other files, figures.
     """
-    owned = [*owned, *list_pngs(pages, FIGURES_FOLDER)]
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
+    earlier_files = [*earlier_files, *list_pngs(pages, FIGURES_FOLDER)]
+    with locked(folder), replacing_together(folder, owned=earlier_files) as temporary_folder:
         with storing(folder):
             for name, text in texts.items():
-                (stage / name).write_text(text, encoding="utf-8", newline="\n")
-            files = [*(stage / name for name in texts), *write_others(stage)]
+                (temporary_folder / name).write_text(text, encoding="utf-8", newline="\n")
+            paths = [*(temporary_folder / name for name in texts), *write_others(temporary_folder)]
         if pages:
-            files += save_pages(pages, stage / FIGURES_FOLDER, say=say, png=png)
-        return tuple(folder / path.relative_to(stage) for path in files)
+            paths += save_pages(pages, temporary_folder / FIGURES_FOLDER, say=say, png=png)
+        return tuple(folder / path.relative_to(temporary_folder) for path in paths)

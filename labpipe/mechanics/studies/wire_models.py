@@ -122,7 +122,7 @@ def model_wires(
             folder,
             {MODEL_FILE: json.dumps(as_json(modelled))},
             [*list_wire_figures(tables)] if figures else (),
-            owned=_list_wire_files((*refused, *removed)),
+            earlier_files=_list_wire_files((*refused, *removed)),
             write_others=write_others,
             say=say,
             png=png,
