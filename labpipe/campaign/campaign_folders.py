@@ -25,9 +25,9 @@ class CampaignFolders:
 
     Parameters
     ----------
-    name : the folder below ``raw`` and ``processed``, with slashes
-    raw : exports and test sheets, a folder per test; may be missing
-    processed : results, a folder per test; made when results are first written
+    name : path of both folders below ``raw`` and ``processed``, with slashes
+    raw : path of the folder of exports and test sheets, with a folder per test; may be missing
+    processed : path of the folder of results, with a folder per test; created with the first result
     """
 
     name: str
@@ -40,12 +40,13 @@ def find_campaign(folder: Path) -> CampaignFolders:
 
     Parameters
     ----------
-    folder : ``.../raw/NAME`` or ``.../processed/NAME``
+    folder : path of one of them, ``.../raw/NAME`` or ``.../processed/NAME``
 
     Raises
     ------
     UsageError
-        If it is missing, is below neither of the two, or is the folder of a single test.
+        If the folder does not exist, is below neither ``raw`` nor ``processed``, or is the folder
+        of a single test.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing of that name"
@@ -72,11 +73,11 @@ def find_campaign_name(folder: Path) -> str:
 
     Parameters
     ----------
-    folder : any
+    folder : path of any folder
 
     Returns
     -------
-    The name; empty if the folder belongs to no campaign.
+    Name of the campaign; empty if the folder belongs to no campaign.
     """
     with suppress(UsageError):
         return find_campaign(folder).name
@@ -89,8 +90,8 @@ class RawContent:
 
     Parameters
     ----------
-    sheets : path of each test sheet, by folder of the test below the campaign
-    files : paths of all files except hidden ones, relative to the campaign, with slashes
+    sheets : path of each test sheet, by test; a test is named by its folder below the campaign
+    files : paths of all files except hidden ones, relative to the folder of exports, with slashes
     problems : messages about files and folders that cannot be used
     """
 
@@ -104,19 +105,19 @@ def list_raw(campaign: CampaignFolders) -> RawContent:
 
     Parameters
     ----------
-    campaign : if its folder of exports is missing, the lists are empty
+    campaign : folders of the campaign; without a folder of exports, the lists are empty
     """
-    listing = RawContent()
-    for label, place, files, _ in _walk(campaign.raw, listing.problems):
-        listing.files += [f"{label}/{name}" if label else name for name in files]
+    content = RawContent()
+    for test, folder, files, _ in _walk(campaign.raw, content.problems):
+        content.files += [f"{test}/{name}" if test else name for name in files]
         if SHEET_NAME not in files:
             continue
-        sheet = Path(place, SHEET_NAME)
+        sheet = Path(folder, SHEET_NAME)
         if sheet.is_file():
-            listing.sheets[label] = sheet
+            content.sheets[test] = sheet
         else:
-            listing.problems.append(str(StoreError.about("campaign.irregular_sheet", sheet)))
-    return listing
+            content.problems.append(str(StoreError.about("campaign.irregular_sheet", sheet)))
+    return content
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +126,8 @@ class OutcomeFiles:
 
     Parameters
     ----------
-    folder : of the results
-    signature : name, size, time of change and inode of each file as text; equal for unchanged
+    folder : path of the folder of results
+    signature : name, size, modification time and inode of each file as text; equal for unchanged
         files, empty without any file
     """
 
@@ -135,12 +136,12 @@ class OutcomeFiles:
 
     @property
     def has_results(self) -> bool:
-        """Return whether there are complete results."""
+        """Return whether the results are complete."""
         return f"{SUMMARY_FILE}:" in self.signature and f"{RESULT_FILE}:" in self.signature
 
     @property
     def has_failure(self) -> bool:
-        """Return whether the last attempt failed."""
+        """Return whether the last processing of the test failed."""
         return f"{FAILURE_FILE}:" in self.signature
 
 
@@ -149,20 +150,20 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 
     Parameters
     ----------
-    campaign : its folder of results may be missing
+    campaign : folders of the campaign; the folder of results may be missing
 
     Returns
     -------
-    Outcome files of each test that has any.
+    Outcome files by test; tests without such files are absent.
     """
     outcomes = {}
-    for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
+    for test, folder, files, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
         if hidden & {*STAGES}:
-            outcome = find_outcome(campaign, label)
+            outcome = find_outcome(campaign, test)
         else:
-            outcome = OutcomeFiles(Path(place), _compute_signature(place, files))
+            outcome = OutcomeFiles(Path(folder), _compute_signature(folder, files))
         if outcome.signature:
-            outcomes[label] = outcome
+            outcomes[test] = outcome
     return outcomes
 
 
@@ -173,8 +174,8 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
 
     Parameters
     ----------
-    campaign : of the test
-    test : its folder below the campaign
+    campaign : folders of the campaign of the test
+    test : folder of the test below the campaign
     """
     folder = campaign.processed / test
     if is_cut_off(folder):  # unless another process still writes there
@@ -184,13 +185,13 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     return OutcomeFiles(folder, _compute_signature(str(folder), files))
 
 
-def _compute_signature(place: str, files: list[str]) -> str:
+def _compute_signature(folder: str, files: list[str]) -> str:
     parts = []
     for name in _OUTCOME_FILES:
         if name not in files:
             continue
         with suppress(OSError):
-            status = os.stat(f"{place}/{name}")  # noqa: PTH116  Path is slow for ten thousand files
+            status = os.stat(f"{folder}/{name}")  # noqa: PTH116  Path is slow for 10 000 files
             parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")
     return " ".join(parts)
 
@@ -200,25 +201,26 @@ def _walk(
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
     """Walk through folders, except hidden ones, links, and those with the name `skipped`.
 
-    Yields label and path of each folder, and the names of its files and of its hidden entries.
+    Yields the path of each folder below `top` with slashes, its full path, the names of its files
+    and links, and the names of its hidden entries.
     """
 
     def note_error(error: OSError) -> None:
         if not isinstance(error, FileNotFoundError):
             problems.append(describe_system_error(error))
 
-    for place, folders, files in os.walk(top, onerror=note_error):
-        links = {name for name in folders if os.path.islink(f"{place}/{name}")}  # noqa: PTH114
-        hidden = {name for name in (*folders, *files) if name.startswith(".")}
-        undecodable = {name for name in {*folders, *files} - hidden if not _is_text(name)}
+    for folder, subfolders, files in os.walk(top, onerror=note_error):
+        links = {name for name in subfolders if os.path.islink(f"{folder}/{name}")}  # noqa: PTH114
+        hidden = {name for name in (*subfolders, *files) if name.startswith(".")}
+        undecodable = {name for name in {*subfolders, *files} - hidden if not _is_text(name)}
         for name in sorted(undecodable):
-            printable = f"{place}/{name}".encode("utf-8", "backslashreplace").decode()
+            printable = f"{folder}/{name}".encode("utf-8", "backslashreplace").decode()
             problems.append(str(StoreError.about("campaign.undecodable_name", printable)))
-        folders[:] = sorted({*folders} - links - hidden - undecodable - {skipped})
-        label = place[len(str(top)) + 1 :].replace(os.sep, "/")
-        yield label, place, [*({*files} | links) - hidden - undecodable], hidden
+        subfolders[:] = sorted({*subfolders} - links - hidden - undecodable - {skipped})
+        test = folder[len(str(top)) + 1 :].replace(os.sep, "/")
+        yield test, folder, [*({*files} | links) - hidden - undecodable], hidden
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a file name could be decoded; on Linux, names may be any bytes."""
+    """Return whether a file name could be decoded; on Linux, a name may hold any bytes."""
     return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)

@@ -287,7 +287,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
     planned = replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
     sheet = write_inferred_sheet(planned)
-    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open)
+    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open_keys)
 
 
 def _check_sheet(candidate: Candidate) -> PairingOutcome:

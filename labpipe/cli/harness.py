@@ -70,7 +70,7 @@ def _find_faults(harness: HarnessSolution) -> Iterator[str]:
     """Yield the faults that set the exit status, without faults of an assumed bend radius."""
     if harness.status is Status.FAILED:
         yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
-    elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
+    elif not harness.limit.is_assumed and harness.sharpest_bend.radius < harness.limit.radius:
         yield "".join(_format_limit(harness)).strip()
 
 
@@ -131,7 +131,7 @@ def _format_line(result: Result) -> str:
 
 
 def _format_limit(harness: HarnessSolution) -> Iterator[str]:
-    limit, bend = harness.limit, harness.sharpest
+    limit, bend = harness.limit, harness.sharpest_bend
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
     verdict += " (doubtful)" if harness.is_bend_doubtful else ""
     where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
@@ -149,6 +149,7 @@ def _format_sweep(harness: HarnessSolution) -> Iterator[str]:
         if finding.status is Status.FAILED:
             yield f"  {length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, path_radius = 1e3 * finding.bend.radius, 1e3 * finding.sharpest.radius
+        radius = 1e3 * finding.final_sharpest_bend.radius
+        path_radius = 1e3 * finding.sharpest_bend.radius
         doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
         yield f"  {length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"

@@ -43,6 +43,6 @@ def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
         remark.partition("\n")[0] if remark in printed else remark for remark in sheet.remarks
     ]
     lines = [f"wrote {sheet.path}", *(f"  {remark}" for remark in remarks)]
-    if sheet.open:
-        lines.append(f"  to fill in: {', '.join(sheet.open)}")
+    if sheet.open_keys:
+        lines.append(f"  to fill in: {', '.join(sheet.open_keys)}")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Infer a test sheet from exports, names and other tests, and list what the user fills in."""
+"""Infer a test sheet from exports, names and other tests; list the values left to the user."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-FOLDER_NAME = "the name of the folder"
-_UNIT_OF_SIZE = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
-_UNIT_OF_SIZE |= {"section.area": "m^2"}
-_COPIED_FACTS = ("date", "operator", "type", "sample", *_UNIT_OF_SIZE)
+FOLDER_NAME_SOURCE = "the name of the folder"
+_SIZE_UNITS = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
+_SIZE_UNITS |= {"section.area": "m^2"}
+_COPIED_FACTS = ("date", "operator", "type", "sample", *_SIZE_UNITS)
 """Facts that become values of a test sheet."""
 _IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
 _YEAR_FIRST = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
@@ -38,7 +38,9 @@ _YEAR_LAST = re.compile(r"(?<!\d)(\d{1,2})([-./])(\d{1,2})\2(\d{4})(?!\d)(.*)", 
 _COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
 _US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
 """12-hour clock in capitals, the US format of Windows, which puts the month first."""
-_FOLDER_NAME = re.compile(r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)")
+_FOLDER_NAME_PATTERN = re.compile(
+    r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
+)
 Exports: TypeAlias = Mapping[Path, Recording]
 Neighbours: TypeAlias = dict[Path, tuple[str, str]]
 """Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
@@ -50,8 +52,8 @@ class Fact(NamedTuple):
     Parameters
     ----------
     key : column of a campaign table: ``date``, ``operator``, ``type``, ``sample``, ``length`` ...
-    value : as a test sheet writes it
-    source : such as ``force.mat``
+    value : text of the value in a test sheet
+    source : name of the source, such as ``force.mat``
     """
 
     key: str
@@ -66,12 +68,12 @@ def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
 
 
 def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
-    """Collect the facts about the test that the metadata of an export state.
+    """Collect the facts about a test from the metadata of one of its exports.
 
     Parameters
     ----------
-    name : of the file; a date in it is used if the metadata have none
-    recording : from its reader
+    name : name of the file; its date is used if the metadata have none
+    recording : content of the export
 
     Returns
     -------
@@ -79,11 +81,13 @@ def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
     """
     entries = dict(reversed([*_list_entries(recording.metadata)]))  # the first of equal keys counts
     facts = {
-        key: next(filter(None, (_parse_fact(key, entries.get(x, "")) for x in names)), "")
-        for key, names in _read_fact_keys()["keys"].items()
+        key: next(
+            filter(None, (_parse_fact(key, entries.get(name, "")) for name in entry_names)), ""
+        )
+        for key, entry_names in _read_fact_keys()["keys"].items()
     }
     source = name if facts["date"] else f"the name of {name}"
-    facts["date"] = facts["date"] or parse_day(name)
+    facts["date"] = facts["date"] or parse_date(name)
     return tuple(
         Fact(key, value, source if key == "date" else name) for key, value in facts.items() if value
     )
@@ -100,9 +104,9 @@ def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
 def _parse_fact(key: str, text: str) -> str:
     """Return the value of a metadata entry; empty if it is a placeholder or is not valid."""
     if key == "date":
-        return parse_day(text)
-    if key in _UNIT_OF_SIZE:
-        return text if (_parse_size(text, _UNIT_OF_SIZE[key]) or 0.0) > 0.0 else ""
+        return parse_date(text)
+    if key in _SIZE_UNITS:
+        return text if (_parse_size(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
     return "" if text.casefold() in _read_fact_keys()["entries"]["empty"] else text
 
 
@@ -117,11 +121,11 @@ def parse_folder_name(name: str) -> tuple[Fact, ...]:
 
     Parameters
     ----------
-    name : of the folder of a test
+    name : name of the folder of a test
 
     Returns
     -------
-    The facts; none if the name has another form, or holds a date.
+    The facts; none if the name has another form or contains a date.
 
     Examples
     --------
@@ -132,20 +136,20 @@ def parse_folder_name(name: str) -> tuple[Fact, ...]:
     >>> parse_folder_name("Test Run 4 10-23-2023 6 43 09 PM")
     ()
     """
-    match = _FOLDER_NAME.fullmatch(name)
-    if match is None or parse_day(name) or _YEAR_LAST.search(name):
+    match = _FOLDER_NAME_PATTERN.fullmatch(name)
+    if match is None or parse_date(name) or _YEAR_LAST.search(name):
         return ()
     parts = match.groupdict("")
     parts["length"] = parts["length"] and f"{int(parts['length'])} mm"
-    return tuple(Fact(key, value, FOLDER_NAME) for key, value in parts.items() if value)
+    return tuple(Fact(key, value, FOLDER_NAME_SOURCE) for key, value in parts.items() if value)
 
 
-def parse_day(text: str) -> str:
+def parse_date(text: str) -> str:
     """Parse the first date in a text.
 
     Parameters
     ----------
-    text : such as ``27.02.2015`` or ``10/26/2022 1:02:25 PM``
+    text : any text, such as ``27.02.2015`` or ``10/26/2022 1:02:25 PM``
 
     Returns
     -------
@@ -153,24 +157,26 @@ def parse_day(text: str) -> str:
 
     Examples
     --------
-    >>> parse_day("27.02.2015"), parse_day("10/26/2022 13:02"), parse_day("3/11/2026 10:05:00 AM")
-    ('2015-02-27', '2022-10-26', '2026-03-11')
-    >>> parse_day("03/09/2026 10:05:00")
+    >>> parse_date("27.02.2015"), parse_date("10/26/2022 13:02")
+    ('2015-02-27', '2022-10-26')
+    >>> parse_date("3/11/2026 10:05:00 AM")
+    '2026-03-11'
+    >>> parse_date("03/09/2026 10:05:00")
     ''
     """
     if match := _YEAR_FIRST.search(text) or _COMPACT_DATE.search(text):
-        return _format_day(*match.groups())
+        return _format_date(*match.groups())
     if not (match := _YEAR_LAST.search(text)):
         return ""
     first, separator, second, year, remainder = match.groups()
-    day_first, month_first = _format_day(year, second, first), _format_day(year, first, second)
+    day_first, month_first = _format_date(year, second, first), _format_date(year, first, second)
     if separator == "." or not month_first:
         return day_first
     is_unambiguous = _US_CLOCK.match(remainder) or day_first in ("", month_first)
     return month_first if is_unambiguous else ""
 
 
-def _format_day(year: str, month: str, day: str) -> str:
+def _format_date(year: str, month: str, day: str) -> str:
     with suppress(ValueError):
         return date(int(year), int(month), int(day)).isoformat()
     return ""
@@ -181,7 +187,7 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
 
     Parameters
     ----------
-    facts : of its exports and of its folder
+    facts : facts from the exports and the folder name of the test
 
     Returns
     -------
@@ -209,12 +215,12 @@ class ProtocolMatch:
 
     Parameters
     ----------
-    protocol : without overrides of a test
+    protocol : protocol without the overrides of a test
     files : names of the exports by role
-    fits : whether all of them can be read, and the take has the clamp
-    n_used : number of files that the protocol reads, plus 1 if the take has its clamp
+    fits : whether all files can be read, and the take (the camera recording) has the clamp
+    n_used : number of files that the protocol reads, plus 1 if the take has the clamp
     ambiguous_roles : roles with several possible exports, which are all in `files`
-    reason : sentence on why it was chosen among several; empty if it was the only one
+    reason : sentence on why this protocol was chosen from several; empty if it was the only one
     """
 
     protocol: Protocol
@@ -240,19 +246,19 @@ def match_protocols(
     *,
     names: Sequence[str] = (),
     length: float | None = None,
-    siblings: Sequence[Mapping[str, int]] = (),
+    protocol_counts: Sequence[Mapping[str, int]] = (),
     stated_files: Mapping[str, tuple[str, ...]] | None = None,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit the exports best.
 
     Parameters
     ----------
-    exports : of one test
-    protocols : candidates
-    names : of the folder, of its exports and of the specimen type
-    length : m, free length of the specimen; None if it is not known
-    siblings : numbers of other tests by protocol, first those of the same type, then those of the
-        whole campaign; tests without a protocol under an empty name
+    exports : exports of one test
+    protocols : protocols to compare
+    names : names of the folder, of its exports and of the specimen type
+    length : m, free length of the specimen; None if unknown
+    protocol_counts : numbers of other tests by protocol, in two counts: tests of specimens of the
+        same type, and all tests of the campaign; tests without a protocol have an empty name
     stated_files : files by role that the user named
 
     Returns
@@ -265,7 +271,8 @@ def match_protocols(
     The protocols that use most exports without a fault are compared by these rules, in this order:
     one of `names` contains the name of the protocol; the metadata of an export name the standard
     after which the protocol is named; the protocol states this `length` within 5 %; more than half
-    of the `siblings` have it. The first rule that only one protocol meets decides.
+    of the other tests in a count of `protocol_counts` have it. The first rule that only one
+    protocol meets decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -281,23 +288,27 @@ def match_protocols(
         and length is not None
         and abs(length - stated) <= 0.05 * stated
     ]
-    standards = [name for name in _find_namesakes(texts, by_name) if re.search(r"\d{3,}", name)]
+    standards = [
+        name for name in _find_named_protocols(texts, by_name) if re.search(r"\d{3,}", name)
+    ]
     rules = [
-        (format_sentence("process.reason_namesake"), _find_namesakes(names, by_name)),
+        (format_sentence("process.reason_namesake"), _find_named_protocols(names, by_name)),
         (format_sentence("process.reason_standard"), standards),
         (format_sentence("process.reason_length"), length_matches),
     ]
-    for counts in siblings:
+    for counts in protocol_counts:
         name, total = find_majority(counts), sum(counts.values())
         count = counts.get(name, 0)
         sentence = format_sentence("process.reason_siblings", count=count, total=total)
         rules.append((sentence, [name] if name in by_name else []))
-    decisions = [replace(by_name[x[0]], reason=reason) for reason, x in rules if len(x) == 1]
+    decisions = [
+        replace(by_name[found[0]], reason=reason) for reason, found in rules if len(found) == 1
+    ]
     return decisions[:1] if len(best_matches) > 1 and decisions else best_matches
 
 
-def _find_namesakes(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
-    """Find the protocols whose name a text contains as whole words."""
+def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
+    """Find the protocols whose names one of the texts contains as whole words."""
     plain_texts = ["-".join(["", *re.findall(r"[^\W_]+", text.casefold()), ""]) for text in texts]
     return [
         name for name in protocols if any(f"-{name.casefold()}-" in text for text in plain_texts)
@@ -309,7 +320,7 @@ def find_majority(counts: Mapping[str, int]) -> str:
 
     Parameters
     ----------
-    counts : number of tests by protocol; under an empty name those without one
+    counts : number of tests by protocol; tests without a protocol have an empty name
 
     Examples
     --------
@@ -373,7 +384,7 @@ def list_possible_exports(folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    folder : of a test; a missing folder is empty
+    folder : folder of a test; a missing folder has no files
     """
     return [
         path
@@ -387,11 +398,11 @@ def list_test_folders(folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    folder : of a campaign
+    folder : folder of a campaign
 
     Returns
     -------
-    The folders; none if the folder itself holds a test sheet, or does not exist.
+    The test folders; none if the folder itself holds a test sheet, or does not exist.
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
@@ -406,11 +417,11 @@ def read_neighbours(campaign: Path) -> Neighbours:
 
     Parameters
     ----------
-    campaign : folder with the folders of the tests
+    campaign : folder that contains the test folders
     """
     neighbours: Neighbours = {}
     for folder in list_test_folders(campaign):
-        neighbours[folder] = (_parse_values(folder).get("type", ""), "")
+        neighbours[folder] = (_parse_folder_values(folder).get("type", ""), "")
         with suppress(LabpipeError, OSError):
             sheet = load_test_sheet(folder / SHEET_NAME)
             neighbours[folder] = (sheet.specimen.type, sheet.protocol)
@@ -425,12 +436,12 @@ def count_protocols(
     Parameters
     ----------
     neighbours : tests of the campaign
-    folder : of the test itself, which is not counted
-    specimen_type : type of the counted specimens; None for all
+    folder : folder of the test itself, which is not counted
+    specimen_type : specimen type of the counted tests; None for all types
 
     Returns
     -------
-    Number of tests by protocol; under an empty name, those without one.
+    Number of tests by protocol; tests without a protocol have an empty name.
     """
     return Counter(
         protocol
@@ -439,7 +450,7 @@ def count_protocols(
     )
 
 
-def _parse_values(folder: Path) -> dict[str, str]:
+def _parse_folder_values(folder: Path) -> dict[str, str]:
     return {fact.key: fact.value for fact in parse_folder_name(folder.name)}
 
 
@@ -449,10 +460,10 @@ class InferredTest:
 
     Parameters
     ----------
-    folder : of the test
+    folder : folder of the test
     values : text by column of a campaign table
     files : names of exports by role
-    open : required columns and roles without a value, which the user fills in
+    open_keys : required columns and roles without a value, which the user fills in
     remarks : sentences on the sources of the values, and on contradictions
     unread : why an export of a known format cannot be read, by name
     blocks : content without a column, by key of the test sheet
@@ -461,7 +472,7 @@ class InferredTest:
     folder: Path
     values: Mapping[str, str]
     files: Mapping[str, tuple[str, ...]]
-    open: tuple[str, ...] = ()
+    open_keys: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     unread: Mapping[str, str] = field(default_factory=dict)
     blocks: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
@@ -472,19 +483,20 @@ def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[
 
     Parameters
     ----------
-    folders : of the tests
-    stated : see `infer_test`
+    folders : folders of the tests
+    stated : values by column, as for `infer_test`
 
     Yields
     ------
-    Each test: first those whose exports decide the protocol, then the others, for which the
-    protocols of the first ones count. Only the recordings of one test are in memory at a time.
+    The inferred tests. Tests whose protocol is decided at once come first. The other tests
+    follow: their protocol is inferred again, with the protocols of the first ones. Only the
+    recordings of one test are in memory at a time.
     """
     neighbours = read_neighbours(folders[0].resolve().parent) if folders else {}
     undecided = []
     for folder in folders:
         test = infer_test(folder, stated, neighbours=neighbours)
-        if "protocol" in test.open:
+        if "protocol" in test.open_keys:
             undecided.append(folder)
         else:
             specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
@@ -501,13 +513,13 @@ def infer_test(
 
     Parameters
     ----------
-    folder : of the test
-    stated : values by column, which have priority over inferred ones
-    neighbours : the tests of the campaign; those of the parent folder if None
+    folder : folder of the test
+    stated : values by column, which have priority over inferred values
+    neighbours : tests of the campaign; None reads those in the parent folder
 
     Returns
     -------
-    The inferred test. Exports that cannot be read are in the remarks and raise nothing.
+    The inferred test. Exports that cannot be read raise no error; they are listed in `unread`.
     """
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
@@ -520,12 +532,12 @@ def infer_test(
         for role in sorted(match.ambiguous_roles - stated_files.keys())
     }
     ambiguous_names = {name for names in ambiguous.values() for name in names}
-    folder_facts = parse_folder_name(folder.name)  # the lab chose it: it has priority over exports
+    folder_facts = parse_folder_name(folder.name)  # a name chosen by the lab has priority
     facts = [
-        x
+        fact
         for path in exports
-        for x in collect_export_facts(path.name, exports[path])
-        if path.name not in ambiguous_names and x.key not in {fact.key for fact in folder_facts}
+        for fact in collect_export_facts(path.name, exports[path])
+        if path.name not in ambiguous_names and fact.key not in {x.key for x in folder_facts}
     ]
     agreed, contradictions = combine_facts([*folder_facts, *facts])
     copied = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
@@ -559,13 +571,13 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
 
     Parameters
     ----------
-    folder : of the test; a missing folder is empty
+    folder : folder of the test; a missing folder has no files
 
     Returns
     -------
-    exports : those that can be read
+    exports : recordings that can be read, by path
     unread : why an export cannot be read (damaged, truncated, locked), by name
-    others : what each other file appears to be, by name
+    others : likely kind of each other file, by name
     """
     exports, unread, others = dict[Path, Recording](), dict[str, str](), dict[str, str]()
     for path in list_possible_exports(folder):
@@ -593,7 +605,7 @@ def _match_folder(
     neighbours: Neighbours,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit best, by exports, names and the other tests."""
-    values = _parse_values(folder) | dict(stated)
+    values = _parse_folder_values(folder) | dict(stated)
     specimen_type = values.get("type", "")
     types = [specimen_type, None] if specimen_type else [None]
     candidates = list[Protocol]()
@@ -607,7 +619,7 @@ def _match_folder(
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
         length=_parse_size(values.get("length", "")),
-        siblings=[count_protocols(neighbours, folder, of_type) for of_type in types],
+        protocol_counts=[count_protocols(neighbours, folder, of_type) for of_type in types],
         stated_files=stated_files,
     )
 
@@ -618,7 +630,10 @@ def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[st
         return {
             role: names
             for role, names in matches[0].files.items()
-            if all(x.files.get(role) == names and role not in x.ambiguous_roles for x in matches)
+            if all(
+                match.files.get(role) == names and role not in match.ambiguous_roles
+                for match in matches
+            )
         }
     files: dict[str, tuple[str, ...]] = {}
     for path, export in exports.items():
@@ -632,7 +647,7 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
     if not matches:
         return format_sentence("process.protocol_none" if exports else "process.no_exports")
     if len(matches) > 1:
-        names = "\n    ".join(f"{x.protocol.name}: {x.protocol.about}" for x in matches)
+        names = "\n    ".join(f"{match.protocol.name}: {match.protocol.about}" for match in matches)
         return format_sentence("process.protocols_alike", count=len(matches), names=names)
     name, reason = matches[0].protocol.name, matches[0].reason
     reason = reason or format_sentence("process.reason_only_one")
@@ -646,7 +661,9 @@ def _describe_files(
 ) -> Iterator[str]:
     """Yield sentences on the exports by role, and on roles with several possible exports."""
     if files:
-        listed = {role: [f"{_escape(x)} ({kinds[x]})" for x in files[role]] for role in files}
+        listed = {
+            role: [f"{_escape(name)} ({kinds[name]})" for name in files[role]] for role in files
+        }
         yield "; ".join(f"{role}: {', '.join(names)}" for role, names in listed.items())
     for role, candidates in sorted(ambiguous.items()):
         names = ", ".join(map(_escape, candidates))
@@ -665,16 +682,16 @@ def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> 
 
 def _describe_facts(facts: Sequence[Fact]) -> Iterator[str]:
     for source in dict.fromkeys(fact.source for fact in facts):
-        listed = ", ".join(f"{x.key} {x.value}" for x in facts if x.source == source)
+        listed = ", ".join(f"{fact.key} {fact.value}" for fact in facts if fact.source == source)
         yield format_sentence("process.facts_from", facts=listed, source=source)
 
 
 def split_file_names(text: str) -> tuple[str, ...]:
-    """Split the exports of a role, as a table or an option writes them.
+    """Split a list of file names, as a table or an option states it for a role.
 
     Parameters
     ----------
-    text : names, separated by semicolons; empty for none
+    text : file names separated by semicolons; empty for no file
 
     Examples
     --------
@@ -689,7 +706,7 @@ def make_test_name(name: str) -> str:
 
     Parameters
     ----------
-    name : such as that of a folder
+    name : any name, such as that of a folder
 
     Examples
     --------

@@ -49,16 +49,16 @@ class WrittenSheet:
 
     Parameters
     ----------
-    path : of the test sheet
+    path : path of the test sheet
     kept : whether it existed already and was not changed
     remarks : sentences on the sources of the values, contradictions and missing exports
-    open : keys to be filled in
+    open_keys : keys to be filled in
     """
 
     path: Path
     kept: bool = False
     remarks: tuple[str, ...] = ()
-    open: tuple[str, ...] = ()
+    open_keys: tuple[str, ...] = ()
 
 
 def write_inferred_sheets(
@@ -113,7 +113,9 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         If the file cannot be written.
     """
     path = test.folder / SHEET_NAME
-    open_values = {column: None for column in test.open if column in _KEY_PATHS or "." in column}
+    open_values = {
+        column: None for column in test.open_keys if column in _KEY_PATHS or "." in column
+    }
     data = _arrange({**test.values, **test.files, **open_values})
     plan, specimen = dict[str, Any](test.blocks.get("specimen", {})), data["specimen"]
     if labels := {**plan.get("labels", {}), **specimen.get("labels", {})}:
@@ -122,11 +124,13 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     if overrides := test.blocks.get("overrides"):
         data["overrides"] = overrides
     if faults := [
-        *_list_faults(test.values, {}, data, path, test_folder=test.folder, open_keys=test.open)
+        *_list_faults(
+            test.values, {}, data, path, test_folder=test.folder, open_keys=test.open_keys
+        )
     ]:
         raise UsageError("\n".join(faults))
     _write(path, data)
-    return WrittenSheet(path, False, test.remarks, test.open)
+    return WrittenSheet(path, False, test.remarks, test.open_keys)
 
 
 def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:

@@ -513,14 +513,14 @@ class MidSpan(Window):
                 return_failure(self._fit_stiffness)(frames, curvature),
                 return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
             )
-            for curvature in (shape.axis.mid_span, shape.fewer_terms)
+            for curvature in (shape.axis.mid_span_curvature, shape.curvature_fewer_terms)
         )
         for output, (outcome, alternative) in enumerate(zip(outcomes, alternatives, strict=True)):
             errors: dict[str, float] = {}
             if not (isinstance(outcome, Failure) or isinstance(alternative, Failure)):
                 # Half-widths of rectangular distributions.
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
-                errors[MARKER_SIDE] = shape.side_share * abs(outcome.value) / sqrt(3.0)
+                errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
             during = test.find_loading_interval()
             yield self.make_result(test, outcome, errors, output=output, during=during)

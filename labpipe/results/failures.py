@@ -1,4 +1,4 @@
-"""Failure of a specimen, which is its final loss of force, and the peak force against its limit.
+"""Failure of a specimen, which is its final loss of force, and the peak force over its limit.
 
 Displacement and energy at the failure are measured in the loading branch in which the specimen
 fails. The limit is the smallest force that a standard or the lab allows for a conductor.
@@ -44,7 +44,7 @@ from labpipe.units import parse_quantity
 
 @dataclass(frozen=True, slots=True)
 class LossOfForce:
-    """Criteria of a break.
+    """Criteria for the final loss of force at a break.
 
     Parameters
     ----------
@@ -62,27 +62,28 @@ class LossOfForce:
 
 
 def find_loss_start(
-    time: Floats, force: Floats, rule: LossOfForce, goes_back: Flags | None = None
+    time: Floats, force: Floats, rule: LossOfForce, is_unloading: Flags | None = None
 ) -> int | Failure:
     """Find the sample at which the final loss of force begins.
 
     Parameters
     ----------
     time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are ignored
-    rule : criteria of a loss
-    goes_back : shape (n,), flags of samples in unloading, where a falling force is not a loss
+    rule : criteria for the loss
+    is_unloading : shape (n,), flags of samples in unloading, where a falling force is not a loss;
+        None if there are none
 
     Returns
     -------
     Number of the sample, or a failure: ``no_break`` if the force is not lost, is lost slowly, or
-    while the displacement goes back; ``no_tension`` if it is never above zero.
+    during unloading; ``no_tension`` if the force is never above zero.
 
     Notes
     -----
     The search begins at the last sample with at least `force_below` of the largest force. It goes
-    back in time as long as the force falls by at least `loss` of its largest value within `within`.
+    back in time as long as the force falls by at least `loss` of the largest force within `within`.
     A smooth decrease before the loss, such as the necking of a wire, belongs to the test. A loss
-    within one step of a slow recording is found as well as one with many samples.
+    is also found if it lies within one sampling step of a slow recording.
     """
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
@@ -95,12 +96,12 @@ def find_loss_start(
         return Failure.of(
             "results.no_break", end=end, share=share, peak=peak, force_below=rule.force_below
         )
-    if goes_back is not None and goes_back[finite[last]]:
+    if is_unloading is not None and is_unloading[finite[last]]:
         return Failure.of("results.goes_back")
     later = int(np.searchsorted(t, t[last] + rule.within, side="right"))
-    fallen = f[last] - float(f[last + 1 : max(later, last + 2)].min())
+    drop = f[last] - float(f[last + 1 : max(later, last + 2)].min())
     first = _find_first_of_loss(t, f, last, rule, peak)
-    if first == last and fallen < rule.loss * peak:
+    if first == last and drop < rule.loss * peak:
         return Failure.of(
             "results.lost_slowly",
             force_below=rule.force_below,
@@ -112,37 +113,37 @@ def find_loss_start(
 
 
 def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
-    """Find the last sample with the share of the peak, if the motion continues during the loss.
+    """Find the last sample with `force_below` of the peak, if the motion continues during the loss.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, in the sense of loading; NaN are ignored
-    rule : criteria of a loss
+    displacement, force : shape (n,), m, N, positive in the direction of loading; NaN are ignored
+    rule : criteria for the loss
 
     Returns
     -------
-    Number of the sample. None if the force is not below the share at the end, or if the motion
-    stops or goes back during the loss, as for a specimen that relaxes.
+    Number of the sample. None if the force is not below this share at the end, or if the motion
+    stops or reverses during the loss, as for a specimen that relaxes.
     """
     finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
     last = int(find_last_above(f, rule.force_below))
     if last >= len(f) - 1:
         return None
-    # At least 1 % more travel, and at most every second step back.
+    # At least 1 % more travel, and less than half of the steps go back.
     continues = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
     return int(finite[last]) if continues and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
 
 def find_last_above(force: Floats, share: float) -> Ints:
-    """Return the last sample with at least a share of the largest, for each row (..., n)."""
+    """Return the last sample with at least a share of the largest force, per row of (..., n)."""
     is_above = force >= share * np.max(force, axis=-1, keepdims=True)
     last: Ints = force.shape[-1] - 1 - np.argmax(is_above[..., ::-1], axis=-1)
     return last
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Go back from `last` to the first sample of the loss, by its share in time or its rate."""
+    """Go back from `last` to the first sample of the loss, by its size or its rate."""
     required_loss = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
@@ -162,12 +163,12 @@ def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> floa
 
     Parameters
     ----------
-    time, force : shape (n,), s, N; up to the start of the final loss; NaN are ignored
-    rule : criteria of a loss
+    time, force : shape (n,), s, N, up to the start of the final loss; NaN are ignored
+    rule : criteria for the loss
 
     Returns
     -------
-    Share of the largest force; 0 without a loss by the rule.
+    Share of the largest force; 0 without a loss that meets the criteria.
     """
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
@@ -187,7 +188,7 @@ def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureResult(Kind):
-    """``failure_displacement`` (m) and ``failure_force`` (N): where the specimen fails."""
+    """``failure_displacement`` (m) and ``failure_force`` (N), at which the specimen fails."""
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
@@ -200,19 +201,19 @@ class FailureResult(Kind):
         """Return the methods, which differ for a slow loss."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_below is not None:
-            share = f"{failure.slow_below:.0%} of the peak, which is lost slowly"
-            return f"last sample with {share}", f"force at the last sample with {share}"
+            sample = f"last sample with {failure.slow_below:.0%} of the peak, which is lost slowly"
+            return sample, f"force at the {sample}"
         return (
             "first sample of the final loss of force; the interval reaches to the next one",
             "force at the first sample of the final loss",
         )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure displacement and force at the last sample before the final loss of force."""
+        """Measure displacement and force at the failure."""
         during, doubts = _describe_failure(test)
-        place, force = test.measure(partial(_choose_failure_samples, test))
+        displacement, force = test.measure(partial(_choose_failure_samples, test))
         at_end = during[1], during[1]
-        yield self.make_result(test, place, during=at_end, doubts=doubts)
+        yield self.make_result(test, displacement, during=at_end, doubts=doubts)
         yield self.make_result(test, force, output=1, during=during, doubts=doubts)
 
 
@@ -220,8 +221,8 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for displacement and force at the failure.
 
     The specimen fails up to one step after the sample of the failure. If that sample has already
-    lost force, it failed in the step before: at the force of the sample before, or up to a step
-    more.
+    lost force, the specimen failed in the step before: at the force of the sample before, or at up
+    to one usual change of the force more.
     """
     sample = trace.failed_at
     if sample is None:
@@ -235,16 +236,17 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
 
-    def numbers(trace: Trace) -> tuple[Floats, Floats]:
-        place = trace.displacement[..., sample] + trace.steps_beyond * step
-        return place, trace.force[..., sample] + trace.steps_beyond * change
+    def compute_numbers(trace: Trace) -> tuple[Floats, Floats]:
+        displacement = trace.displacement[..., sample] + trace.steps_beyond * step
+        return displacement, trace.force[..., sample] + trace.steps_beyond * change
 
-    def in_noise(drawn: Trace) -> tuple[Floats, Floats]:
-        place, force = numbers(drawn)
+    def compute_with_noise(drawn: Trace) -> tuple[Floats, Floats]:
+        displacement, force = compute_numbers(drawn)
         count = (len(force),)
-        return place + draw_noise("displacement", count), force - loss + draw_noise("force", count)
+        displacement = displacement + draw_noise("displacement", count)
+        return displacement, force - loss + draw_noise("force", count)
 
-    return Reading(numbers, 1, in_noise)
+    return Reading(compute_numbers, 1, compute_with_noise)
 
 
 def _choose_by_force(
@@ -256,35 +258,39 @@ def _choose_by_force(
     *,
     breaks: bool,
 ) -> Reading:
-    """Choose displacement and force where each curve has a certain force.
+    """Choose displacement and force at the sample that `find` selects by the forces of each curve.
 
     Parameters
     ----------
-    test, trace : the test, and one curve of it
-    sample : where that curve has the force
+    test, trace : the test, and one of its curves
+    sample : sample selected in that curve
     finite : samples with a force
-    find : returns the place among them for each row of forces, in the sense of loading
-    breaks : whether the specimen breaks up to a step after that sample
+    find : function that selects one of them for each row of forces, positive in loading
+    breaks : whether the specimen breaks within one sampling step after the selected sample
     """
-    sense = cycles.find_loading_sign(trace, trace.force)
+    sign = cycles.find_loading_sign(trace, trace.force)
     draw_noise = _make_noise_function(test, trace, sample)
 
-    def numbers(trace: Trace) -> tuple[Floats, ...]:
-        place, force = trace.displacement[..., finite], trace.force[..., finite]
-        at = np.asarray(find(sense * force))[..., np.newaxis]
-        place = place + np.gradient(place, axis=-1) * trace.steps_beyond * breaks
-        return tuple(np.take_along_axis(values, at, axis=-1)[..., 0] for values in (place, force))
+    def compute_numbers(trace: Trace) -> tuple[Floats, ...]:
+        displacement, force = trace.displacement[..., finite], trace.force[..., finite]
+        index = np.asarray(find(sign * force))[..., np.newaxis]
+        step = np.gradient(displacement, axis=-1)
+        displacement = displacement + step * trace.steps_beyond * breaks
+        return tuple(
+            np.take_along_axis(values, index, axis=-1)[..., 0] for values in (displacement, force)
+        )
 
-    def in_noise(drawn: Trace) -> tuple[Floats, ...]:
-        return numbers(replace(drawn, force=drawn.force + draw_noise("force", drawn.force.shape)))
+    def compute_with_noise(drawn: Trace) -> tuple[Floats, ...]:
+        noise = draw_noise("force", drawn.force.shape)
+        return compute_numbers(replace(drawn, force=drawn.force + noise))
 
-    return Reading(numbers, 1, in_noise)
+    return Reading(compute_numbers, 1, compute_with_noise)
 
 
 def _find_largest(force: Floats) -> Ints:
     """Return the sample of the largest force of each row.
 
-    A coarse converter gives it repeatedly: the sample is in the middle of the first and the last.
+    With a coarse A/D converter several samples are the largest: the middle of them is returned.
     """
     last = force.shape[-1] - 1 - force[..., ::-1].argmax(axis=-1)
     return np.asarray((force.argmax(axis=-1) + last) // 2)
@@ -293,7 +299,7 @@ def _find_largest(force: Floats) -> Ints:
 def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
-    """Return a function that draws noise of single samples of a quantity before a failure."""
+    """Return a function that draws noise of single samples of a quantity in the last loading."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     select_noise = cache(
         lambda quantity: SampleNoise.around(test, trace, quantity, loading, sample)
@@ -314,10 +320,10 @@ def _measure_usual_step(force: Floats, sample: int) -> float:
 
 
 def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
-    """Return what the step to a failure lost beyond the usual change of the force, N; 0 in noise.
+    """Return the loss of force in the step to a failure, N; 0 if it does not exceed the noise.
 
-    A loss shows that the final loss began in that step. The force of a specimen that necks falls in
-    the steps before, too.
+    It is the loss beyond the usual change of the force per step, because the force of a specimen
+    that necks also falls in earlier steps. A loss shows that the final loss began in that step.
     """
     curve, sample = test.required_curve, failure.sample
     before = curve.force[:sample][~np.isnan(curve.force[:sample])]
@@ -338,9 +344,9 @@ def _measure_next_step(trace: Trace, sample: int) -> float:
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
-    """Return the time from the start of its loading to the failure, s, and the doubts about it.
+    """Return start of the loading and time of the failure, s, and the doubts about the failure.
 
-    It is doubtful if it was not the first sudden loss of force.
+    A failure is doubtful if force was suddenly lost before it.
     """
     failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
@@ -356,7 +362,7 @@ def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeakForceDisplacement(PerCycle):
-    """``displacement_at_peak_force.<cycle>`` (m): where the force of a cycle is largest."""
+    """``displacement_at_peak_force.<cycle>`` (m), at the largest force of a cycle."""
 
     result: ClassVar = "displacement-at-peak-force"
     outputs: ClassVar = (
@@ -371,20 +377,23 @@ class PeakForceDisplacement(PerCycle):
     )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the displacement at the largest force; noise may choose a neighbour of it.
+        """Choose the displacement at the largest force.
 
-        If the specimen breaks there, the peak lies up to a step after the sample.
+        With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
+        the peak lies within one sampling step after the sample.
         """
         part = cycles.find_cycle_samples(trace, number)
         finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
-        place, force = (
+        displacement, force = (
             cycles.find_loading_sign(trace, values) * values[finite]
             for values in (trace.displacement, trace.force)
         )
         top = int(_find_largest(force))
-        breaks = cycles.estimate_rise_beyond_top(force, place) > 0.5 * (force[top] - force[top - 1])
+        breaks = cycles.estimate_rise_beyond_top(force, displacement) > 0.5 * (
+            force[top] - force[top - 1]
+        )
         sample = int(finite[top])
         reading = _choose_by_force(test, trace, sample, finite, _find_largest, breaks=breaks)
         return replace(reading, n=len(finite))
@@ -424,17 +433,17 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     work = cycles.choose_work_samples(trace, loading)
     step = _measure_next_step(trace, sample)
 
-    def numbers(trace: Trace) -> tuple[Floats]:
+    def compute_numbers(trace: Trace) -> tuple[Floats]:
         last_step = trace.steps_beyond * step * trace.force[..., sample]
         return (np.asarray(work.numbers(trace)[0] + last_step, dtype=np.float64),)
 
-    return Reading(numbers, work.n)
+    return Reading(compute_numbers, work.n)
 
 
 CONDUCTOR = "conductor"
-"""Label of the specimen that states the section of its conductor."""
+"""Label of a specimen for the cross-section of its conductor."""
 MAX_SECTION_DEVIATION = 0.005
-"""Relative difference of two sections that are the same row of a card."""
+"""Largest relative difference between the stated section and that of a row of a card."""
 _AWG = re.compile(r"awg\s*(\d+)|(\d+)\s*awg", re.IGNORECASE)
 
 
@@ -454,7 +463,7 @@ class CardRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitCard:
-    """Smallest forces by section and column, and where they are printed."""
+    """Smallest allowed forces by section and column, and the document that prints them."""
 
     source: Annotated[str, "Document that prints the limits"]
     rows: tuple[CardRow, ...]
@@ -501,13 +510,13 @@ class ForceLimit(Kind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
-        (of_limit, of_share), status = self.list_methods(test), Status.OK
+        (limit_method, ratio_method), status = self.list_methods(test), Status.OK
         peak = max(PeakForce().compute(test).results, key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
         if peak.value is None or reasons:
             status = Status.FAILED if peak.value is None else Status.DOUBTFUL
-        share = replace(
+        ratio = replace(
             peak,
             name=PEAK_OVER_LIMIT,
             value=None if peak.value is None else peak.value / limit,
@@ -516,18 +525,18 @@ class ForceLimit(Kind):
             and Interval(peak.interval.lower / limit, peak.interval.upper / limit),
             status=status,
             reasons=reasons,
-            method=of_share,
+            method=ratio_method,
             estimate=None if peak.estimate is None else peak.estimate / limit,
             budget=tuple(replace(part, change=part.change / limit) for part in peak.budget),
         )
-        share = replace(share, remark=judge_sample(share).text)
-        yield Result(FORCE_LIMIT, limit, "N", method=of_limit, remark=section)
-        yield share
+        ratio = replace(ratio, remark=judge_sample(ratio).text)
+        yield Result(FORCE_LIMIT, limit, "N", method=limit_method, remark=section)
+        yield ratio
 
     def _find_limit(self, conductor: str) -> tuple[float, str]:
-        """Return the limit for a conductor, N, and the section that it holds for."""
+        """Return the limit for a conductor, N, and the section to which it applies."""
         if self.at_least is not None:
-            if self.conductor and _read_section(self.conductor) != _read_section(conductor):
+            if self.conductor and _parse_section(self.conductor) != _parse_section(conductor):
                 raise UnavailableError.of(
                     "results.other_section", stated=self.conductor, found=conductor or "none"
                 )
@@ -543,8 +552,8 @@ class ForceLimit(Kind):
         return row.limits[self.column], str(row)
 
 
-def _read_section(conductor: str) -> tuple[str, float]:
-    """Read a section such as ``AWG 20`` or ``0.519 mm^2``: its unit and number."""
+def _parse_section(conductor: str) -> tuple[str, float]:
+    """Return unit and number of a section such as ``AWG 20`` or ``0.519 mm^2``."""
     if match := _AWG.fullmatch(conductor.strip()):
         return "AWG", float(match[1] or match[2])
     try:
@@ -556,12 +565,12 @@ def _read_section(conductor: str) -> tuple[str, float]:
 
 def _find_row(card: LimitCard, conductor: str) -> CardRow:
     """Return the row of a section; there is no interpolation between two rows."""
-    unit, number = _read_section(conductor)
+    unit, number = _parse_section(conductor)
     sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
     for size, row in sizes.items():
         if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
             return row
     ordered = sorted(sizes)
-    place = bisect(ordered, number)
-    rows = " and ".join(str(sizes[size]) for size in ordered[max(place - 1, 0) : place + 1])
+    position = bisect(ordered, number)
+    rows = " and ".join(str(sizes[size]) for size in ordered[max(position - 1, 0) : position + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

@@ -178,15 +178,15 @@ def test_list_raw_skips_hidden_folders_and_links(campaign: CampaignFolders) -> N
     (campaign.raw / "linked").symlink_to(campaign.raw / "T1")
     (campaign.raw / "figures" / "test.yaml").unlink()
     (campaign.raw / "figures" / "test.yaml").symlink_to("nowhere")
-    listing = list_raw(campaign)
+    content = list_raw(campaign)
     names = ("T1", "more/T2")
-    assert listing.sheets == {name: campaign.raw / name / "test.yaml" for name in names}
+    assert content.sheets == {name: campaign.raw / name / "test.yaml" for name in names}
     files = {f"{name}/{file}" for name in names for file in ("force.mat", "test.yaml")}
-    assert files <= set(listing.files)
-    assert {name.partition("/")[0] for name in listing.files} == {
+    assert files <= set(content.files)
+    assert {name.partition("/")[0] for name in content.files} == {
         *("T1", "figures", "linked", "more", "notes.txt")
     }
-    assert listing.problems == [
+    assert content.problems == [
         f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a broken link."
         " Put the test sheet there."
     ]

@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
 from labpipe.process.sheet_inference import (
-    FOLDER_NAME,
+    FOLDER_NAME_SOURCE,
     Fact,
     InferredTest,
     ProtocolMatch,
@@ -22,7 +22,7 @@ from labpipe.process.sheet_inference import (
     infer_tests,
     load_all_protocols,
     match_protocols,
-    parse_day,
+    parse_date,
     parse_folder_name,
 )
 from labpipe.process.sheet_writing import (
@@ -101,7 +101,7 @@ def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
     open_ = ("protocol", "spool", "sample", "span", "frame")
     known = {"test": "t", "type": "A2"}
     sheet = write_inferred_sheet(InferredTest(tmp_path, known, {"force": ("a;b.mat",)}, open_))
-    assert sheet.open == open_
+    assert sheet.open_keys == open_
     lines = sheet.path.read_text(encoding="utf-8").splitlines()
     blank = [line.strip() for line in lines if line.endswith("# to be filled in")]
     assert blank == [f"{key}:   # to be filled in" for key in open_]
@@ -184,7 +184,7 @@ def wire(lab: Lab) -> Path:
 def page(seen: InferredTest) -> list[str]:
     """What was inferred of a test, and why."""
     files = {role: " ".join(files) for role, files in seen.files.items()}
-    return [f"{seen.values} {files} open: {', '.join(seen.open)}", *seen.remarks]
+    return [f"{seen.values} {files} open: {', '.join(seen.open_keys)}", *seen.remarks]
 
 
 def test_all_that_can_be_seen(wire: Path, approved: Approve) -> None:
@@ -213,11 +213,11 @@ def test_folders_that_leave_something_open(tmp_path: Path, approved: Approve) ->
 def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_bytes(mts_suite())
     seen = infer_test(tmp_path, {})
-    assert seen.open == ("protocol", "type", "spool", "sample")
+    assert seen.open_keys == ("protocol", "type", "spool", "sample")
     (first,) = (sentence for sentence in seen.remarks if sentence.startswith("protocol: "))
     for part in ("--protocol", "stiff-bar", "tensile"):
         assert part in first
-    assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open[-1] == "span"
+    assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open_keys[-1] == "span"
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_tension_tests_ask_for_gauge_length_and_section(
     (tmp_path / "x.csv").write_text(PULLED, encoding="utf-8")
     known = dict.fromkeys(("type", "spool", "sample"), "1") | stated
     test = infer_test(tmp_path, {"protocol": protocol} | known)
-    assert test.open == asked
+    assert test.open_keys == asked
     data = parse_yaml(write_inferred_sheet(test).path.read_text(encoding="utf-8"), "").data
     assert isinstance(data, Mapping)
     sizes = data["specimen"]
@@ -253,14 +253,14 @@ def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     given = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
     seen = infer_test(wire, given)
     assert given.items() <= seen.values.items()
-    assert seen.open == ()
+    assert seen.open_keys == ()
     assert "operator" not in str(seen.remarks)
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
     longer = wire.with_name("A1-100-1")
     shutil.copytree(wire, longer)
-    assert "protocol" in infer_test(longer, {}).open
+    assert "protocol" in infer_test(longer, {}).open_keys
 
     campaign = infer_tests(sorted(wire.parent.iterdir()), {})
     assert {test.values["protocol"] for test in campaign} == {"wire-cantilever"}
@@ -298,7 +298,7 @@ def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
     facts += [parse_folder_name(name) for name in FOLDERS]
     names = [f"{name} {dict(more)}" for name, more in EXPORTS] + list(FOLDERS)
     approved(
-        [f"{written}: {parse_day(written) or '-'}" for written in DAYS]
+        [f"{written}: {parse_date(written) or '-'}" for written in DAYS]
         + [
             f"{name}: " + ", ".join(f"{fact.key} {fact.value}" for fact in known)
             for name, known in zip(names, facts, strict=True)
@@ -313,7 +313,7 @@ def test_contradictory_facts_are_left_out() -> None:
             Fact("date", "2026-03-04", "take.csv"),
             Fact("operator", "jk", "a.mat"),
             Fact("operator", "vl", "take.csv"),
-            Fact("type", "A2", FOLDER_NAME),
+            Fact("type", "A2", FOLDER_NAME_SOURCE),
         ]
     )
     assert agreed["date"].source == "a.mat and take.csv"
@@ -385,9 +385,11 @@ def test_the_protocol_that_fits(
     protocols: list[Protocol], exports: list[Export], called: tuple[str, ...], fitted: str
 ) -> None:
     """Facts of the exports count before names, and names before the other tests."""
-    siblings = [{"corrugated-tube": 20}]
+    protocol_counts = [{"corrugated-tube": 20}]
     length = 0.085 if "A2" in called else None
-    matching = partial(match_protocols, names=called, length=length, siblings=siblings)
+    matching = partial(
+        match_protocols, names=called, length=length, protocol_counts=protocol_counts
+    )
     (match,) = matching(dict(exports), protocols)
     assert match.protocol.name == fitted
     assert match.fits
@@ -414,7 +416,7 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
     expected: str,
 ) -> None:
     exports = dict([cell(), take(length=0.1)])
-    found = match_protocols(exports, protocols, siblings=[of_type, of_campaign])
+    found = match_protocols(exports, protocols, protocol_counts=[of_type, of_campaign])
     assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
     if expected:
         share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"

@@ -89,7 +89,7 @@ def test_a_sweep_shows_each_length(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = follow_harness(written(tmp_path, arch(more=SWEEP)), out=out, png=True)
     assert names(out) >= {"sweep.csv", "figures/harness-sweep.svg", "figures/harness-sweep.png"}
-    radii = [run.bend.radius for run in done.sweep]
+    radii = [run.final_sharpest_bend.radius for run in done.sweep]
     assert radii[0] > radii[1] > radii[2], "more slack, a sharper bend"
     assert radii[1] == pytest.approx(done.results[0].value)
     lines = (out / "sweep.csv").read_text().splitlines()
@@ -117,7 +117,7 @@ def test_bands_go_to_the_files(tmp_path: Path) -> None:
         assert low < value < high
     bend = summary["bend_radius"]
     assert (bend["allowed"], bend["assumed"], bend["kept"]) == (0.2, False, False)
-    assert bend["smallest"] == pytest.approx(done.sharpest.radius)
+    assert bend["smallest"] == pytest.approx(done.sharpest_bend.radius)
 
 
 @pytest.mark.slow
@@ -177,16 +177,16 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert result.steps == (2, 6, 8)
     assert {number.status for number in result.results if number.value is not None} == {Status.OK}
     assert result.results[0].value is not None
-    assert result.sharpest.radius <= result.results[0].value
+    assert result.sharpest_bend.radius <= result.results[0].value
     assert not (tmp_path / "out").exists(), "nothing is written here"
     longer = solve_sweep_length(result, 0.25)
     assert longer.path.line.length == pytest.approx(0.25)
     assert (longer.harness.line.length, longer.bands) == (0.25, None)
-    assert longer.sharpest.radius <= longer.bend.radius
-    assert longer.bend.step == 8
+    assert longer.sharpest_bend.radius <= longer.final_sharpest_bend.radius
+    assert longer.final_sharpest_bend.step == 8
     failed = replace(longer, status=Status.FAILED)
-    assert math.isnan(failed.bend.radius)
-    assert math.isnan(failed.sharpest.radius)
+    assert math.isnan(failed.final_sharpest_bend.radius)
+    assert math.isnan(failed.sharpest_bend.radius)
 
 
 @pytest.mark.slow

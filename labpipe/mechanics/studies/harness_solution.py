@@ -1,4 +1,4 @@
-"""Solve a harness file: path of its line, numbers with their bands, and its sweep."""
+"""Solve a harness file: path of its line, results with their intervals, and its sweep."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 
-FAILED = "failed"
+PATH_FAILED = "failed"
+"""Status of a `RodPath` without an equilibrium at one of its steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,19 +53,19 @@ class HarnessSolution:
 
     Parameters
     ----------
-    file : its YAML
-    harness : as read
-    material : of its line
-    path : of the line
+    file : path of the harness file
+    harness : content of the harness file
+    material : material of the line
+    path : equilibrium of the line at each step
     status : ``failed`` if the line cannot be solved to the last step; then only the reason is
         written
     reasons : why all numbers are doubtful, or why the solution failed
-    results : numbers; empty if failed
+    results : results of the last step and of the path; empty if the solution failed
     limit : allowed bend radius
-    folder : of the results
-    files : that were written
-    sweep : solutions for the lengths of the sweep; their reasons are those of their bend radii
-    bands : of the steps that are shown; None without information on the uncertainty of the line
+    folder : folder of the result files
+    files : files that were written
+    sweep : solutions for the lengths of the sweep; their reasons are those of the shown results
+    bands : bands of the shown steps; None if the uncertainty of the line is unknown
     """
 
     file: Path
@@ -82,26 +83,26 @@ class HarnessSolution:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Return the steps that are shown: those of the file, and the last."""
+        """Return the numbers of the shown steps: those stated in the file, and the last one."""
         return tuple(sorted({*self.harness.show, self.harness.steps}))
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
-        """Return the bands of the steps that are shown."""
+        """Return the bands of the shown steps, by step."""
         states = () if self.bands is None else self.bands.line.states
         return {state.step: state for state in states}
 
     @property
-    def sharpest(self) -> Bend:
+    def sharpest_bend(self) -> Bend:
         """Return the sharpest bend of all steps; NaN for a failed line."""
-        return self._sharpest(range(len(self.path.states)))
+        return self._find_sharpest_bend(range(len(self.path.states)))
 
     @property
-    def bend(self) -> Bend:
+    def final_sharpest_bend(self) -> Bend:
         """Return the sharpest bend at the last step; NaN for a failed line."""
-        return self._sharpest([len(self.path.states) - 1])
+        return self._find_sharpest_bend([len(self.path.states) - 1])
 
-    def _sharpest(self, steps: Sequence[int]) -> Bend:
+    def _find_sharpest_bend(self, steps: Sequence[int]) -> Bend:
         if self.status is Status.FAILED:
             return Bend(math.nan, -1, math.nan)
         return find_sharpest_bend(self.path, steps)
@@ -124,10 +125,10 @@ def solve_harness(
 
     Parameters
     ----------
-    harness : as read
-    file : its YAML
-    material : of its line
-    folder : of the results; nothing is written
+    harness : content of the harness file
+    file : path of the harness file
+    material : material of the line
+    folder : folder of the result files, which are not written here
     on_step : called after each step of the line
 
     Raises
@@ -155,7 +156,7 @@ def solve_harness(
     solution = HarnessSolution(
         *(file, harness, material, path, Status.FAILED, reasons, (), limit, folder), bands=bands
     )
-    if path.status == FAILED:
+    if path.status == PATH_FAILED:
         return solution
     status = Status.DOUBTFUL if reasons else Status.OK
     return replace(solution, status=status, results=_build_results(solution))
@@ -181,7 +182,7 @@ def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
 def _collect_reasons(
     path: RodPath, material: Material, bands: HarnessBands | None
 ) -> tuple[Reason, ...]:
-    """Return the reasons why all numbers are doubtful or missing, those of the bands included."""
+    """Return the reasons why all numbers are doubtful or missing, including those of the bands."""
     reasons = find_reasons(path, material)
     if bands is None:
         return reasons
@@ -199,13 +200,13 @@ def solve_sweep_length(
     Parameters
     ----------
     base : solution for the length in the file, which is not solved again
-    length : m
+    length : m, length of the line
     on_step : called after each step of the line
 
     Raises
     ------
     ProcessingError
-        As `solve_harness`.
+        If the line does not fit its boundaries.
     """
     solution = base
     if length != base.harness.line.length:
@@ -228,9 +229,9 @@ def solve_sweep_length(
 
 
 SolveNumbered = Callable[[int, Inputs], RodPath]
-"""Prepare and solve a line: number of the distribution, and inputs."""
+"""Function that solves the line for the number of a distribution, and inputs."""
 _ROUNDING = 1e-6
-"""Rounding error of the solver, over a number or its size by `estimate_sizes`."""
+"""Rounding error of the solver, relative to a number plus its size by `estimate_sizes`."""
 _SHAPE = "shape"
 
 
@@ -240,9 +241,9 @@ class HarnessBands:
 
     Parameters
     ----------
-    line : pointwise bands of the steps that are shown
-    intervals : of the numbers of the last step, by name
-    doubt : reason why they are doubtful; None if the effects of the causes add up
+    line : pointwise bands of the shape at the shown steps
+    intervals : intervals of the numbers, by name
+    doubt : reason why bands and intervals are doubtful; None if the effects of the causes add up
     """
 
     line: LineBands
@@ -257,13 +258,14 @@ def predict_bands(
 
     Parameters
     ----------
-    solve : solves the line for given inputs
-    material : of the line, with the distributions of its inputs
-    steps : for which the shape has bands
+    solve : function that solves the line for given inputs
+    material : material of the line, with the distributions of its inputs
+    steps : steps for which the shape has bands
 
     Returns
     -------
-    None without distributions, or if the line cannot be solved at the best inputs.
+    Bands of the shape and intervals; None without distributions, or if the line cannot be
+    solved at the best inputs.
     """
     if not material.distributions:
         return None
@@ -289,12 +291,12 @@ def predict_bands(
 
 
 def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers (of radii, the curvatures) and the shape from fields."""
+    """Compute all numbers and the shape from fields; curvatures take the place of radii."""
     return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
 
 
 def _make_interval(name: str, band: Band) -> Interval:
-    """Return the interval of a number; that of a radius follows from the band of its curvature."""
+    """Return the interval of a number; for a radius, from the band of its curvature."""
     level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
@@ -303,13 +305,13 @@ def _make_interval(name: str, band: Band) -> Interval:
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
-    """Choose rows of draws of different sizes; none for a single cause.
+    """Choose draws of different sizes by their row; none for a single cause.
 
     Parameters
     ----------
-    distribution : of the inputs
+    distribution : distribution of the inputs
     """
-    # ranks by size: large draws show best whether the effects of the causes add up
+    # relative ranks by size: large draws show best whether the effects of the causes add up
     rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
@@ -325,8 +327,8 @@ def _check_draws(
     draws: Sequence[Mapping[str, Floats]],
     bands: Mapping[str, Band],
 ) -> Reason | None:
-    """Solve some draws; return the reason why bands are doubtful, or None."""
-    max_cause_error = 0.5  # of half the width of a band
+    """Solve the line for some draws; return the reason why the bands are doubtful, or None."""
+    max_draw_error = 0.5  # of half the width of a band
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     count = unsolved = 0
@@ -334,7 +336,7 @@ def _check_draws(
         for row in choose_draws(response.distribution):
             count += 1
             path = solve(number, response.distribution.inputs(response.distribution.amounts[row]))
-            if path.status == FAILED:
+            if path.status == PATH_FAILED:
                 unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
@@ -345,8 +347,8 @@ def _check_draws(
     errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}
     worst = max(errors, key=lambda name: errors[name], default=_SHAPE)
     faults = [f"{unsolved} have no equilibrium"] if unsolved else []
-    if errors.get(worst, 0.0) > max_cause_error:
-        error, limit = errors[worst], max_cause_error
+    if errors.get(worst, 0.0) > max_draw_error:
+        error, limit = errors[worst], max_draw_error
         faults.append(
             format_sentence("mechanics.studies.cause_error", number=worst, error=error, most=limit)
         )
@@ -365,11 +367,11 @@ def _find_field_unit(name: str) -> str:
 
 
 def _compute_draw_error(number: Floats, drawn: Floats, row: int, band: Band, size: float) -> float:
-    """Return the error of a draw over the distance from the median to the end of its band.
+    """Return the error of a draw, relative to the distance from the median to the end of its band.
 
     For positions, both the error and the distance are the largest along the line.
     """
-    middle = np.median(drawn, axis=0)
-    distances = np.where(number > middle, band.upper - middle, middle - band.lower)
+    median = np.median(drawn, axis=0)
+    distances = np.where(number > median, band.upper - median, median - band.lower)
     rounding = _ROUNDING * (size + float(np.max(np.abs(number))))
     return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), rounding))

@@ -173,7 +173,7 @@ _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_
 
 
 def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
-    bend, on_path, lowest = solution.bend, solution.sharpest, math.nan
+    bend, on_path, lowest = solution.final_sharpest_bend, solution.sharpest_bend, math.nan
     if solution.status is not Status.FAILED:
         lowest = float(compute_heights(solution.path.last.positions, solution.path).min())
     ends = None if solution.bands is None else solution.bands.intervals[RADIUS]
@@ -220,7 +220,7 @@ def as_json(solution: HarnessSolution) -> dict[str, object]:
     solution : of a harness
     """
     line, material = solution.path.line, solution.material
-    section, bend, limit = line.section, solution.sharpest, solution.limit
+    section, bend, limit = line.section, solution.sharpest_bend, solution.limit
     section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
     allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
