@@ -313,7 +313,9 @@ def _check_cycles(record: Record) -> Iterator[Finding]:
         differs_in_turns = abs(new_path[-1] - old_path[-1]) > max_shift
         is_force_alone = kind == "level" and not differs_in_turns
         yield Finding.of(
-            "process.cycle_level" if kind == "level" else "process.cycle_scale",
+            "process.cycle_level"
+            if kind == "level"
+            else ("process.cycle_scale" if kind == "scale" else "process.cycle_travel"),
             record.signals.force,
             *(("force",) if is_force_alone else ("force", "displacement")),
             during=record.stretch_from(before.unloading.stop - 1),
@@ -326,7 +328,7 @@ def _check_cycles(record: Record) -> Iterator[Finding]:
 def _find_instrument_change(
     record: Record, before: Cycle, after: Cycle
 ) -> tuple[str, float] | None:
-    """Find whether level (N) or scale changed between two cycles, and by how much."""
+    """Find whether level (N), scale or travel changed between two cycles, and by how much."""
     # Ratio of the misfit of two cycles as recorded to that after a change of scale or level. In 246
     # pairs of real and simulated cycles, where the material changes the shape of the curve, it is
     # at most 2.0 in whole cycles, and 4.0 (scale) and 6.2 (level) in unloading alone.
@@ -352,7 +354,14 @@ def _find_instrument_change(
             return "scale", scale
         if abs(level) > min_change * record.largest_force and recorded > level_ratio * level_misfit:
             return "level", level
-    return None
+    (old_path, old_force), (new_path, new_force) = before.paths[1], after.paths[1]
+    ratio = float(new_path[-1] / old_path[-1]) if old_path[-1] > 0.0 else 1.0
+    if abs(ratio - 1.0) < min_change or ratio <= 0.0:
+        return None
+    rescaled = _interpolate_common_forces((old_path, old_force), (new_path / ratio, new_force))
+    recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
+    is_stretched = bool(rescaled) and recorded >= min_scale_ratio * _rms(rescaled[1] - rescaled[0])
+    return ("travel", ratio) if is_stretched else None
 
 
 def _check_turns(record: Record) -> Iterator[Finding]:
