@@ -314,7 +314,7 @@ def _make_noise_function(
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
     """Return the median of the last changes of the force before a sample, N."""
-    n_steps = 6
+    n_steps = min(max(sample // 8, 1), 6)  # fewer in a short record, whose slope changes quickly
     steps = np.diff(force[:sample][~np.isnan(force[:sample])][-1 - n_steps :])
     return float(np.median(steps)) if len(steps) else 0.0
 

@@ -143,12 +143,12 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
         os.close(handle)
     (failed,) = (outcome for outcome in outcomes if outcome.state == "failed")
     assert (failed.sheet, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
-    assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that see the")
+    assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
     alone.add_worker()
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
-    with pytest.raises(UsageError, match="that see the files of this machine") as raised:
+    with pytest.raises(UsageError, match="the files of this machine") as raised:
         list(process_on_cluster(tasks, alone.address))
     assert raised.value.code == "no_cluster"
 
@@ -172,7 +172,7 @@ def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     assert next(iter(outcomes)).state != "failed"
     alone.scheduler.kill()
     start = time.monotonic()
-    said = r"--executor: expected the scheduler at .* until the end of the run, found that it, or"
+    said = r"--executor: expected the scheduler at .* until the end of the run, found that it or"
     with pytest.raises(ProcessingError, match=said) as raised:
         list(outcomes)
     assert raised.value.code == "no_cluster"

@@ -84,7 +84,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     doubt = doubt_of(prepared, 10)
     assert doubt is not None
     assert doubt.reason.code == "too_coarse"
-    assert doubt.reason.message.startswith("half as many steps change it by more than 2 % (or ")
+    assert doubt.reason.message.startswith("with half as many steps it changes by more than 2 % (")
     assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
     assert doubt_of(prepared, 10, **wide) is None
