@@ -217,8 +217,14 @@ def make_track_notes(tracks: MarkerTracks) -> list[QualityNote]:
             never_seen.append(name)
         elif missing.any() and not missing.all():
             share, longest = f"{missing.sum()} of {len(missing)} frames", find_longest_run(missing)
-            code = "readers.marker_gaps" if name in markers else "readers.body_gaps"
-            notes.append(QualityNote.of(code, name, share=share, longest=longest))
+            notes.append(
+                QualityNote.of(
+                    "readers.marker_gaps" if name in markers else "readers.body_gaps",
+                    name,
+                    share=share,
+                    longest=longest,
+                )
+            )
         if (most := find_longest_run(unchanged)) >= min_frozen_steps:
             count, total = int(unchanged.sum()), len(unchanged)
             notes.append(

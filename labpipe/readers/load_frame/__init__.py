@@ -45,6 +45,7 @@ from labpipe.readers.load_frame.tables import (
     read_text,
     time_column,
 )
+from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     as_content,
     decode,
@@ -197,15 +198,16 @@ def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
     )
 
 
-def _compare_counts(export: Export, table: Table, card: Card) -> Iterator[QualityNote]:
+def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
-    for name, key, count in (
-        ("readers.rows_differ", card.stated_rows, table.rows),
-        ("readers.columns_differ", card.stated_columns, len(table.names)),
-    ):
-        stated = parse_count(str(export.about.get(key, "")))
-        if stated not in {None, count}:
-            yield QualityNote.of(name, "file", stated=stated, held=count)
+    rows, columns = (
+        parse_count(str(export.about.get(key, "")))
+        for key in (card.stated_rows, card.stated_columns)
+    )
+    notes, count = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, count}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=count))
+    return notes
 
 
 def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> Recording:
