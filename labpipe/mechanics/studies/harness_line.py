@@ -408,12 +408,13 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(describe_file("calibration", path))
-    specs = [spec]
+    values_by_solution: list[dict[str, float]] = [{}]
     if calibrated is not None:
         allowed = [row for row, solution in enumerate(calibrated.solutions) if solution.is_allowed]
-        specs = [apply_values(spec, calibrated.values(row)) for row in allowed]
+        values_by_solution = [calibrated.values(row) for row in allowed]
     try:
-        table, families = wire_table(specs[0]), [make_law_family(spec) for spec in specs]
+        table = wire_table(apply_values(spec, values_by_solution[0]))
+        families = [make_law_family(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
         raise build_wire_error(sheet, spec, expected, error) from error

@@ -610,7 +610,7 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
     return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
 
 
-def make_law_family(spec: WireSpec, values: Mapping[str, float] | None = None) -> LawFamily:
+def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
     """Choose slip curvatures for a wire, and return its family of laws.
 
     Parameters
@@ -624,7 +624,6 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float] | None = None) -
     ValueError
         As `wire_table` and `fit_sliders`.
     """
-    values = dict(values or {})
     table = wire_table(apply_values(spec, values))
     base = fit_wire_sliders(table)
     return LawFamily(spec, values, base, find_chord_factor(base, table))
