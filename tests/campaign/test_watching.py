@@ -20,7 +20,7 @@ import pytest
 from labpipe.campaign.campaign_folders import find_campaign
 from labpipe.campaign.catalog_rows import TestRow
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.executors import Outcome
+from labpipe.campaign.executors import Attempt
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
     DisplaySettings,
@@ -31,9 +31,10 @@ from labpipe.campaign.quick_look import (
 from labpipe.campaign.running import decide, read_overview
 from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
+from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
-from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.kept_campaigns import NO_RESULT, KeptCampaign
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -61,14 +62,14 @@ class Campaign(WatchedCampaign):
     def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         return [sheet for sheet in sheets if sheet.parent.name not in self.done]
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         name = sheet.parent.name
         self.asked.append(name)
         if self.trouble:
             raise self.trouble.pop()
         folder = self.home / "processed" / "c" / name
         if name in self.fails:
-            return Outcome(sheet, folder, "failed", self.fails[name], "x.mat: expected a. Do.")
+            return Refused(sheet, self.fails[name], "x.mat: expected a. Do.", folder)
         if name in self.done and not is_forced:
             return None
         folder.mkdir(parents=True, exist_ok=True)
@@ -76,7 +77,7 @@ class Campaign(WatchedCampaign):
         said = {"protocol": "p", "specimen": {"type": "A2"}, "results": [peak], "quality": []}
         (folder / "summary.json").write_text(json.dumps(said), encoding="utf-8")
         self.done.append(name)
-        return Outcome(sheet, folder, "ok")
+        return Processed(folder, NO_RESULT, ())
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
         return {"peak_force.1": [1.0 for name in self.done if name != sheet.parent.name]}
