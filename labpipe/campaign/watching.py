@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -23,18 +22,14 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
-from labpipe.campaign.quick_look import (
-    describe_failure,
-    describe_test,
-    make_group_key,
-    read_display_settings,
-)
+from labpipe.campaign.quick_look import describe_failure, describe_test, make_group_key
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.run import SUMMARY_FILE, Refused, Task, attempt, draw_figures
+from labpipe.process.run import Refused, Task, attempt, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
+from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
 
 _MODULES_TO_IMPORT = (
@@ -397,9 +392,9 @@ class Watcher:
         if isinstance(attempted, Refused):
             lines = describe_failure(label, attempted.code, attempted.reason)
         else:
-            summary = json.loads((attempted.folder / SUMMARY_FILE).read_bytes())
+            main = parse_protocol(attempted.result.protocol_yaml, label).groups.main
             values = self._campaign.read_group_values(candidate.sheet)
-            lines = describe_test(label, summary, values, read_display_settings(candidate.sheet))
+            lines = describe_test(label, attempted.result, values, main)
             self._draw(attempted.folder)
         self._say("\n".join(lines))
 
