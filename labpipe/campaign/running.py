@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -72,7 +72,7 @@ class Overview:
     rows : of all tests, by folder
     claims : of live processes, by folder of the test
     raw : test sheets and files
-    decisions : all decisions of the campaign, in order
+    decisions : on each test, in order
     notes : messages, such as about a rebuilt catalog or unreadable decisions
     has_bad_input : whether a note is about a file that must be repaired
     has_failed_results : whether any result failed in a test that is not rejected
@@ -81,7 +81,7 @@ class Overview:
     rows: dict[str, TestRow]
     claims: dict[str, Claim]
     raw: RawContent
-    decisions: tuple[Decision, ...]
+    decisions: Mapping[str, Sequence[Decision]]
     notes: list[str]
     has_bad_input: bool
     has_failed_results: bool
@@ -174,7 +174,7 @@ class CatalogSync:
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
             raw,
-            decisions.decisions,
+            decisions.by_test,
             [*self.notes, *decisions.faults, *raw.problems],
             has_bad_input=bool(decisions.faults or raw.problems),
             has_failed_results=self.catalog.has_failed_results(),

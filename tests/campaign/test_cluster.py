@@ -83,7 +83,7 @@ def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
         said = here[name]
         assert isinstance(attempted, Processed)
         assert isinstance(said, Processed)
-        assert attempted.result == said.result
+        assert attempted.result.run == said.result.run
     with Client(f"tcp://{machines.address}", set_as_default=False) as client:
         assert client.run_on_scheduler(_kept) == 0
     files = contents(tmp_path / "local")
