@@ -157,11 +157,11 @@ def test_killed_while_the_first_result_is_put_in_place(
 RUN = """
 import sys
 from pathlib import Path
-from labpipe.campaign.executors import local
+from labpipe.campaign.executors import process_locally
 from labpipe.process.run import Task
 sheets = sorted(Path(sys.argv[1]).glob("raw/c/*/test.yaml"))
-for outcome in local(2)(Task(sheet, png=True) for sheet in sheets):
-    print(outcome.sheet.parent.name, outcome.state, outcome.code, flush=True)
+for task, attempted in process_locally((Task(sheet, png=True) for sheet in sheets), jobs=2):
+    print(task.sheet.parent.name, type(attempted).__name__, flush=True)
 """
 CHANGED = "overrides:\n  branches.min_stroke: {value: 3 mm, because: a test of the software}\n"
 
@@ -183,7 +183,7 @@ def whole_run(labs: list[TensileLab], change: str = "") -> tuple[float, list[str
         printed = process.communicate()[0]
     assert process.returncode == 0
     assert len(printed.splitlines()) == len(labs)
-    assert "failed" not in printed
+    assert "Refused" not in printed
     keys = [runs(lab.processed) for lab in labs]
     assert {len(key) for key in keys} == {1}
     return time.monotonic() - start, [key for (key,) in keys]
