@@ -192,7 +192,9 @@ def _check_rest_force(record: Record) -> Iterator[Finding]:
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * record.largest_force):
         return
     if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=share)
+        yield Finding.of(
+            "process.rest_force_doubtful", name, "force_zero", level=level, share=share
+        )
     else:
         yield Finding.of("process.rest_force", name, level=level, share=share)
 
