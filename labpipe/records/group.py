@@ -190,10 +190,8 @@ class NestedMean:
 
     Parameters
     ----------
-    chosen : valid mean and interval: `over_samples` or `over_spools`
-    over_samples : mean over samples as independent values
-    over_spools : mean over spool means as independent values; None for one spool
-    is_pooled : whether `chosen` is `over_samples`; always for one spool
+    chosen : mean and interval, over samples or over spool means as independent values
+    is_pooled : whether `chosen` is over samples; always for one spool
     decision : choice of the mean, with its numbers
     spool_means : mean and interval over the samples of each spool, by spool
     within : standard deviation of samples of one spool; NaN if no spool has two samples
@@ -204,14 +202,17 @@ class NestedMean:
     """
 
     chosen: MeanInterval
-    over_samples: MeanInterval
-    over_spools: MeanInterval | None
     is_pooled: bool
     decision: Decision
     spool_means: Mapping[str, MeanInterval]
     within: float
-    between_spools: float
-    spool_p: float
+    between_spools: float = float("nan")
+    spool_p: float = float("nan")
+
+    @property
+    def n_samples(self) -> int:
+        """Return the number of samples of all spools."""
+        return sum(mean.n for mean in self.spool_means.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -485,7 +485,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
     numbers = [
         number
         for number in first_cycle
-        if number.mean is not None and number.mean.over_samples.n > 1
+        if number.mean is not None and number.mean.n_samples > 1
     ][:MAX_DOT_NUMBERS]
     plotted_names = {number.name for number in numbers}
     table_only_names = [number.name for number in first_cycle if number.name not in plotted_names]

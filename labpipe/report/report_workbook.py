@@ -209,7 +209,7 @@ def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterva
     )
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
-        "n samples": nested_mean.over_samples.n,
+        "n samples": nested_mean.n_samples,
         "within spools": within,
         "between spools": between,
         "spools equal, p": make_number_cell(nested_mean.spool_p),
