@@ -163,6 +163,12 @@ class Curve(ArrayRecord):
     time_unit: str = "s"
 
     @property
+    def first_loading(self) -> Branch | None:
+        """Return the first loading branch, or None."""
+        loadings = (branch for branch in self.branches if branch.direction is Direction.LOADING)
+        return next(loadings, None)
+
+    @property
     def branch(self) -> Ints:
         """Return the branch of each sample, counted from 0; `AT_REST` outside every branch."""
         numbers = np.full(len(self.time), AT_REST, dtype=np.int64)

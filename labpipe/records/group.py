@@ -279,8 +279,8 @@ class GroupNumber:
     Parameters
     ----------
     name, unit : of the result
-    mean : None if no sample has the number
-    values : averaged results, by test
+    mean : NaN without values
+    values : averaged results, by test; empty if no sample has the number
     left_out : reasons of the excluded tests, by test
     outliers : marked values, which are averaged too
     is_set_by_rig : whether the rig sets it; it is then not tested for outliers
@@ -288,7 +288,7 @@ class GroupNumber:
 
     name: str
     unit: str
-    mean: NestedMean | None
+    mean: NestedMean
     values: Mapping[str, Result]
     left_out: Mapping[str, tuple[Reason, ...]]
     outliers: tuple[Outlier, ...] = ()
@@ -501,6 +501,10 @@ class Group:
     notes: tuple[QualityNote, ...] = ()
     fields: Mapping[str, str] = field(default_factory=dict)
     lot: Lot | None = None
+
+    def find_number(self, name: str) -> GroupNumber | None:
+        """Return the number of a name, or None."""
+        return next((number for number in self.numbers if number.name == name), None)
 
 
 @dataclass(frozen=True, slots=True)

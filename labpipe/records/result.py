@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from datetime import date as Day  # noqa: N812 - a record has a field called date
@@ -10,7 +10,16 @@ from enum import StrEnum
 from hashlib import sha256
 from math import isfinite
 
-from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
+from labpipe.records.curve import (
+    Aligned,
+    Bending,
+    Branch,
+    Curve,
+    FittedLine,
+    Interval,
+    Shape,
+    Slip,
+)
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import QualityNote, Reason, join_reasons
 from labpipe.records.recording import Recording
@@ -176,6 +185,11 @@ class Result:
         return join_reasons(self.reasons)
 
 
+def find_result(results: Iterable[Result], name: str) -> Result | None:
+    """Return the result of a name, or None."""
+    return next((result for result in results if result.name == name), None)
+
+
 @dataclass(frozen=True, slots=True)
 class Specimen:
     """The tested specimen.
@@ -300,3 +314,13 @@ class TestResult:
     date: Day | None = None
     operator: str = ""
     instruments: tuple[Instrument, ...] = ()
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """Return the branches of the curve; none without a curve."""
+        return () if self.curve is None else self.curve.branches
+
+    @property
+    def first_loading(self) -> Branch | None:
+        """Return the first loading branch of the curve, or None."""
+        return None if self.curve is None else self.curve.first_loading

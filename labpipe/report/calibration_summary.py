@@ -56,7 +56,7 @@ class ParameterDisplay(NamedTuple):
     @property
     def label(self) -> str:
         """Return the label of an axis."""
-        return self.scale.label(self.symbol) if self.scale.unit else self.symbol
+        return self.scale.label(self.symbol)
 
 
 DISPLAYS: Mapping[str, ParameterDisplay] = {

@@ -13,7 +13,6 @@ from labpipe.errors import ProtocolError
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
-    Branch,
     ClockFit,
     Curve,
     Direction,
@@ -21,7 +20,7 @@ from labpipe.records.curve import (
     MeasuredLaw,
 )
 from labpipe.records.estimates import UnavailableError
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import Result, TestResult, find_result
 from labpipe.report import figure_page, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
@@ -34,7 +33,7 @@ from labpipe.report.quality_figures import (
 from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
-from labpipe.statistics.lots import FORCE_LIMIT, find_result
+from labpipe.statistics.lots import FORCE_LIMIT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
@@ -123,7 +122,7 @@ def _plot_recorded(result: TestResult) -> Iterator[Line]:
         return
     x, y = aligned.series["displacement"].values, aligned.series["force"].values
     parts = []
-    for branch in _find_branches(result):
+    for branch in result.branches:
         start, stop = np.searchsorted(aligned.time, [branch.start_time, branch.stop_time])
         parts.append(slice(int(start), int(stop) + 1))
     yield from _plot_branches(result, x, y, parts, linewidth=0.5)
@@ -156,7 +155,7 @@ def _plot_branches(
     Loading is solid, unloading dashed.
     """
     max_grey_bins = 4000
-    branches = _find_branches(result)
+    branches = result.branches
     count = max((branch.cycle for branch in branches), default=0)
     colours = choose_cycle_colours(count)
     listed = np.unique(np.linspace(1, count, min(count, _MAX_CYCLE_KEYS)).round())
@@ -176,10 +175,6 @@ def _plot_branches(
             yield key("branch", label=str(direction), color=colour, linestyle=_STYLES[direction])
 
 
-def _find_branches(result: TestResult) -> tuple[Branch, ...]:
-    return result.curve.branches if result.curve is not None else ()
-
-
 def choose_cycle_colours(count: int) -> list[str]:
     """Return a colour per cycle: from the style for up to six cycles, else from a colour map."""
     if count > _MAX_CYCLE_KEYS:
@@ -189,8 +184,7 @@ def choose_cycle_colours(count: int) -> list[str]:
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
     """Make the page of the first loading with the lines fitted for stiffness, slips and failure."""
-    branches = _find_branches(result)
-    first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
+    first = result.first_loading
     lines: list[Line] = []
     if result.curve is not None and first is not None:
         part = slice(first.start, first.stop)
@@ -231,10 +225,10 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
 
 def _describe_number(result: TestResult, number: Result) -> str:
     """Write the value of a number with its interval and unit."""
-    scale = wording.find_display_unit(number.name, number.unit, result.display)
+    scale = wording.find_scale(number.name, number.unit, result.display)
     value = np.nan if number.value is None else number.value
     text = wording.write_number(value, number.interval, scale.factor).text
-    return f"{text} {wording.typeset_unit(scale.unit)}"
+    return f"{text} {scale.unit}"
 
 
 def _plot_events(result: TestResult) -> Iterator[Line]:
@@ -272,7 +266,7 @@ class _Tension(NamedTuple):
 
 def _compute_tension(result: TestResult) -> _Tension | None:
     """Compute stress and strain; None without a loading, an area or a gauge length."""
-    curve, branches = result.curve, _find_branches(result)
+    curve, branches = result.curve, result.branches
     if curve is None or not branches:
         return None
     try:
@@ -391,7 +385,7 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
     max_cloud_points = 2500
     if result.bending is None:
         return
-    cloud, law, branches = result.bending.cloud, result.bending.law, _find_branches(result)
+    cloud, law, branches = result.bending.cloud, result.bending.law, result.branches
     x, y = cloud.curvature, cloud.moment
     if law is not None:
         size = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
@@ -497,9 +491,7 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
     else:
         return
     yield thinned_line("motion", time, values, n_bins=900)
-    ends = [
-        end for branch in _find_branches(result) for end in (branch.start_time, branch.stop_time)
-    ]
+    ends = [end for branch in result.branches for end in (branch.start_time, branch.stop_time)]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
         heights = np.interp(turns, time, values, left=np.nan, right=np.nan)

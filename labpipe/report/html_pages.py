@@ -13,13 +13,13 @@ from markupsafe import Markup
 
 from labpipe.errors import UsageError
 from labpipe.records.quality import Severity
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.records.result import Result, Status, TestResult, find_result
 from labpipe.report import wording
 from labpipe.report.figure_page import encode_figure, style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, judge_sample
 
 
 def fill_template(template: str, **values: Any) -> str:
@@ -206,11 +206,11 @@ def _make_number_table(result: TestResult) -> Table:
     rows: list[Record] = []
     reason_above = ""
     for number in result.results:
-        unit = wording.find_display_unit(number.name, number.unit, result.display)
+        unit = wording.find_scale(number.name, number.unit, result.display)
         value = wording.write_result(number, unit.factor)
         reason = join_sentences(number.reasons)
         rows.append({
-            "Number": Cell(wording.write_heading(number.name, unit.unit), tip=number.name),
+            "Number": Cell(wording.write_heading(number.name, unit), tip=number.name),
             "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
             "State": Cell(str(number.status), tip=", ".join(number.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,

@@ -258,8 +258,8 @@ def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str
     heads: dict[str, str] = {}
     for group, _ in groups:
         for number in wording.list_key_numbers(group):
-            unit = wording.find_number_unit(group, number).unit
-            heads.setdefault(number.name, wording.write_heading(number.name, unit))
+            scale = wording.find_number_scale(group, number)
+            heads.setdefault(number.name, wording.write_heading(number.name, scale))
     return tuple(heads.items())[:n_numbers]
 
 
@@ -267,8 +267,8 @@ def _list_key_rows(
     groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
 ) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have one scale."""
-    numbers = [_find_mean(group, next(iter(heads), "")) for group, _ in groups]
-    means = [mean for _, mean in filter(None, numbers)]
+    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
+    means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
     strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
@@ -276,9 +276,8 @@ def _list_key_rows(
     for (group, stem), first_number in zip(groups, numbers, strict=True):
         strip = None
         if has_heads and first_number is not None:
-            strip = make_mean_strip(
-                strip_ends, _find_source(*first_number).interval, first_number[1].mean
-            )
+            interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
+            strip = make_mean_strip(strip_ends, interval, mean)
         cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
         rows.append({
             "name": group.name,
@@ -291,26 +290,25 @@ def _list_key_rows(
     return rows
 
 
-def _find_mean(group: Group, name: str) -> tuple[GroupNumber, MeanInterval] | None:
-    """Find a number of a group and its mean; None without a mean."""
-    for number in group.numbers:
-        if number.name == name and number.mean is not None:
-            return number, number.mean.chosen
-    return None
+def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
+    """Find a number of a group; None without a mean."""
+    number = group.find_number(name)
+    return number if number is not None and number.values else None
 
 
-def _find_source(number: GroupNumber, mean: MeanInterval) -> MeanInterval | Result:
+def _find_source(number: GroupNumber) -> MeanInterval | Result:
     """Return what has the interval: the mean, or the single test of a mean without one."""
+    mean = number.mean.chosen
     is_one_test = mean.interval is None and len(number.values) == 1
     return next(iter(number.values.values())) if is_one_test else mean
 
 
 def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    number_and_mean = _find_mean(group, name)
-    if number_and_mean is None:
+    number = _find_averaged_number(group, name)
+    if number is None:
         return Cell(DASH, tip="no sample has this number")
-    number, mean = number_and_mean
-    scale, source = wording.find_number_unit(group, number), _find_source(number, mean)
+    mean, source = number.mean.chosen, _find_source(number)
+    scale = wording.find_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if source.distinct_estimate is not None:
         estimate = wording.write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
@@ -318,7 +316,7 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)
-    with_unit = f"{text} {wording.typeset_unit(scale.unit)}".strip()
+    with_unit = f"{text} {scale.unit}".strip()
     return Cell(with_unit, small=wording.write_label(name), tip=tip)
 
 

@@ -15,7 +15,7 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import IS_COMMON
-from labpipe.records.curve import Direction, Interval, PointFlag, Shape
+from labpipe.records.curve import Interval, PointFlag, Shape
 from labpipe.records.group import Group
 from labpipe.records.result import TestResult
 from labpipe.report import plot_records as plots
@@ -58,7 +58,7 @@ def make_wire_shapes_page(result: TestResult) -> Page:
         missing = plots.make_empty_plot(explain_missing(result, "shape"))
         return plots.make_test_page(result, "wire-shapes", [missing])
     steps, unit = choose_frames(result, shape), find_unit(result.display, "displacement")
-    names = "xy" if _find_first_loading(result) is not None else "xyz"
+    names = "xyz" if result.first_loading is None else "xy"
     length, *sides = [_make_axis(shape, steps, unit, name) for name in names]
     panels = [
         Plot(
@@ -123,13 +123,6 @@ def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]
     return frames, levels[: len(frames)]
 
 
-def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
-    """Return start and end of the first loading branch, s; None without one."""
-    branches = result.curve.branches if result.curve is not None else ()
-    loadings = (branch for branch in branches if branch.direction is Direction.LOADING)
-    return next(((branch.start_time, branch.stop_time) for branch in loadings), None)
-
-
 def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     """Return the deflection of the tip in every frame, m, and its name.
 
@@ -159,11 +152,11 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
     -------
     shape (frames,), m, NaN in other frames; None without a loading branch
     """
-    loading, curve = _find_first_loading(result), result.curve
+    loading, curve = result.first_loading, result.curve
     if loading is None or curve is None:
         return None
     deflection: Floats = np.interp(time, curve.time, curve.displacement)
-    deflection[(time < loading[0]) | (time > loading[1])] = np.nan
+    deflection[(time < loading.start_time) | (time > loading.stop_time)] = np.nan
     return deflection
 
 
@@ -381,7 +374,7 @@ def make_budget_page(result: TestResult) -> Page:
     ][:MAX_BARS]
     bars = []
     for number in numbers:
-        scale = wording.find_display_unit(number.name, number.unit, result.display)
+        scale = wording.find_scale(number.name, number.unit, result.display)
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
         half_width = write_half_width(number.interval, scale)
@@ -406,7 +399,7 @@ def write_half_width(interval: Interval | None, scale: wording.Scale) -> str:
         return ""
     half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
     text = wording.write_number(half_width, None, digits=2).value
-    return f"\u00b1 {text} {wording.typeset_unit(scale.unit)}".strip()
+    return f"\u00b1 {text} {scale.unit}".strip()
 
 
 def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
@@ -515,13 +508,12 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
     """
     bars = []
     for number in group.numbers:
-        budget, scale = summarise_budget(number), wording.find_number_unit(group, number)
+        budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
         is_shown = wording.is_main(number.name) and wording.is_first_cycle(number.name)
         if budget.of_tests and is_shown:
             shares, interval = budget.of_tests, None
             if of_means:
-                shares, mean = budget.of_mean, number.mean
-                interval = None if mean is None else mean.chosen.interval
+                shares, interval = budget.of_mean, number.mean.chosen.interval
             half_width = write_half_width(interval, scale)
             bars.append(BudgetBar(_write_bar_label(number.name), shares, half_width))
     return bars[:MAX_BARS]

@@ -5,7 +5,7 @@ All numbers are shares of the limit: peak force over the smallest force allowed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from math import sqrt
 
@@ -14,7 +14,7 @@ from scipy import special
 
 from labpipe.records.group import Answer, Lot, LotRule, Sample, SampleVerdict
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result, Status, find_result
 
 FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
 """Results that determine a verdict."""
@@ -43,11 +43,6 @@ def judge_sample(share: Result) -> SampleVerdict:
     excludes_limit = interval is not None and (interval.lower >= 1.0 or interval.upper < 1.0)
     is_certain = excludes_limit and share.status is Status.OK
     return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
-
-
-def find_result(results: Iterable[Result], name: str) -> Result | None:
-    """Return the result of a name, or None."""
-    return next((result for result in results if result.name == name), None)
 
 
 def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> float:

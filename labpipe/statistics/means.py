@@ -362,9 +362,7 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
     medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
     total = sum(medians.values())
     shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
-    return GroupBudget(
-        shares, {} if number.mean is None else _compute_mean_budget(number.mean.chosen)
-    )
+    return GroupBudget(shares, _compute_mean_budget(number.mean.chosen))
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:

@@ -15,8 +15,15 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import StoreError
-from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
-from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
+from labpipe.records.result import (
+    InputFile,
+    Result,
+    Specimen,
+    TestResult,
+    compute_seal,
+    find_result,
+)
+from labpipe.statistics.lots import PEAK_OVER_LIMIT, judge_sample
 from labpipe.store.replace import locked, replacing
 
 SUMMARY_FILE = "summary.json"
