@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.errors import StoreError, UsageError, describe_system_error
-from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.run import FIGURES_FOLDER, SUMMARY_FILE
+from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
-from labpipe.store.summaries import FAILURE_FILE
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
 RAW, PROCESSED = "raw", "processed"
 _OUTCOME_FILES = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)

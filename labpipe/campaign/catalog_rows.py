@@ -10,8 +10,12 @@ from typing import Any, Final, NamedTuple
 from labpipe.campaign.campaign_folders import OutcomeFiles
 from labpipe.errors import StoreError
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.run import SUMMARY_FILE
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, compute_entry_seal
+from labpipe.store.summaries import (
+    FAILURE_FILE,
+    SUMMARY_FILE,
+    SUMMARY_SCHEMA,
+    compute_entry_seal,
+)
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),

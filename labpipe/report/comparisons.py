@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import nan
@@ -259,11 +259,9 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     )
 
 
-def make_answer_table(title: str, answers: Iterable[Sequence[Value]]) -> Table:
+def make_answer_table(answers: Sequence[Sequence[Value]]) -> Table:
     """Make the table of the answers of pairs, from `make_answer`."""
-    return Table(
-        title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), list(answers)
-    )
+    return Table("", ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), answers)
 
 
 def count_values(pair: Pair) -> list[int]:

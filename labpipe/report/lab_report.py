@@ -156,7 +156,6 @@ def render_page(
         test_facts=page_facts,
         make_group_plots=make_group_plots,
         has_bundles=any(sample.specimen.bundle is not None for sample in samples),
-        questions=list(_list_questions(campaign, groups)),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),
         **_make_first_screen(campaign, groups, tests),
     )
@@ -168,13 +167,16 @@ def _make_first_screen(
     """Return the contents of the first screen: answers, numbers and open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
-    causes, answers = find_causes(campaign), _list_answers(campaign)
+    causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
-    n_answers, n_decisions = min(len(answers), max_answers), min(len(open_decisions), max_decisions)
+    n_answers, n_decisions = (
+        min(len(questions), max_answers),
+        min(len(open_decisions), max_decisions),
+    )
     max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
         "counts": describe_campaign(campaign, open_decisions),
-        "answers": answers,
+        "questions": questions,
         "blocks": _limit_rows(_list_key_blocks(groups), max_group_rows),
         "open_decisions": open_decisions,
         "folds": {"answers": n_answers, "decisions": n_decisions},
@@ -182,37 +184,50 @@ def _make_first_screen(
     }
 
 
-def _list_answers(campaign: Campaign) -> list[dict[str, Any]]:
-    """List an answer for each field in which pairs of groups differ.
+def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
+    """Yield the comparisons of groups that differ in one field, field by field.
 
-    Each has its ``field`` and ``question``, the ``verdict`` (of several pairs the count of each
-    verdict), ``difference`` and ``counts`` of the pair that differs most, and the table of all
-    ``pairs``.
+    Each has its ``field`` with its ``name``; the ``question`` with its ``verdict`` (of several
+    pairs the count of each verdict), ``difference`` and ``counts`` of the pair that differs most;
+    the table ``answers`` of all pairs; the ``plots`` of groups by what they have in common; and the
+    ``tables`` and ``notes`` of each pair.
     """
-    answers = []
+    families = comparisons.find_families(campaign)
+    stems = {group.name: stem for stem, group in groups.items()}
     for field, pairs_of_field in groupby(
         list_single_field_pairs(campaign), key=lambda pair: pair.field
     ):
-        pairs = list(pairs_of_field)
-        rows = list(map(comparisons.make_answer, pairs))
-        question, verdict, difference, counts = rows[pairs.index(max(pairs, key=_rank_pair))]
+        pairs, name = list(pairs_of_field), comparisons.name_field(field)
+        rows, tables = map(comparisons.make_answer, pairs), map(comparisons.make_pair_table, pairs)
+        answers, pair_tables = list(rows), list(tables)
+        question, verdict, difference, counts = answers[pairs.index(max(pairs, key=_rank_pair))]
         if len(pairs) > 1:
             values = {value for pair in pairs for value in pair.differences[0].fields[field]}
             ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
-            question = Cell(f"{comparisons.name_field(field)}: {', '.join(ordered)}")
+            question = Cell(f"{name}: {', '.join(ordered)}")
             kinds = Counter(pair.differences[0].verdict for pair in pairs)
             texts = [f"{str(kind).upper()} {kinds[kind]}" for kind in Verdict if kinds[kind]]
             verdict = Cell(", ".join(texts))
             difference += f", largest of {len(pairs)} pairs"
-        answers.append({
+        yield {
             "field": field,
+            "name": name,
             "question": question.text,
             "verdict": verdict.text,
             "difference": difference,
             "counts": counts,
-            "pairs": comparisons.make_answer_table("", rows),
-        })  # fmt: skip
-    return answers
+            "answers": comparisons.make_answer_table(answers),
+            "plots": [
+                (
+                    comparisons.describe_context(family.groups, field),
+                    comparisons.make_family_plots(family, stems),
+                )
+                for family in families
+                if family.field == field
+            ],
+            "tables": [replace(table, notes=()) for table in pair_tables],
+            "notes": list(dict.fromkeys(note for table in pair_tables for note in table.notes)),
+        }
 
 
 def _rank_pair(pair: Pair) -> tuple[bool, float]:
@@ -382,33 +397,6 @@ def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]
         f"{undecided} to decide",
     ]
     return " \u00b7 ".join(parts)
-
-
-def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
-    """Yield the comparisons of groups that differ in one field, field by field."""
-    families = comparisons.find_families(campaign)
-    stems = {group.name: stem for stem, group in groups.items()}
-    for field, pairs_of_field in groupby(
-        list_single_field_pairs(campaign), key=lambda pair: pair.field
-    ):
-        pairs = list(pairs_of_field)
-        tables, name = list(map(comparisons.make_pair_table, pairs)), comparisons.name_field(field)
-        rows = map(comparisons.make_answer, pairs)
-        yield {
-            "field": field,
-            "name": name,
-            "answers": comparisons.make_answer_table(f"Verdicts: {name}", rows),
-            "comparisons": [
-                (
-                    comparisons.describe_context(family.groups, field),
-                    comparisons.make_family_plots(family, stems),
-                )
-                for family in families
-                if family.field == field
-            ],
-            "tables": [replace(table, notes=()) for table in tables],
-            "notes": list(dict.fromkeys(note for table in tables for note in table.notes)),
-        }
 
 
 def read_page_script() -> Markup:
