@@ -259,9 +259,9 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     )
 
 
-def make_answer_table(answers: Sequence[Sequence[Value]]) -> Table:
+def make_answer_table(title: str, answers: Sequence[Sequence[Value]]) -> Table:
     """Make the table of the answers of pairs, from `make_answer`."""
-    return Table("", ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), answers)
+    return Table(title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), answers)
 
 
 def count_values(pair: Pair) -> list[int]:

@@ -216,7 +216,7 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
             "verdict": verdict.text,
             "difference": difference,
             "counts": counts,
-            "answers": comparisons.make_answer_table(answers),
+            "answers": comparisons.make_answer_table(f"Verdicts: {name}", answers),
             "plots": [
                 (
                     comparisons.describe_context(family.groups, field),
