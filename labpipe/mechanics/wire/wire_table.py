@@ -96,7 +96,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     )
     pair = compute_stretch_torsion(built.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
-    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *cantilever.notes)
+    notes = (*built.notes, *shortened, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -184,7 +184,7 @@ def find_linear_range(spec: WireSpec) -> float:
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _law_notes(
+def _note_law(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
     if spec.tension:
@@ -266,8 +266,8 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     require_finite("orientation", spec.orientation)
     if spec.largest_curvature is not None:
         require_positive("largest_curvature", spec.largest_curvature)
-    section, layout_notes = _place(spec)
-    notes += [*layout_notes, *_helix_notes(section, spec)]
+    section, layout_notes = _place_strands(spec)
+    notes += [*layout_notes, *_note_helices(section, spec)]
     contacts = make_contacts(
         len(section.layers) - int(section.has_core),
         strand=spec.friction_strand,
@@ -276,7 +276,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     )
     strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     find_range(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes += _section_notes(section, spec, strain)
+    notes += _note_section(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
 
@@ -313,7 +313,7 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
-def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
+def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Lay out the strands; note where the default layout, a hexagon, does not fit."""
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
@@ -336,7 +336,7 @@ def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     return section, [note]
 
 
-def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
+def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
     """Note a packing to one side of the bore, overlaps, and strands that yield under the tension.
 
     The model treats the axial stiffness of strands as elastic.
@@ -380,7 +380,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
         )
 
 
-def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
+def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
     """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
 
     In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
@@ -563,7 +563,7 @@ class LawFamily:
         built, corners = build_wire(spec), self.corners
         curve = built.compute_curve(corners)
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
-        slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
+        slopes = factor * self.scale * _compute_falling_slopes(corners, curve.moment)
         min_stiffness = min_slider_share * slopes[0]
         share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
         law = replace(
@@ -607,7 +607,7 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
     """Return the factor on the chords of a table of which a law was fitted to it."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
-    return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
+    return law.first_stiffness / float(_compute_falling_slopes(corners, moment)[0])
 
 
 def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
@@ -629,7 +629,7 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
     return LawFamily(spec, values, base, find_chord_factor(base, table))
 
 
-def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
+def _compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
     """Return the slopes of the chords between corners, made non-increasing.
 
     A law that stiffens somewhere is bridged, as `fit_sliders` does.
