@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from labpipe.mechanics.wire.bundle_layout import (
-    _make_lattice_heap,
     _choose_start_pitches,
+    _make_lattice_heap,
     arrange_wires,
     choose_bore,
     compute_bore,

@@ -609,8 +609,9 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     def sum_squares(held: float) -> float:
         return float(np.sum(find_residuals(held) ** 2))
 
-    tolerance = {"xatol": _HELD_TOLERANCE}
-    optimum = minimize_scalar(sum_squares, bounds=(0.0, 1.0), method="bounded", options=tolerance)
+    optimum = minimize_scalar(
+        sum_squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": _HELD_TOLERANCE}
+    )
     held = float(optimum.x)
     forces = predict(held)
     if np.isnan(forces).any():
