@@ -68,24 +68,21 @@ class BarMesh:
     radius: float
 
     @property
-    def clamp(self) -> Flags:
-        """Return whether each node lies in the clamped face, x = 0; shape (nodes,)."""
-        return self.nodes[:, 0] < _PLANE_TOLERANCE * self.radius
+    def node_sets(self) -> dict[str, Flags]:
+        """Return which nodes a boundary condition holds or prints, by the name of its set.
 
-    @property
-    def neutral_plane(self) -> Flags:
-        """Return whether each node lies in the neutral plane, y = 0; shape (nodes,)."""
-        return np.abs(self.nodes[:, 1]) < _PLANE_TOLERANCE * self.radius
-
-    @property
-    def tip(self) -> Flags:
-        """Return whether each node lies in the free face, x = length; shape (nodes,)."""
-        return self.nodes[:, 0] > self.length - _PLANE_TOLERANCE * self.radius
-
-    @property
-    def symmetry_plane(self) -> Flags:
-        """Return whether each node lies in the plane of symmetry, z = 0; shape (nodes,)."""
-        return self.nodes[:, 2] < _PLANE_TOLERANCE * self.radius
+        All of the clamped face x = 0, and its neutral axis y = 0; the plane of symmetry z = 0; the
+        neutral axis of the free face.
+        """
+        (x, y, z), tolerance = self.nodes.T, _PLANE_TOLERANCE * self.radius
+        is_clamped, is_neutral = x < tolerance, np.abs(y) < tolerance
+        is_tip = x > self.length - tolerance
+        return {
+            "CLAMP": is_clamped,
+            "HINGE": is_clamped & is_neutral,
+            "CUT": z < tolerance,
+            TIP_SET: is_tip & is_neutral,
+        }
 
 
 def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMesh:
@@ -224,18 +221,14 @@ def write_calculix_deck(
         reason = shorten_name(next(cuts, "the table has no cantilever"), 120)
         return fill_template("calculix.inp", reason=reason, **facts)
     mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
-    node_sets = {
-        "CLAMP": mesh.clamp,
-        "HINGE": mesh.clamp & mesh.neutral_plane,
-        "CUT": mesh.symmetry_plane,
-        TIP_SET: mesh.tip & mesh.neutral_plane,
-    }
     return fill_template(
         "calculix.inp",
         tip=TIP_SET,
         nodes=_format_rows("%d, %.9g, %.9g, %.9g", mesh.nodes + 0.0),
         bricks=_format_rows(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), mesh.bricks),
-        node_sets={name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in node_sets.items()},
+        node_sets={
+            name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()
+        },
         # true stress over plastic strain, which CalculiX continues as a constant
         plastic=list(zip(material.stress, material.plastic_strain, strict=True)),
         density=find_mass(table) / (np.pi / 4.0 * diameter**2),
