@@ -4,7 +4,7 @@ import io
 import json
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -491,7 +491,7 @@ def test_the_json_table() -> None:
     assert losses["constant"]["error"] == card.constant
     assert losses["sliders"]["12"] == dict(card.sliders)[12]
     assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
-    assert losses["way_back"] == asdict(compute_turn_loss(table.curvature, table.moment))
+    assert losses["way_back"] == compute_turn_loss(table.curvature, table.moment)
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"

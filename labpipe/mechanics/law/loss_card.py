@@ -112,31 +112,19 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
     )
 
 
-@dataclass(frozen=True, slots=True)
-class TurnLoss:
-    """Largest error of unbending, as a share of the moment at the reversal.
-
-    Parameters
-    ----------
-    curve : of a law without memory
-    curve_at : 1/m, curvature of the reversal
-    isotropic : of isotropic hardening
-    isotropic_at : 1/m
-    """
-
-    curve: float
-    curve_at: float
-    isotropic: float
-    isotropic_at: float
-
-
-def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
+def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
     """Compute the errors for a wire that is bent and straightened again.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing, n >= 2
     moment : shape (n,), N m, from 0, positive
+
+    Returns
+    -------
+    ``curve``, ``isotropic`` : largest error of unbending along the curve, and with isotropic
+        hardening, as a share of the moment at the reversal
+    ``curve_at``, ``isotropic_at`` : curvatures of these reversals, 1/m
 
     Notes
     -----
@@ -158,12 +146,13 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     straight = top - slope * (turn - curvatures)
     yields = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
     isotropic = np.where(straight >= -top, straight, yields)
-    largest: list[float] = []
-    for carried in (np.interp(curvatures, curvature, moment), isotropic):
+    forms = {"curve": np.interp(curvatures, curvature, moment), "isotropic": isotropic}
+    largest: dict[str, float] = {}
+    for name, carried in forms.items():
         errors = np.max(np.abs((carried - masing) / top), axis=1)
         worst_turn = int(np.argmax(errors))
-        largest += [float(errors[worst_turn]), float(turn[worst_turn, 0])]
-    return TurnLoss(*largest)
+        largest |= {name: float(errors[worst_turn]), f"{name}_at": float(turn[worst_turn, 0])}
+    return largest
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
