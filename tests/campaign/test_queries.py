@@ -11,8 +11,16 @@ from pathlib import Path
 import openpyxl
 import pytest
 
-from labpipe.campaign.catalog import Catalog, make_catalog
-from labpipe.campaign.catalog_rows import OK, Entry, FileState, ResultRow, TestRow, as_json
+from labpipe.campaign.catalog import (
+    OK,
+    Catalog,
+    Entry,
+    FileState,
+    ResultRow,
+    TestRow,
+    as_json,
+    make_catalog,
+)
 from labpipe.campaign.queries import (
     QueryResult,
     escape_controls,
