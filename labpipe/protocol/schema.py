@@ -27,7 +27,6 @@ from labpipe.protocol.grammar import (
     Block,
     FileStem,
     Remark,
-    ShortForm,
     Text,
     parse_or_none,
 )
@@ -153,7 +152,7 @@ def _parse_marker_names(value: object) -> object:
 
 MarkerNames: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    ShortForm(_parse_marker_names, {"type": "string"}),
+    BeforeValidator(_parse_marker_names, json_schema_input_type=str | tuple[str, ...]),
 ]
 
 
@@ -279,16 +278,7 @@ class Slack(Block):
     ]
 
 
-def _parse_reverse(value: object) -> object:
-    names = value if isinstance(value, list | tuple) else [None]
-    if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
-        raise build_refusal("protocol.no_reverse", found=value)
-    return tuple(names)
-
-
-Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...], BeforeValidator(_parse_reverse)
-]
+Reverse: TypeAlias = tuple[Literal["force", "displacement"], ...]
 
 
 class ElasticLine(Block):
@@ -466,7 +456,7 @@ class Protocol(Block):
         outline = Outline(data)
         for check in (
             *(_check_channels, _check_needs, _check_steps, _check_curve),
-            *(_check_results, _check_figures, _check_main_results),
+            *(_check_results, _check_main_results),
         ):
             yield from check(outline)
 
@@ -770,13 +760,6 @@ def _check_results(outline: Outline) -> Faults:
             for name, output in zip(names, kind.outputs, strict=True)
             if output.unit == "N/m" and output.first is None
         ]
-
-
-def _check_figures(outline: Outline) -> Faults:
-    figures = get_list(outline.data, "report", "figures")
-    for number, figure in enumerate(figures):
-        if figure in figures[:number]:
-            yield Fault.of("protocol.figure_again", ("report", "figures", number), figure=figure)
 
 
 def _check_main_results(outline: Outline) -> Faults:
