@@ -175,11 +175,11 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     Outcome files by test; tests without such files are absent.
     """
     outcomes = {}
-    for test, folder, files, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
+    for test, folder, _, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
         if hidden & {*STAGES}:
             outcome = find_outcome(campaign, test)
         else:
-            outcome = OutcomeFiles(Path(folder), _compute_signature(folder, files))
+            outcome = OutcomeFiles(Path(folder), _compute_signature(folder))
         if outcome.signature:
             outcomes[test] = outcome
     return outcomes
@@ -199,15 +199,12 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     if is_cut_off(folder):  # unless another process still writes there
         with suppress(StoreError), locked(folder), storing(folder):
             finish_cut_off(folder)
-    files = [name for name in _OUTCOME_FILES if (folder / name).is_file()]
-    return OutcomeFiles(folder, _compute_signature(str(folder), files))
+    return OutcomeFiles(folder, _compute_signature(str(folder)))
 
 
-def _compute_signature(folder: str, files: list[str]) -> str:
+def _compute_signature(folder: str) -> str:
     parts = []
     for name in _OUTCOME_FILES:
-        if name not in files:
-            continue
         with suppress(OSError):
             status = os.stat(f"{folder}/{name}")  # noqa: PTH116  Path is slow for 10 000 files
             parts.append(f"{name}:{status.st_size}:{status.st_mtime_ns}:{status.st_ino}")

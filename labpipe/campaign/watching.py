@@ -318,17 +318,11 @@ Signature: TypeAlias = tuple[int, int] | None
 
 
 def _can_open(path: Path) -> bool:
-    with suppress(OSError):
-        _require_readable([path])
+    """Return whether a file exists and is not locked by another program."""
+    with suppress(OSError), path.open("rb") as stream:
+        stream.read(1)
         return True
     return False
-
-
-def _require_readable(paths: Iterable[Path]) -> None:
-    """Raise an `OSError` if a file is missing or locked: the test is then tried again later."""
-    for path in paths:
-        with path.open("rb") as stream:
-            stream.read(1)
 
 
 def _read_signature(path: Path) -> Signature:
@@ -530,8 +524,9 @@ class Watcher:
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return False
         if isinstance(attempted, Refused):
-            test.is_forced = True
-            _require_readable([candidate.sheet, *candidate.files.values()])
+            test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
+            if test.is_forced:
+                return False
         test.is_forced = False
         if attempted is not None:
             self._say_verdict(candidate, attempted)

@@ -231,10 +231,8 @@ class QuantityText:
 
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
-        number, unit = value, self.quantity.display_unit
-        number /= find_si_factor(unit, self.quantity.unit)
-        if not math.isfinite(number):
-            number, unit = value, self.quantity.unit
+        unit = self.quantity.display_unit
+        number = value / find_si_factor(unit, self.quantity.unit)
         return f"{number:.12g} {unit}".removesuffix(" 1")
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
 
 from pydantic import (
@@ -339,23 +338,17 @@ FigureName: TypeAlias = Literal[
 
 def _check_display(units: dict[str, str]) -> dict[str, str]:
     """Refuse units of unknown quantities, and units of another dimension."""
-    faults = []
-    for quantity, unit in units.items():
-        si_unit = SI_UNITS.get(quantity)
-        if si_unit is None:
-            fault = build_choice_fault((quantity,), quantity, SI_UNITS, "one of the quantities")
-            faults.append(replace(fault, at="key"))
-        elif parse_or_none(f"1 {unit}", si_unit) is None:
-            faults.append(
-                Fault.of(
-                    "protocol.no_unit",
-                    (quantity,),
-                    quantity=f"{quantity} such as {si_unit}",
-                    found=repr(unit),
-                )
-            )
-    raise_faults(faults)
+    raise_faults(fault for entry in units.items() for fault in _find_display_faults(*entry))
     return units
+
+
+def _find_display_faults(quantity: str, unit: str) -> Faults:
+    path, si_unit = (quantity,), SI_UNITS.get(quantity)
+    if si_unit is None:
+        yield build_choice_fault(path, quantity, SI_UNITS, "one of the quantities", at="key")
+    elif parse_or_none(f"1 {unit}", si_unit) is None:
+        example = f"{quantity} such as {si_unit}"
+        yield Fault.of("protocol.no_unit", path, quantity=example, found=repr(unit))
 
 
 DisplayUnits: TypeAlias = Annotated[dict[str, Text], AfterValidator(_check_display)]
