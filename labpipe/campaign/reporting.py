@@ -648,6 +648,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
     decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
+    settings_by_protocol: dict[str, grouping.Settings] = {}
     for file in files:
         say(file.parent.name)
         try:
@@ -673,7 +674,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
                 tests.rejected_samples.append(sample)
                 continue
         tests.protocols[result.protocol] = protocol
-        tests.settings[sample.test] = list_settings(protocol)
+        if result.protocol_yaml not in settings_by_protocol:
+            settings_by_protocol[result.protocol_yaml] = list_settings(protocol)
+        tests.settings[sample.test] = settings_by_protocol[result.protocol_yaml]
         recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
     if not tests.samples:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import errno
 import os
 import random
-import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked
@@ -173,11 +173,6 @@ def started(home: Path) -> subprocess.Popen[str]:
     )
 
 
-def children(process: int) -> list[int]:
-    found = Path(f"/proc/{process}/task/{process}/children")
-    return [int(part) for part in found.read_text("ascii").split()] if found.exists() else []
-
-
 def whole_run(labs: list[TensileLab], change: str = "") -> tuple[float, list[str]]:
     """Process all tests to the end; seconds, and the key of each, all of whose files are of it."""
     for lab in labs:
@@ -195,17 +190,22 @@ def whole_run(labs: list[TensileLab], change: str = "") -> tuple[float, list[str
 
 
 def kill(home: Path, after: float, chance: random.Random) -> None:
-    """Start a run and kill it, or one process of a test, after a time."""
+    """Start a run, kill it or one process of a test after a time, and wait for all its processes.
+
+    The run is stopped while its processes are listed, so that it starts no other one.
+    """
     with started(home) as process:
         time.sleep(after)
-        victims = children(process.pid)
-        alone = bool(victims) and chance.random() < 0.3
-        os.kill(chance.choice(victims) if alone else process.pid, signal.SIGKILL)
+        run = psutil.Process(process.pid)
+        run.suspend()
+        workers = run.children(recursive=True)
+        alone = bool(workers) and chance.random() < 0.3
+        (chance.choice(workers) if alone else run).kill()
+        if alone:
+            run.resume()
         process.communicate()
-    until = time.monotonic() + 30.0  # what belonged to it goes, too
-    while any(Path(f"/proc/{victim}").exists() for victim in victims):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    _, alive = psutil.wait_procs(workers, timeout=60.0)
+    assert not alive
 
 
 @pytest.mark.slow
