@@ -648,7 +648,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
     decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
-    settings_by_protocol: dict[str, grouping.Settings] = {}
+    settings_by_protocol: dict[str, Settings] = {}
     for file in files:
         say(file.parent.name)
         try:
