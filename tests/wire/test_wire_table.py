@@ -163,7 +163,7 @@ def test_contacts_materials_and_layers() -> None:
     assert insulation.bore_radius == pytest.approx(0.5e-3)
     assert build_wire(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
     assert build_wire(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
-    copper = RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
+    copper = RambergOsgood(110e9, 530e6, 0.44)
     assert make_layers(A2)[0].material == copper
     table = make_layers(replace(A2, stress_table=TABLE))[0].material
     assert isinstance(table, StressTable)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError
-from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
+from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.wire_sheets import WireSheet
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
@@ -233,8 +233,8 @@ def note_insulations(
     wires: Mapping[str, Wire],
     specs: Mapping[str, WireSpec],
     loadings: Sequence[FirstLoading],
-) -> tuple[QualityNote, ...]:
-    """Return notes on wires that tests bend beyond the linear range of their insulation.
+) -> Iterator[QualityNote]:
+    """Yield notes on wires that tests bend beyond the linear range of their insulation.
 
     Parameters
     ----------
@@ -247,16 +247,24 @@ def note_insulations(
     One note per wire. A predicted wire without a solution in the range of the tests has no note;
     its group states the reason.
     """
-    notes, values = [], calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            tested_curvature = find_tested_curvature(wires[name], values, curves)
+            tested = find_tested_curvature(wires[name], calibration.solutions[0].values, curves)
         except ValueError:
             continue
-        calibrated = "" if name == calibration.wire else calibration.wire
-        notes.append(note_insulation(specs[name], tested_curvature, calibrated_wire=calibrated))
-    return tuple(note for note in notes if note is not None)
+        if tested > wires[name].linear_range:
+            yield QualityNote.of(
+                "mechanics.studies.soft_insulation_calibrated"
+                if name == calibration.wire
+                else "mechanics.studies.soft_insulation_predicted",
+                name,
+                wire=name,
+                tested=tested,
+                limit=wires[name].linear_range,
+                strain=100.0 * specs[name].insulation_strain,
+                calibrated=calibration.wire,
+            )
 
 
 def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:

@@ -1,8 +1,7 @@
 """Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
 
-Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
-states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
-its last strain.
+Every curve is odd (PHYSICS 4: the same in tension and compression) and starts with its modulus.
+Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
 Bending of a single strand about its own axis: laminae, plasticity and the helix (PHYSICS 4).
 
@@ -28,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -48,10 +47,6 @@ class Material(Protocol):
     def largest_strain(self) -> float:
         """Return the strain up to which the curve is known."""
 
-    @property
-    def source(self) -> str:
-        """Return where the numbers come from."""
-
     def stress(self, strain: Floats) -> Floats:
         """Return the stress of the first loading at strains of any shape, Pa."""
 
@@ -68,7 +63,6 @@ class RambergOsgood:
     modulus : E, Pa
     strength : K, Pa, stress at a plastic strain of one
     exponent : n, between 0 and 1
-    source : where the numbers come from
 
     Notes
     -----
@@ -80,17 +74,12 @@ class RambergOsgood:
     modulus: float
     strength: float
     exponent: float
-    source: str = ""
+    largest_strain: ClassVar[float] = np.inf
 
     def __post_init__(self) -> None:
         require_positive("modulus", self.modulus)
         require_positive("strength", self.strength)
         require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
 
     def strain(self, stress: Floats) -> Floats:
         """Return the strain at stresses of any shape; odd, NaN stays NaN."""
@@ -121,7 +110,6 @@ class StressTable:
     ----------
     strains : increasing, positive; zero strain at zero stress is implied
     stresses : Pa, positive and never falling; the first slope is the modulus
-    source : where the numbers come from
 
     Raises
     ------
@@ -131,7 +119,6 @@ class StressTable:
 
     strains: tuple[float, ...]
     stresses: tuple[float, ...]
-    source: str = ""
 
     def __post_init__(self) -> None:
         lengths = len(self.strains), len(self.stresses)
@@ -178,8 +165,8 @@ class StressTable:
         return np.copysign(lines, strain)
 
 
-ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the dissertation's wires."""
+ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
+"""Copper of the dissertation's wires, by a handbook."""
 
 
 LAMINAE = 64
